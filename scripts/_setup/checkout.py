@@ -1,0 +1,66 @@
+"""Where everything is in one checkout."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+from _setup import state
+
+
+class Checkout(NamedTuple):
+    """The folders of one checkout."""
+
+    root: str
+
+    @property
+    def source(self) -> str:
+        """Where the ROS packages are."""
+        return os.path.join(self.root, "src")
+
+    @property
+    def venv(self) -> str:
+        """The virtual environment, which is a ROS prefix too."""
+        return os.path.join(self.root, ".venv")
+
+    @property
+    def python(self) -> str:
+        """The virtual environment's interpreter."""
+        return os.path.join(self.venv, "bin", "python")
+
+    @property
+    def build(self) -> str:
+        """Intermediate files of colcon."""
+        return os.path.join(self.root, "build")
+
+    @property
+    def install(self) -> str:
+        """What colcon installs: a second ROS prefix."""
+        return os.path.join(self.root, "install")
+
+    @property
+    def environment_stamp(self) -> str:
+        """Stamp of the virtual environment with its packages."""
+        return os.path.join(self.venv, state.STAMPS, "environment")
+
+    @property
+    def tests_stamp(self) -> str:
+        """Stamp of the packages that only the tests need."""
+        return os.path.join(self.venv, state.STAMPS, "tests")
+
+    @property
+    def snapshot(self) -> str:
+        """Stamp of the whole set-up, for a quick second start."""
+        return os.path.join(self.install, state.STAMPS, "snapshot")
+
+    def lock(self, name: str) -> str:
+        """Path of a file of pinned requirements."""
+        return os.path.join(self.root, "scripts", "requirements", name)
+
+    def log(self, name: str) -> str:
+        """Path of a log of the set-up."""
+        return os.path.join(self.root, "log", name)
+
+    def package_stamp(self, package: str) -> str:
+        """Stamp of one installed package."""
+        return os.path.join(self.install, state.STAMPS, f"{package}.package")

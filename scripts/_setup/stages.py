@@ -1,0 +1,260 @@
+"""The work itself: virtual environment, packages, CMake files of the ROS wheels, colcon."""
+
+from __future__ import annotations
+
+import glob
+import json
+import os
+import re
+import shutil
+import subprocess
+from typing import Dict, Mapping, Optional, Sequence
+
+from _setup import environment, machine, state
+from _setup.checkout import Checkout
+from _setup.children import run_logged
+from _setup.report import UNSUITABLE, SetupError, Stage
+
+# Part of every key: raise it when a stage does something else than before, so that it is done again.
+STAGE_VERSION = 1
+LOCKS = ("run.lock", "build.lock")
+TEST_LOCK = "test.lock"
+NEEDED_BYTES = 1_200_000_000
+MANY = 4  # packages, up to which the message names them
+PIP_INSTALL = (
+    *(
+        "-m",
+        "pip",
+        "install",
+        "--require-hashes",
+        "--no-deps",
+        "--no-input",
+        "--no-compile",
+        "--progress-bar=off",
+    ),
+    *("--no-build-isolation", "--use-pep517", "--disable-pip-version-check"),
+)
+NOT_COMPILED = r"/(tests?|testing|colcon_[a-z_]+|docutils|pip)/"
+
+
+def make_environment(
+    checkout: Checkout, python: machine.Interpreter, environ: Mapping[str, str], lock: int
+) -> None:
+    """Make .venv anew and install the locked packages of the run and the build into it."""
+    free = shutil.disk_usage(checkout.root).free
+    if free < NEEDED_BYTES:
+        raise SetupError(
+            f"{checkout.root} has {free / 1e6:.0f} MB free, the set-up needs {NEEDED_BYTES / 1e6:.0f} MB",
+            UNSUITABLE,
+        )
+    state.remove_stamp(checkout.environment_stamp)
+    stage = Stage(f"virtual environment, Python {python.version} ({python.path})")
+    remove_tree(checkout.venv)
+    clean = environment.clean(environ, checkout.venv)
+    run_logged([python.path, "-I", "-m", "venv", checkout.venv], checkout.log("setup-venv.log"), clean, lock)
+    stage.done()
+    stage = Stage("packages of the run and the build (about 200 MB to fetch)")
+    install_setuptools(checkout, checkout.log("setup-setuptools.log"), clean, lock)
+    install_locked(checkout, LOCKS, checkout.log("setup-packages.log"), clean, lock, stage)
+    point_cmake_files(checkout, clean)
+    stage.done()
+    state.write_stamp(
+        checkout.environment_stamp,
+        key=environment_key(checkout, python.path, python.version),
+        python=python.path,
+        version=python.version,
+    )
+
+
+def environment_key(checkout: Checkout, python: str, version: str) -> str:
+    """Key of the virtual environment; which holds absolute paths: the place is part of it."""
+    locks = [state.file_key(checkout.lock(name)) for name in LOCKS]
+    return state.text_key(STAGE_VERSION, checkout.root, python, version, locks)
+
+
+def current_environment(checkout: Checkout, wanted: Optional[machine.Interpreter]) -> Dict[str, str]:
+    """Stamp of the virtual environment if it is complete, up to date and of the wanted Python; else empty."""
+    stamp = state.read_stamp(checkout.environment_stamp)
+    if not stamp or not os.access(checkout.python, os.X_OK):
+        return {}
+    if wanted and (wanted.path, wanted.version) != (stamp.get("python"), stamp.get("version")):
+        return {}
+    tests = state.read_stamp(checkout.tests_stamp)
+    if tests and tests.get("key") != state.file_key(checkout.lock(TEST_LOCK)):
+        return {}
+    key = environment_key(checkout, stamp.get("python", ""), stamp.get("version", ""))
+    return stamp if stamp.get("key") == key else {}
+
+
+def install_tests(
+    checkout: Checkout, stamp: Mapping[str, str], environ: Mapping[str, str], lock: int
+) -> None:
+    """Add the locked packages of the tests to a virtual environment that is complete without them."""
+    key = state.file_key(checkout.lock(TEST_LOCK))
+    if state.read_stamp(checkout.tests_stamp).get("key") == key:
+        return
+    stage = Stage("packages of the tests")
+    # Half installed packages cannot be mended, so until this is complete the environment is not valid.
+    state.remove_stamp(checkout.environment_stamp)
+    clean = environment.clean(environ, checkout.venv)
+    install_locked(checkout, (TEST_LOCK,), checkout.log("setup-tests.log"), clean, lock, stage)
+    state.write_stamp(checkout.tests_stamp, key=key)
+    state.write_stamp(checkout.environment_stamp, **stamp)
+    stage.done()
+
+
+def install_setuptools(checkout: Checkout, log: str, environ: Mapping[str, str], lock: int) -> None:
+    """Install the locked setuptools, with which the packages that come as source are built."""
+    with open(checkout.lock("run.lock"), encoding="utf-8") as file:
+        entry = locked_entry(file.read(), "setuptools")
+    requirements = os.path.join(checkout.venv, "setuptools.lock")
+    with open(requirements, "w", encoding="utf-8") as file:
+        file.write(entry)
+    run_logged([checkout.python, *PIP_INSTALL, "-r", requirements], log, environ, lock)
+
+
+def install_locked(
+    checkout: Checkout, names: Sequence[str], log: str, environ: Mapping[str, str], lock: int, stage: Stage
+) -> None:
+    """Install every requirement of the lock files, each checked by its hash, and nothing else."""
+    requirements = [part for name in names for part in ("-r", checkout.lock(name))]
+    pip = [checkout.python, *PIP_INSTALL, *requirements]
+    run_logged(pip, log, environ, lock, lambda text: stage.progress(pip_progress(text)))
+    # Now and in parallel: hundreds of nodes that start at once would each compile what they import.
+    stage.progress("compiling")
+    modules = glob.glob(os.path.join(checkout.venv, "lib", "python3.*", "site-packages"))
+    compiler = [checkout.python, "-m", "compileall", "-q", "-j", "0", "-x", NOT_COMPILED, *modules]
+    run_logged(compiler, f"{log}.compile", environ, lock)
+
+
+def locked_entry(text: str, name: str) -> str:
+    """One requirement of a lock file with its hashes, without the backslash that leads to the next."""
+    found = re.search(rf"^{re.escape(name)}==(?:[^\n]*\\\n)*[^\n]*\n", text, re.MULTILINE)
+    if not found:
+        raise SetupError(f"run.lock does not pin {name}", UNSUITABLE)
+    return found.group()
+
+
+def pip_progress(text: str) -> str:
+    """How far pip is, read from its log."""
+    if "\nInstalling collected packages" in text:
+        return "unpacking"
+    return f"{text.count('Collecting ')} fetched"
+
+
+def point_cmake_files(checkout: Checkout, environ: Mapping[str, str]) -> None:
+    """Replace the Python and numpy include folders of the machine that built the wheels by this machine's."""
+    asked = (
+        "import json, numpy, sysconfig as s; print(json.dumps([s.get_path('include'), numpy.get_include()]))"
+    )
+    answer = subprocess.run(
+        [checkout.python, "-c", asked], env=dict(environ), stdout=subprocess.PIPE, check=True
+    )
+    python_include, numpy_include = json.loads(answer.stdout)
+    for path in glob.glob(os.path.join(checkout.venv, "share", "*", "cmake", "*.cmake")):
+        with open(path, encoding="utf-8") as file:
+            found = file.read()
+        rewritten = point_includes(found, python_include, numpy_include)
+        if rewritten != found:
+            with open(path, "w", encoding="utf-8") as file:
+                file.write(rewritten)
+
+
+def point_includes(text: str, python_include: str, numpy_include: str) -> str:
+    """Replace the include folders of the machine that built the wheels; other texts stay as they are."""
+    text = re.sub(r"/opt/python/[^/;\"]+/include/python3\.\d+", lambda _: python_include, text)
+    built_numpy = r"/opt/python/[^/;\"]+/lib/python3\.\d+/site-packages/numpy/_?core/include"
+    return re.sub(built_numpy, lambda _: numpy_include, text)
+
+
+def changed_packages(checkout: Checkout, owner: str) -> Dict[str, str]:
+    """Names and keys of the packages that are not installed, or with another content."""
+    keys = {
+        name: state.content_key(os.path.join(checkout.source, name), STAGE_VERSION, owner)
+        for name in state.packages_in(checkout.source)
+    }
+    return {
+        name: key
+        for name, key in keys.items()
+        if state.read_stamp(checkout.package_stamp(name)).get("key") != key
+    }
+
+
+def install_changed(
+    checkout: Checkout,
+    key: str,
+    colcon: Sequence[str],
+    environ: Mapping[str, str],
+    lock: int,
+    cmake_arguments: Sequence[str] = (),
+) -> None:
+    """Bring install/ in line with src/: build from nothing what has changed, remove what is gone.
+
+    No package needs another one to be built, only to run, so those that depend on a changed
+    package stay as they are.
+    """
+    owner = os.path.join(checkout.install, state.STAMPS, "owner")
+    if state.read_stamp(owner).get("key") != key:
+        forget_install(checkout)
+        state.write_stamp(owner, key=key)
+    changed = changed_packages(checkout, key)
+    stamps = os.path.join(checkout.install, state.STAMPS, "*.package")
+    stamped = {os.path.basename(path)[: -len(".package")] for path in glob.glob(stamps)}
+    for name in sorted(stamped - set(state.packages_in(checkout.source))):
+        uninstall(checkout, name)
+    if not changed:
+        return
+    if any(os.path.exists(os.path.join(checkout.source, name, "CMakeLists.txt")) for name in changed):
+        machine.check_build_tools(environ)
+    stage = Stage(f"building {', '.join(changed) if len(changed) <= MANY else f'{len(changed)} packages'}")
+    for name in changed:
+        uninstall(checkout, name)
+    remove_tree(checkout.log("colcon"))
+    command = [*colcon, "--log-base", checkout.log("colcon"), "build", "--merge-install"]
+    command += ["--base-paths", checkout.source]
+    command += ["--build-base", checkout.build, "--install-base", checkout.install]
+    command += ["--event-handlers", "console_cohesion+", "desktop_notification-", "terminal_title-"]
+    command += ["--packages-select", *changed, "--cmake-args", "-DBUILD_TESTING=OFF", "--no-warn-unused-cli"]
+    command += cmake_arguments
+    environ = dict(environ, COLCON_HOME=os.path.join(checkout.build, ".colcon"))  # not the user's defaults
+
+    def watch(log: str) -> None:
+        stage.progress(f"{log.count('Finished <<<')} of {len(changed)} packages")
+
+    run_logged(command, checkout.log("setup-build.log"), environ, lock, watch)
+    for name, content in changed.items():
+        state.write_stamp(checkout.package_stamp(name), key=content)
+    stage.done()
+
+
+def uninstall(checkout: Checkout, package: str) -> None:
+    """Remove everything that a package has installed or left in build, its stamp first."""
+    state.remove_stamp(checkout.package_stamp(package))
+    remove_tree(os.path.join(checkout.build, package))
+    installed = (
+        f"include/{package}",
+        f"lib/{package}",
+        f"lib/lib{package}__*.so",
+        f"lib/python3.*/site-packages/{package}",
+        f"lib/python3.*/site-packages/{package}-*",
+        f"share/{package}",
+        f"share/ament_index/resource_index/*/{package}",
+        f"share/colcon-core/packages/{package}",
+    )
+    for pattern in installed:
+        for path in glob.glob(os.path.join(glob.escape(checkout.install), pattern)):
+            remove_tree(path)
+
+
+def forget_install(checkout: Checkout) -> None:
+    """Remove what was built for another environment: the stamps first."""
+    for folder in (os.path.join(checkout.install, state.STAMPS), checkout.install, checkout.build):
+        remove_tree(folder)
+
+
+def remove_tree(path: str) -> None:
+    """Remove a folder with everything in it, or a file, if it exists."""
+    if os.path.isdir(path) and not os.path.islink(path):
+        shutil.rmtree(path)
+    else:
+        state.remove_stamp(path)

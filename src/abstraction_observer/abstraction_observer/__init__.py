@@ -1,0 +1,1 @@
+"""Node that gathers the agents' states into the abstract and the auxiliary state."""

@@ -1,0 +1,101 @@
+"""Node ``agent_node``: one robot; the three broadcasts in, its own state out."""
+
+from __future__ import annotations
+
+import sys
+from math import inf
+
+from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import ChangeKind
+from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import GRAVITY, NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+
+KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
+
+PARAMETERS = (
+    Parameter("agent_id", 1, "id of the robot", minimum=1, maximum=65535),
+    Parameter("kind", "single_integrator", "dynamics of the robot", choices=tuple(KINDS)),
+    Parameter("mass", 0.5, "mass, kg", above=0.0),
+    Parameter("damping", 0.0, "damping of a double integrator, N s/m", minimum=0.0),
+    Parameter("position", 0.0, "initial position, m"),
+    Parameter("velocity", 0.0, "initial velocity of a double integrator, m/s"),
+    GRAVITY,
+    Parameter("plane_length", 1.0, "length of the plane, m", above=0.0),
+    Parameter("gains.k", (10.0, 10.0), "gains of the single integrators' law, 1/s", above=0.0, length=2),
+    Parameter("gains.kp", (10.0, 10.0), "position gains of the double integrators' law, 1/s^2", above=0.0, length=2),
+    Parameter("gains.kd", (5.0, 5.0), "velocity gains of the double integrators' law, 1/s", above=0.0, length=2),
+    Parameter("gains.ksd", 1.0, "damping that the double integrators' law adds, N s/m", minimum=0.0),
+    Parameter("limits.velocity", 0.0, "largest speed, m/s; 0: no limit", minimum=0.0),
+    Parameter("limits.force", 0.0, "largest force, N; 0: no limit", minimum=0.0),
+    Parameter("first_step", 0, "step at which the robot joins", minimum=0),
+    Parameter("end", "none", "how the robot ends by plan", choices=("none", "kill", "freeze", "leave")),
+    Parameter("end_step", 0, "step of the planned end", minimum=0),
+    Parameter("delay", 0, "injected age of the broadcasts, steps", minimum=0),
+    Parameter("loss_probability", 0.0, "injected probability of missing the broadcasts", minimum=0.0, maximum=1.0),
+    Parameter("seed", 1, "seed of the injected losses", minimum=0),
+    Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
+)
+
+
+def config(settings: Settings) -> AgentConfig:
+    """Return the behaviour's configuration.
+
+    Raises
+    ------
+    InputError
+        If parameters contradict each other.
+    """
+    kind = KINDS[settings.text("kind")]
+    if kind is Kind.SINGLE_INTEGRATOR and (settings.number("damping") or settings.number("velocity")):
+        raise InputError("parameters damping and velocity: a single integrator has neither; leave them out")
+    pairs = {name: settings.numbers(f"gains.{name}") for name in ("k", "kp", "kd")}
+    gains = SwarmGains(
+        (pairs["k"][0], pairs["k"][1]),
+        (pairs["kp"][0], pairs["kp"][1]),
+        (pairs["kd"][0], pairs["kd"][1]),
+        settings.number("gains.ksd"),
+    )
+    end = settings.text("end")
+    return AgentConfig(
+        agent_id=settings.integer("agent_id"),
+        kind=kind,
+        mass=settings.number("mass"),
+        position=settings.number("position"),
+        velocity=settings.number("velocity"),
+        gains=gains,
+        period_ns=settings.integer("period_ns"),
+        gravity=settings.number("gravity"),
+        plane_length=settings.number("plane_length"),
+        damping=settings.number("damping"),
+        limits=Limits(settings.number("limits.velocity") or inf, settings.number("limits.force") or inf),
+        life=LifeSpan(
+            settings.integer("first_step"),
+            None if end == "none" else ChangeKind(end),
+            None if end == "none" else settings.integer("end_step"),
+        ),
+        delay=settings.integer("delay"),
+        loss_probability=settings.number("loss_probability"),
+        seed=settings.integer("seed"),
+        feels_gravity=settings.flag("feels_gravity"),
+        last_step=settings.last_step(),
+    )
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints."""
+    agent = Agent(config(settings))
+    return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("agent_node", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

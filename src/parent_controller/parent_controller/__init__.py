@@ -1,0 +1,1 @@
+"""Node that turns the plane's state into the desired abstract state."""

@@ -1,0 +1,72 @@
+"""Node ``parent_controller``: the plane's state in, the desired abstract state of the swarm out."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from swarmabs_core.behaviours import Controller, ControllerConfig
+from swarmabs_core.controllers import CONTROLLERS, ParentContext, controller_type, make_controller
+from swarmabs_core.friction import Friction
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, RECORDING_PROGRESS
+from swarmabs_core.parameters import Parameter
+from swarmabs_ros.parameters import declare
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+LAW = Parameter("controller.type", "pd", "control law of the plane, one of " + ", ".join(CONTROLLERS))
+PARAMETERS = (
+    Parameter("plane.inertia", 0.5, "moment of inertia of the plane alone, kg m^2", above=0.0),
+    Parameter(
+        "plane.friction",
+        (0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
+        "what the law takes the friction of the bearing to be, g1 to g6",
+        minimum=0.0,
+        length=6,
+    ),
+    Parameter("manifold.curvature", 0.0125, "J_sd = curvature tau^2 + offset, kg m^2/(N m)^2", minimum=0.0),
+    Parameter("manifold.offset", 0.025, "kg m^2", above=0.0),
+    Parameter("manifold.torque_max", 5.0, "limit of the desired torque, N m", above=0.0),
+    Parameter("recording_window", 0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0),
+)
+
+
+def table(node: Node) -> tuple[Parameter, ...]:
+    """Return the node's parameters, among them those of the law that is asked for."""
+    law = controller_type(str(declare(node, (LAW,))[LAW.name]))
+    return (LAW, *PARAMETERS, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints."""
+    manifold = Manifold(
+        settings.number("manifold.curvature"), settings.number("manifold.offset"), settings.number("manifold.torque_max")
+    )
+    period_ns, window = settings.integer("period_ns"), settings.integer("recording_window")
+    friction = Friction(*settings.numbers("plane.friction"))
+    context = ParentContext(period_ns / 1e9, settings.number("plane.inertia"), friction, manifold)
+    law_settings = settings.within("controller.")
+    law = make_controller(str(law_settings.pop("type")), law_settings, context)
+    subscriptions = {PLANE_STATE: requested(PLANE_STATE, depth=10)}
+    if window:
+        subscriptions[RECORDING_PROGRESS] = requested(RECORDING_PROGRESS, depth=1)
+    return NodeSpec(
+        Controller(ControllerConfig(period_ns, manifold, window, settings.last_step()), law),
+        (EVENTS, DESIRED_ABSTRACT_STATE),
+        subscriptions,
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("parent_controller", table, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Node that simulates the tilting plane."""

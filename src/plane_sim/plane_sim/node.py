@@ -1,0 +1,75 @@
+"""Node ``plane_sim``: the simulated plane; on hardware an encoder's or an IMU's driver takes its place."""
+
+from __future__ import annotations
+
+import sys
+
+from swarmabs_core.behaviours import Plane, PlaneConfig
+from swarmabs_core.friction import Friction
+from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.plant import Disturbance
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+
+PARAMETERS = (
+    MEMBERS,
+    SCHEDULE,
+    GRAVITY,
+    Parameter("inertia", 0.5, "moment of inertia of the plane alone, kg m^2", above=0.0),
+    Parameter("length", 1.0, "length of the plane, m", above=0.0),
+    Parameter(
+        "friction",
+        (0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
+        "g1 to g6 of the bearing's friction: g1, g4 in N m, g2, g3, g5 in s/rad, g6 in N m s/rad",
+        minimum=0.0,
+        length=6,
+    ),
+    Parameter("substep", 0.001, "largest integration step, s", above=0.0),
+    Parameter("angle", 0.1, "initial angle, rad", minimum=-1.5, maximum=1.5),
+    Parameter("angular_velocity", 0.0, "initial angular velocity, rad/s"),
+    Parameter("disturbance.amplitude", 0.0, "amplitude of the disturbance torque, N m"),
+    Parameter("disturbance.angular_frequency", 0.5, "angular frequency of the disturbance torque, rad/s"),
+)
+
+
+def config(settings: Settings) -> PlaneConfig:
+    """Return the behaviour's configuration."""
+    return PlaneConfig(
+        members=settings.integers("members"),
+        period_ns=settings.integer("period_ns"),
+        inertia=settings.number("inertia"),
+        length=settings.number("length"),
+        gravity=settings.number("gravity"),
+        friction=Friction(*settings.numbers("friction")),
+        substep=settings.number("substep"),
+        angle=settings.number("angle"),
+        angular_velocity=settings.number("angular_velocity"),
+        disturbance=Disturbance(
+            settings.number("disturbance.amplitude"), settings.number("disturbance.angular_frequency")
+        ),
+        schedule=settings.schedule(),
+        last_step=settings.last_step(),
+    )
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints."""
+    return NodeSpec(
+        Plane(config(settings)),
+        (EVENTS, PLANE_STATE),
+        {
+            AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members")))),
+            EVENTS: requested(EVENTS, depth=1000, reliable=True),
+        },
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("plane_sim", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "swarmabs_bringup"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Scenarios, launch files, orchestration, recorder and command line of swarmabs.",
+    maintainer="swarmabs maintainers",
+    maintainer_email="maintainers@swarmabs.example",
+    license="Apache-2.0",
+    packages=find_packages(),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.*"))),
+        (f"share/{PACKAGE}/scenarios", sorted(glob("scenarios/*.yaml"))),
+    ],
+    install_requires=[
+        "setuptools",
+        "PyYAML",
+        "click",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "psutil",
+        "rich",
+        "zstandard",
+    ],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "swarm = swarmabs_bringup.cli:main",
+            "recorder = swarmabs_bringup.recorder.node:main",
+        ],
+    },
+)

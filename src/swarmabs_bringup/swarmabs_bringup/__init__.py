@@ -1,0 +1,1 @@
+"""Scenarios, orchestration, recorder and command line of swarmabs."""

@@ -1,0 +1,58 @@
+"""Bags: the MCAP file of a run, written so that ROS tools open it, and read with nothing taken on trust."""
+
+from swarmabs_bringup.bag.arrays import (
+    AbstractArrays,
+    AgentArrays,
+    AuxiliaryArrays,
+    DesiredArrays,
+    RunArrays,
+    load_arrays,
+)
+from swarmabs_bringup.bag.errors import (
+    BagFolderError,
+    BagWriteError,
+    DamagedBagError,
+    NotABagError,
+    UnknownTypeError,
+)
+from swarmabs_bringup.bag.info import (
+    PROVENANCE_FILE,
+    SCENARIO_FILE,
+    BagInfo,
+    ScenarioInfo,
+    TopicInfo,
+    bag_info,
+    render,
+)
+from swarmabs_bringup.bag.reader import BagChannel, BagReader, find_bag, open_bag
+from swarmabs_bringup.bag.schemas import MessageSchema, message_schema
+from swarmabs_bringup.bag.writer import BAG_FILE, BagWriter
+
+__all__ = [
+    "BAG_FILE",
+    "PROVENANCE_FILE",
+    "SCENARIO_FILE",
+    "AbstractArrays",
+    "AgentArrays",
+    "AuxiliaryArrays",
+    "BagChannel",
+    "BagFolderError",
+    "BagInfo",
+    "BagReader",
+    "BagWriteError",
+    "BagWriter",
+    "DamagedBagError",
+    "DesiredArrays",
+    "MessageSchema",
+    "NotABagError",
+    "RunArrays",
+    "ScenarioInfo",
+    "TopicInfo",
+    "UnknownTypeError",
+    "bag_info",
+    "find_bag",
+    "load_arrays",
+    "message_schema",
+    "open_bag",
+    "render",
+]

@@ -1,0 +1,44 @@
+"""Errors of writing and reading bags."""
+
+from __future__ import annotations
+
+import errno
+from typing import TYPE_CHECKING
+
+from swarmabs_core.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_REMEDY = {
+    errno.ENOSPC: "free space on that disk, or record to another one with -o",
+    errno.EDQUOT: "free some of your quota, or record to another disk with -o",
+    errno.EFBIG: "raise the limit on file sizes (ulimit -f), or record for a shorter time",
+    errno.EIO: "the disk reports a defect (see dmesg): record to another one with -o",
+    errno.EMFILE: "raise the limit on open files (ulimit -n)",
+}
+
+
+class BagFolderError(InputError):
+    """The folder for a new bag cannot be used; nothing was written."""
+
+
+class UnknownTypeError(InputError):
+    """The definition of a message type is not installed."""
+
+
+class BagWriteError(RunError):
+    """Writing a bag failed; what was written before is kept."""
+
+    def __init__(self, path: Path, cause: OSError) -> None:
+        remedy = _REMEDY.get(cause.errno or 0, "check that disk, or record to another one with -o")
+        super().__init__(f"cannot write {path}: {cause.strerror or cause}; {remedy}")
+        self.cause = cause
+
+
+class NotABagError(InputError):
+    """What was named is no bag of a swarm, or there is nothing of that name."""
+
+
+class DamagedBagError(RunError):
+    """A bag is cut off or changed; the text says where, and what can still be read."""

@@ -1,0 +1,348 @@
+"""Where everything is in an MCAP file: its summary section, read, gathered by a scan, or written anew.
+
+A file whose writer was killed has no summary section. `scan_index` finds out what a file holds by reading it
+from the start, as far as its records are whole; `tail` makes the end of the file from that, so such a file
+becomes a complete one.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, BinaryIO
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from swarmabs_bringup.bag.records import (
+    HEAD_SIZE,
+    MAGIC,
+    Record,
+    RecordError,
+    chunk_head,
+    inner_records,
+    parse,
+    read_message,
+    read_record,
+    read_records,
+    uncompress,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+_FOOTER_SIZE = HEAD_SIZE + 20
+_FOOTER_HEAD = struct.Struct("<BQQQ")
+
+
+def _no_statistics() -> Statistics:
+    return Statistics(
+        attachment_count=0,
+        channel_count=0,
+        channel_message_counts=defaultdict(int),
+        chunk_count=0,
+        message_count=0,
+        metadata_count=0,
+        message_end_time=0,
+        message_start_time=0,
+        schema_count=0,
+    )
+
+
+@dataclass(slots=True)
+class FileIndex:
+    """What an MCAP file holds, and where.
+
+    Attributes
+    ----------
+    header : Header
+        Profile and library.
+    schemas, channels : dict
+        By id.
+    chunks, attachments, metadata : list
+        Index records in file order.
+    statistics : Statistics
+        Numbers of everything.
+    data_end : int
+        Position behind the last record of the data section.
+    crc : int
+        CRC-32 of the file up to `data_end`, or 0 if it is not known.
+    problem : str or None
+        Why the file is not complete; None if it is.
+    """
+
+    header: Header = field(default_factory=lambda: Header(profile="", library=""))
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    statistics: Statistics = field(default_factory=_no_statistics)
+    data_end: int = len(MAGIC)
+    crc: int = 0
+    problem: str | None = None
+
+    def add_metadata(self, metadata: Metadata) -> bytes:
+        """Take a metadata record that is to be appended at `data_end` into the index; return its bytes."""
+        data = _encoded(metadata)
+        self.metadata.append(MetadataIndex(offset=self.data_end, length=len(data), name=metadata.name))
+        self.statistics.metadata_count += 1
+        self.data_end += len(data)
+        self.crc = zlib.crc32(data, self.crc)
+        return data
+
+
+def scan_index(stream: BinaryIO, size: int) -> FileIndex:
+    """Find out what the first `size` bytes of a file hold by reading them from the start.
+
+    The scan ends before the first record that is not whole or not as the format says; `FileIndex.problem`
+    tells of it. It also ends, without a problem, at the end of the data section.
+
+    Parameters
+    ----------
+    stream : binary file
+        The file, open for reading.
+    size : int
+        Number of bytes to look at.
+
+    Raises
+    ------
+    RecordError
+        If there is not even a header.
+    """
+    index = FileIndex()
+    stream.seek(0)
+    magic = stream.read(len(MAGIC))
+    if magic != MAGIC:
+        raise RecordError(0, "no MCAP file")
+    index.crc = zlib.crc32(magic)
+    first = read_record(stream, len(MAGIC), size)
+    if first.opcode != Opcode.HEADER:
+        raise RecordError(first.offset, "no header")
+    index.header = parse(Header, first)
+    _advance(index, first)
+    try:
+        for record in read_records(stream, first.end, size):
+            if record.opcode == Opcode.DATA_END:
+                return index
+            _take(index, record)
+            _advance(index, record)
+    except RecordError as error:
+        index.problem = str(error)
+    else:
+        index.problem = f"at byte {index.data_end}: a footer without an end of the data section"
+    return index
+
+
+def read_attachment(record: Record) -> Attachment:
+    """Read an attachment, its CRC checked.
+
+    Raises
+    ------
+    RecordError
+        If the record is no attachment, is malformed, or its CRC does not match.
+    """
+    if record.opcode != Opcode.ATTACHMENT:
+        raise RecordError(record.offset, "no attachment is here, although the summary says so")
+    attachment: Attachment = parse(Attachment, record)
+    crc = int.from_bytes(record.content[-4:], "little")
+    if crc and zlib.crc32(record.content[:-4]) != crc:
+        raise RecordError(record.offset, f"CRC of the attachment {attachment.name!r} does not match")
+    return attachment
+
+
+def _advance(index: FileIndex, record: Record) -> None:
+    head = struct.pack("<BQ", record.opcode, len(record.content))
+    index.crc = zlib.crc32(record.content, zlib.crc32(head, index.crc))
+    index.data_end = record.end
+
+
+def _take(index: FileIndex, record: Record) -> None:
+    opcode, statistics = record.opcode, index.statistics
+    if opcode == Opcode.CHUNK:
+        _take_chunk(index, record)
+    elif opcode == Opcode.MESSAGE_INDEX and index.chunks:
+        messages: MessageIndex = parse(MessageIndex, record)
+        index.chunks[-1].message_index_offsets[messages.channel_id] = record.offset
+        index.chunks[-1].message_index_length += record.size
+    elif opcode == Opcode.ATTACHMENT:
+        attachment = read_attachment(record)
+        index.attachments.append(
+            AttachmentIndex(
+                offset=record.offset,
+                length=record.size,
+                log_time=attachment.log_time,
+                create_time=attachment.create_time,
+                data_size=len(attachment.data),
+                name=attachment.name,
+                media_type=attachment.media_type,
+            )
+        )
+        statistics.attachment_count += 1
+    elif opcode == Opcode.METADATA:
+        metadata: Metadata = parse(Metadata, record)
+        index.metadata.append(MetadataIndex(offset=record.offset, length=record.size, name=metadata.name))
+        statistics.metadata_count += 1
+    else:
+        _take_inner(index, record.opcode, record.content, (0, len(record.content)), record.offset)
+
+
+def _take_chunk(index: FileIndex, record: Record) -> None:
+    head, data = chunk_head(record), uncompress(record)
+    # Lengths first: a record that reaches beyond the chunk must not leave half of it in the statistics.
+    inner = list(inner_records(data, record.offset))
+    index.chunks.append(
+        ChunkIndex(
+            chunk_length=record.size,
+            chunk_start_offset=record.offset,
+            compression=head.compression,
+            compressed_size=len(head.data),
+            message_end_time=head.message_end_time,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=head.message_start_time,
+            uncompressed_size=head.uncompressed_size,
+        )
+    )
+    index.statistics.chunk_count += 1
+    for opcode, begin, end in inner:
+        _take_inner(index, opcode, data, (begin, end), record.offset)
+
+
+def _take_inner(index: FileIndex, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
+    statistics = index.statistics
+    begin, end = span
+    if opcode == Opcode.MESSAGE:
+        message = read_message(data, begin, end, offset)
+        if statistics.message_count == 0:
+            statistics.message_start_time = message.log_time
+        statistics.message_start_time = min(statistics.message_start_time, message.log_time)
+        statistics.message_end_time = max(statistics.message_end_time, message.log_time)
+        statistics.message_count += 1
+        statistics.channel_message_counts[message.channel_id] += 1
+    elif opcode == Opcode.SCHEMA:
+        schema: Schema = parse(Schema, Record(offset, opcode, data[begin:end]))
+        index.schemas[schema.id] = schema
+        statistics.schema_count = len(index.schemas)
+    elif opcode == Opcode.CHANNEL:
+        channel: Channel = parse(Channel, Record(offset, opcode, data[begin:end]))
+        index.channels[channel.id] = channel
+        statistics.channel_count = len(index.channels)
+
+
+def read_index(stream: BinaryIO, size: int) -> FileIndex:
+    """Read the summary section at the end of a file.
+
+    Parameters
+    ----------
+    stream : binary file
+        The file, open for reading.
+    size : int
+        Its size in bytes.
+
+    Raises
+    ------
+    RecordError
+        If the file has no end, no summary section, or one that is not as it should be.
+    """
+    end_size = _FOOTER_SIZE + len(MAGIC)
+    if size < end_size + len(MAGIC):
+        raise RecordError(size, "the file ends before it says what it holds")
+    stream.seek(size - end_size)
+    end = stream.read(end_size)
+    if end[-len(MAGIC) :] != MAGIC or end[0] != Opcode.FOOTER:
+        raise RecordError(size, "the file ends before it says what it holds")
+    footer: Footer = parse(Footer, read_record(stream, size - end_size, size))
+    if footer.summary_start == 0:
+        raise RecordError(size, "the file has no summary section")
+    if not len(MAGIC) <= footer.summary_start <= size - end_size:
+        raise RecordError(
+            size - end_size, f"the summary section is said to begin at byte {footer.summary_start}"
+        )
+    _check_summary_crc(stream, footer, size - end_size)
+    index = FileIndex(header=parse(Header, read_record(stream, len(MAGIC), size)))
+    index.data_end = footer.summary_start - len(_encoded(DataEnd(0)))
+    found = False
+    for record in read_records(stream, footer.summary_start, size):
+        if record.opcode == Opcode.STATISTICS:
+            index.statistics = parse(Statistics, record)
+            found = True
+        elif record.opcode == Opcode.CHUNK_INDEX:
+            index.chunks.append(parse(ChunkIndex, record))
+        elif record.opcode == Opcode.ATTACHMENT_INDEX:
+            index.attachments.append(parse(AttachmentIndex, record))
+        elif record.opcode == Opcode.METADATA_INDEX:
+            index.metadata.append(parse(MetadataIndex, record))
+        elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            counted = index.statistics
+            _take_inner(index, record.opcode, record.content, (0, len(record.content)), record.offset)
+            index.statistics = counted
+    if not found:
+        raise RecordError(footer.summary_start, "the summary section has no statistics")
+    return index
+
+
+def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> None:
+    if footer.summary_crc == 0:
+        return
+    stream.seek(footer.summary_start)
+    checked = stream.read(footer_start - footer.summary_start + _FOOTER_SIZE - 4)
+    if zlib.crc32(checked) != footer.summary_crc:
+        raise RecordError(footer.summary_start, "CRC of the summary section does not match")
+
+
+def tail(index: FileIndex) -> Iterator[bytes]:
+    """Yield the end of a file with the records of `index`: end of the data section, summary section, footer.
+
+    It belongs at `FileIndex.data_end`.
+    """
+    data_end = _encoded(DataEnd(data_section_crc=index.crc))
+    yield data_end
+    start = index.data_end + len(data_end)
+    groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+        (Opcode.SCHEMA, list(index.schemas.values())),
+        (Opcode.CHANNEL, list(index.channels.values())),
+        (Opcode.STATISTICS, [index.statistics]),
+        (Opcode.CHUNK_INDEX, index.chunks),
+        (Opcode.ATTACHMENT_INDEX, index.attachments),
+        (Opcode.METADATA_INDEX, index.metadata),
+    ]
+    summary, offsets = bytearray(), bytearray()
+    for opcode, records in groups:
+        group = b"".join(map(_encoded, records))
+        if group:
+            offsets += _encoded(
+                SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
+            )
+            summary += group
+    offsets_start = start + len(summary)
+    summary += offsets
+    head = _FOOTER_HEAD.pack(Opcode.FOOTER, _FOOTER_SIZE - HEAD_SIZE, start, offsets_start)
+    crc = zlib.crc32(head, zlib.crc32(summary))
+    yield bytes(summary)
+    yield _encoded(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
+    yield MAGIC
+
+
+def _encoded(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())

@@ -1,0 +1,442 @@
+"""Reading bags: file order, bounded memory, and every length, CRC and type checked on the way.
+
+A bag is read from its MCAP file alone; ``metadata.yaml`` is a copy for rosbag2. What is not as the format
+says raises `DamagedBagError` with its position in the file, and never anything else.
+"""
+
+from __future__ import annotations
+
+import stat
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd, Metadata as MetadataRecord, Statistics
+
+from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
+from swarmabs_bringup.bag.index import FileIndex, read_attachment, read_index, scan_index
+from swarmabs_bringup.bag.metadata import ABORTED_KEY, RECORD_KEY, RECORD_NAME
+from swarmabs_bringup.bag.records import (
+    MAGIC,
+    RecordError,
+    StoredMessage,
+    inner_records,
+    parse,
+    read_message,
+    read_record,
+    read_records,
+    uncompress,
+)
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import TOPICS
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+    from typing import BinaryIO
+
+    from swarmabs_core.messages import Message, Topic
+
+_SUFFIX = ".mcap"
+_LONGEST_YAML = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class BagChannel:
+    """A topic as a bag holds it.
+
+    Attributes
+    ----------
+    name : str
+        Topic with namespace.
+    ros_type : str
+        Full ROS name of the message type.
+    type_hash : str
+        RIHS01 hash of the type, empty if the bag does not give it.
+    qos_profiles : str
+        YAML text of what the publishers offered, empty if the bag does not give it.
+    encoding : str
+        Encoding of the messages, ``cdr`` in bags of ROS 2.
+    message_count : int
+        Number of messages.
+    topic : Topic or None
+        Which topic of the swarm it is, None if it is another one.
+    """
+
+    name: str
+    ros_type: str
+    type_hash: str
+    qos_profiles: str
+    encoding: str
+    message_count: int
+    topic: Topic | None
+
+
+class BagReader:
+    """A bag, open for reading; made by `open_bag`.
+
+    Nothing stays open between calls, and several iterations may go on at once.
+
+    Attributes
+    ----------
+    path : Path
+        The MCAP file.
+    size : int
+        Its size in bytes.
+    index : FileIndex
+        What the file says it holds.
+    channels : tuple of BagChannel
+        Its topics in the order of their ids.
+    namespace : str or None
+        Namespace of the swarm in the bag, None if there is no topic of a swarm.
+    """
+
+    def __init__(self, path: Path, size: int, index: FileIndex, namespace: str | None) -> None:
+        self.path = path
+        self.size = size
+        self.index = index
+        self._channels = _describe(path, index, namespace)
+        self.channels = tuple(self._channels.values())
+        self.namespace = next(
+            (channel.name.removesuffix(channel.topic.name) for channel in self.channels if channel.topic),
+            None,
+        )
+
+    @property
+    def problem(self) -> str | None:
+        """Why the file has no end, if it was opened with ``damaged=True``; None for a complete one."""
+        return self.index.problem
+
+    @property
+    def start(self) -> int:
+        """Log time of the first message in ns, 0 without messages."""
+        return self.index.statistics.message_start_time
+
+    @property
+    def end(self) -> int:
+        """Log time of the last message in ns, 0 without messages."""
+        return self.index.statistics.message_end_time
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages on all topics."""
+        return self.index.statistics.message_count
+
+    def topics(self) -> tuple[Topic, ...]:
+        """Return the topics of the swarm that the bag has."""
+        return tuple(channel.topic for channel in self.channels if channel.topic is not None)
+
+    def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
+        """Yield every message of the file in file order, also those on topics that are not of the swarm.
+
+        Raises
+        ------
+        DamagedBagError
+            Where the file is damaged; all before it has been yielded then.
+        """
+        channels = self._channels
+        for message in self._stored():
+            yield channels[message.channel_id], message
+
+    def messages(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield topic, log time in ns and CDR payload of the swarm's messages, in file order.
+
+        Parameters
+        ----------
+        topics : collection of Topic, optional
+            Those to yield; by default all of the swarm.
+
+        Raises
+        ------
+        DamagedBagError
+            Where the file is damaged; all before it has been yielded then.
+        """
+        wanted = {
+            number: channel.topic
+            for number, channel in self._channels.items()
+            if channel.topic is not None and (topics is None or channel.topic in topics)
+        }
+        for message in self._stored():
+            topic = wanted.get(message.channel_id)
+            if topic is not None:
+                yield topic, message.log_time, message.payload
+
+    def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
+        """Yield topic, log time in ns and message, in file order; parameters and errors as of `messages`."""
+        for topic, log_time, payload in self.messages(topics):
+            try:
+                message = decode(topic.message, payload)
+            except MalformedMessageError as error:
+                raise DamagedBagError(
+                    f"{self.path}: /{topic.name} at {log_time / 1e9:.9g} s: {error}"
+                ) from error
+            yield topic, log_time, message
+
+    def attachment_names(self) -> tuple[str, ...]:
+        """Return the names of all attachments in file order."""
+        return tuple(attachment.name for attachment in self.index.attachments)
+
+    def attachment(self, name: str) -> bytes | None:
+        """Return the content of the first attachment of a name, None if there is none.
+
+        Raises
+        ------
+        DamagedBagError
+            If it is not where the bag says, or its CRC does not match.
+        """
+        for entry in self.index.attachments:
+            if entry.name == name:
+                with self._opened() as stream:
+                    return read_attachment(read_record(stream, entry.offset, self.size)).data
+        return None
+
+    def rosbag2_metadata(self) -> dict[str, Any]:
+        """Return rosbag2's description of the bag from within the file, empty if it has none.
+
+        Raises
+        ------
+        DamagedBagError
+            If it is not where the bag says.
+        """
+        for entry in reversed(self.index.metadata):  # rosbag2 writes one at opening, too
+            if entry.name == RECORD_NAME:
+                with self._opened() as stream:
+                    record: MetadataRecord = parse(
+                        MetadataRecord, read_record(stream, entry.offset, self.size)
+                    )
+                found = load_yaml(record.metadata.get(RECORD_KEY, ""))
+                return found if isinstance(found, dict) else {}
+        return {}
+
+    def aborted(self) -> str | None:
+        """Return why the bag ends before its run was over, None if it does not."""
+        custom = self.rosbag2_metadata().get("custom_data")
+        reason = custom.get(ABORTED_KEY) if isinstance(custom, dict) else None
+        return None if reason is None else str(reason)
+
+    def check(self) -> None:
+        """Read the whole file and compare it with every CRC and with what its summary says.
+
+        Raises
+        ------
+        DamagedBagError
+            At the first contradiction.
+        """
+        with self._opened() as stream:
+            found = scan_index(stream, self.size)
+            if found.problem is not None:
+                raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
+            stated: DataEnd = parse(DataEnd, read_record(stream, found.data_end, self.size))
+        if stated.data_section_crc not in {0, found.crc}:
+            raise DamagedBagError(
+                f"{self.path}: CRC of the data section is {found.crc:#010x}, "
+                f"but the file says {stated.data_section_crc:#010x}"
+            )
+        counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
+        for name, number in counted.items():
+            if said[name] != number:
+                raise DamagedBagError(
+                    f"{self.path}: the summary says {name} = {said[name]}, but it is {number}"
+                )
+
+    @contextmanager
+    def _opened(self) -> Iterator[BinaryIO]:
+        try:
+            with self.path.open("rb") as stream:
+                yield stream
+        except RecordError as error:
+            raise DamagedBagError(f"{self.path}: {error}") from error
+        except OSError as error:
+            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+
+    def _stored(self) -> Iterator[StoredMessage]:
+        latest = 0
+        try:
+            with self.path.open("rb") as stream:
+                for message in _stored_messages(stream, self.index):
+                    if message.channel_id not in self._channels:
+                        raise RecordError(  # noqa: TRY301 - one place adds the file's name
+                            self.index.data_end,
+                            f"channel {message.channel_id} of a message is not in the summary",
+                        )
+                    latest = message.log_time
+                    yield message
+        except RecordError as error:
+            raise DamagedBagError(
+                f"{self.path}: {error}; the messages before it, up to {latest / 1e9:.9g} s, can be read"
+            ) from error
+        except OSError as error:
+            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+
+
+def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = False) -> BagReader:
+    """Open a bag.
+
+    Parameters
+    ----------
+    path : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to read if the bag holds several.
+    damaged : bool
+        Whether a bag without its end is opened too, to be read as far as its records are whole.
+
+    Raises
+    ------
+    NotABagError
+        If there is nothing, or something that is no bag.
+    DamagedBagError
+        If the bag has lost its end; the text says what can still be read.
+    """
+    file = find_bag(Path(path))
+    try:
+        with file.open("rb") as stream:
+            size = stream.seek(0, 2)
+            stream.seek(0)
+            magic = stream.read(len(MAGIC))
+            if not MAGIC.startswith(magic):
+                raise NotABagError(f"{file} is not a bag: it does not begin as an MCAP file")
+            if len(magic) < len(MAGIC):
+                raise DamagedBagError(f"{file} has only {size} bytes: nothing was written into it")
+            index = _index(file, stream, size, damaged=damaged)
+    except OSError as error:
+        raise NotABagError(f"cannot read {file}: {error.strerror or error}") from error
+    except RecordError as error:
+        raise DamagedBagError(f"{file}: {error}; nothing can be read") from error
+    return BagReader(file, size, index, namespace)
+
+
+def find_bag(path: Path) -> Path:
+    """Return the MCAP file of a run folder, of a bag's folder, or the file itself.
+
+    Raises
+    ------
+    NotABagError
+        If there is none, or more than one.
+    """
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            return path
+        if not stat.S_ISDIR(mode):
+            raise NotABagError(
+                f"{path} is neither a folder nor a file: name a run folder, its bag/, or an .mcap file"
+            )
+        for folder in (path / "bag", path):
+            files = sorted(folder.glob(f"*{_SUFFIX}"))
+            if len(files) > 1:
+                raise NotABagError(f"{folder} holds {len(files)} .mcap files: name one of them")
+            if files:
+                return files[0]
+    except (OSError, ValueError) as error:  # ValueError: the path has a NUL
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise NotABagError(
+            f"cannot read {path}: {reason}; name a run folder, its bag/, or an .mcap file"
+        ) from error
+    raise NotABagError(f"{path} holds no bag: name a run folder, its bag/, or an .mcap file")
+
+
+def load_yaml(text: str) -> Any:
+    """Read YAML from a bag: plain data only; None if it is not YAML, or too long or too deep to be ours."""
+    if len(text) > _LONGEST_YAML:
+        return None
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return None
+
+
+def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileIndex:
+    try:
+        return read_index(stream, size)
+    except RecordError as error:
+        found = scan_index(stream, size)
+        found.problem = found.problem or str(error)
+        if damaged:
+            return found
+        raise DamagedBagError(f"{file} is incomplete: {found.problem}{_readable(found)}") from error
+
+
+def _readable(index: FileIndex) -> str:
+    count, end = index.statistics.message_count, index.statistics.message_end_time
+    return (
+        f"; {count} messages before it, up to {end / 1e9:.9g} s, can be read"
+        if count
+        else "; no message can be read"
+    )
+
+
+def _numbers(statistics: Statistics) -> dict[str, object]:
+    return {
+        "message_count": statistics.message_count,
+        "message_start_time": statistics.message_start_time,
+        "message_end_time": statistics.message_end_time,
+        "chunk_count": statistics.chunk_count,
+        "channel_message_counts": {
+            channel: count for channel, count in sorted(statistics.channel_message_counts.items()) if count
+        },
+    }
+
+
+def _stored_messages(stream: BinaryIO, index: FileIndex) -> Iterator[StoredMessage]:
+    if index.data_end <= len(MAGIC):
+        return
+    # A damaged bag ends at data_end; a complete one has a DataEnd record there, which ends the loop.
+    for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
+        if record.opcode == Opcode.CHUNK:
+            data = uncompress(record)
+            for opcode, begin, end in inner_records(data, record.offset):
+                if opcode == Opcode.MESSAGE:
+                    yield read_message(data, begin, end, record.offset)
+        elif record.opcode == Opcode.MESSAGE:
+            yield read_message(record.content, 0, len(record.content), record.offset)
+        if index.problem and record.end >= index.data_end:
+            return
+
+
+def _describe(path: Path, index: FileIndex, namespace: str | None) -> dict[int, BagChannel]:
+    prefixes = {number: _prefix(channel, index) for number, channel in index.channels.items()}
+    swarms = sorted({prefix for prefix, _ in filter(None, prefixes.values())})
+    if namespace is not None:
+        chosen: str | None = f"{namespace.rstrip('/')}/"
+        if chosen not in swarms:
+            raise NotABagError(
+                f"{path} holds no swarm in the namespace {namespace}, but in {', '.join(swarms) or 'none'}"
+            )
+    elif len(swarms) > 1:
+        raise NotABagError(f"{path} holds several swarms: name one of the namespaces {', '.join(swarms)}")
+    else:
+        chosen = swarms[0] if swarms else None
+    counts = index.statistics.channel_message_counts
+    return {
+        number: BagChannel(
+            name=channel.topic,
+            ros_type=_type_of(channel, index),
+            type_hash=channel.metadata.get("topic_type_hash", ""),
+            qos_profiles=channel.metadata.get("offered_qos_profiles", ""),
+            encoding=channel.message_encoding,
+            message_count=counts.get(number, 0),
+            topic=found[1] if (found := prefixes[number]) is not None and found[0] == chosen else None,
+        )
+        for number, channel in sorted(index.channels.items())
+    }
+
+
+def _prefix(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None:
+    """Return the namespace with its last slash and the swarm's topic, None if it is none of the swarm's."""
+    for topic in TOPICS:
+        if channel.topic.endswith(f"/{topic.name}") and channel.message_encoding == "cdr":
+            return (
+                (channel.topic.removesuffix(topic.name), topic)
+                if _type_of(channel, index) == topic.ros_type
+                else None
+            )
+    return None
+
+
+def _type_of(channel: Channel, index: FileIndex) -> str:
+    schema = index.schemas.get(channel.schema_id)
+    return schema.name if schema is not None else ""

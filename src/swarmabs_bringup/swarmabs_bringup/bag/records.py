@@ -1,0 +1,243 @@
+"""Records of an MCAP file, one by one; lengths are checked before anything is allocated."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MAGIC = b"\x89MCAP0\r\n"
+"""First and last eight bytes of a complete file."""
+
+HEAD_SIZE = 9
+"""Bytes of a record before its content: opcode, length."""
+
+MAX_SIZE = 2**28
+"""Records and uncompressed chunks beyond this size in bytes are taken for damage."""
+
+_HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_LENGTH4 = struct.Struct("<I")
+_LENGTH8 = struct.Struct("<Q")
+
+
+class RecordError(Exception):
+    """Something in an MCAP file is not as the format says."""
+
+    def __init__(self, offset: int, problem: str) -> None:
+        super().__init__(f"at byte {offset}: {problem}")
+        self.offset = offset
+
+
+class Record(NamedTuple):
+    """A record of the file: where it starts, its opcode and its content."""
+
+    offset: int
+    opcode: int
+    content: bytes
+
+    @property
+    def size(self) -> int:
+        """Bytes it takes in the file."""
+        return HEAD_SIZE + len(self.content)
+
+    @property
+    def end(self) -> int:
+        """Position behind it."""
+        return self.offset + self.size
+
+
+class StoredMessage(NamedTuple):
+    """A message as it stands in the file."""
+
+    channel_id: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    payload: bytes
+
+
+class Parsable(Protocol):
+    """A record class of the mcap library."""
+
+    @staticmethod
+    def read(stream: ReadDataStream) -> Any:
+        """Read the content of a record."""
+
+
+def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
+    """Read the record at `offset` of a file of `size` bytes.
+
+    Raises
+    ------
+    RecordError
+        If the file ends before the record does, or the record is larger than `MAX_SIZE`.
+    """
+    stream.seek(offset)
+    head = stream.read(HEAD_SIZE)
+    if len(head) < HEAD_SIZE:
+        raise RecordError(offset, "the file ends within the head of a record")
+    opcode, length = _HEAD.unpack(head)
+    if length > size - offset - HEAD_SIZE:
+        raise RecordError(
+            offset, f"a record of {length} bytes begins, but {size - offset - HEAD_SIZE} bytes are left"
+        )
+    if length > MAX_SIZE:
+        raise RecordError(offset, f"a record of {length} bytes, more than {MAX_SIZE}")
+    content = stream.read(length)
+    if len(content) < length:
+        raise RecordError(offset, f"a record of {length} bytes, but only {len(content)} could be read")
+    return Record(offset, opcode, content)
+
+
+def read_records(stream: BinaryIO, offset: int, size: int) -> Iterator[Record]:
+    """Yield all records from `offset` until the file or the section that holds them ends.
+
+    The last record is ``DataEnd`` in the data section and ``Footer`` in the summary section.
+
+    Raises
+    ------
+    RecordError
+        At the first record that is not whole.
+    """
+    while True:
+        record = read_record(stream, offset, size)
+        yield record
+        if record.opcode in {Opcode.DATA_END, Opcode.FOOTER}:
+            return
+        offset = record.end
+
+
+def parse(record_class: type[Parsable], record: Record) -> Any:
+    """Read the content of a record with the mcap library.
+
+    Raises
+    ------
+    RecordError
+        If the content does not fit the record's type.
+    """
+    try:
+        return record_class.read(ReadDataStream(BytesIO(record.content)))
+    except (McapError, struct.error, ValueError, OverflowError) as error:
+        raise RecordError(record.offset, f"malformed {record_class.__name__} record: {error}") from error
+
+
+class ChunkHead(NamedTuple):
+    """What a chunk says of itself, and its compressed records."""
+
+    message_start_time: int
+    message_end_time: int
+    uncompressed_size: int
+    crc: int
+    compression: str
+    data: bytes
+
+
+def chunk_head(record: Record) -> ChunkHead:
+    """Take a chunk record apart.
+
+    Raises
+    ------
+    RecordError
+        If its lengths contradict each other.
+    """
+    content = record.content
+    try:
+        start_time, end_time, uncompressed_size, crc = _CHUNK_HEAD.unpack_from(content)
+        (name_length,) = _LENGTH4.unpack_from(content, _CHUNK_HEAD.size)
+        name_start = _CHUNK_HEAD.size + _LENGTH4.size
+        name = content[name_start : name_start + name_length].decode()
+        (length,) = _LENGTH8.unpack_from(content, name_start + name_length)
+    except (struct.error, ValueError) as error:
+        raise RecordError(record.offset, f"malformed Chunk record: {error}") from error
+    start = name_start + name_length + _LENGTH8.size
+    if length != len(content) - start:
+        raise RecordError(record.offset, f"a chunk of {length} bytes in a record with {len(content) - start}")
+    return ChunkHead(start_time, end_time, uncompressed_size, crc, name, content[start:])
+
+
+def uncompress(record: Record) -> bytes:
+    """Return the records within a chunk, their CRC checked.
+
+    Raises
+    ------
+    RecordError
+        If they cannot be uncompressed, are larger than `MAX_SIZE`, or have another size or CRC than the chunk
+        says.
+    """
+    head = chunk_head(record)
+    size = head.uncompressed_size
+    if size > MAX_SIZE:
+        raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, more than {MAX_SIZE}")
+    try:
+        data = _uncompress(head)
+    except (zstandard.ZstdError, RuntimeError, ValueError) as error:
+        raise RecordError(record.offset, f"the chunk cannot be uncompressed: {error}") from error
+    if len(data) != size:
+        raise RecordError(record.offset, f"the chunk holds {len(data)} bytes, but says {size}")
+    if head.crc and zlib.crc32(data) != head.crc:
+        raise RecordError(
+            record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but says {head.crc:#010x}"
+        )
+    return data
+
+
+def _uncompress(head: ChunkHead) -> bytes:
+    if head.compression == "":
+        return head.data
+    if head.compression == "zstd":
+        stated = zstandard.frame_content_size(head.data)
+        if stated not in {-1, head.uncompressed_size}:
+            raise ValueError(f"its zstd frame says {stated} bytes, the chunk {head.uncompressed_size}")
+        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_SIZE)
+        return decompressor.decompress(head.data, max_output_size=head.uncompressed_size)
+    if head.compression == "lz4":
+        frame = lz4.frame.LZ4FrameDecompressor()
+        return bytes(frame.decompress(head.data, max_length=head.uncompressed_size + 1))
+    raise ValueError(f"unknown compression {head.compression!r}")
+
+
+def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of the content of each record within a chunk, which starts at `offset`.
+
+    Raises
+    ------
+    RecordError
+        If a record reaches beyond the chunk.
+    """
+    position, size, unpack = 0, len(data), _HEAD.unpack_from
+    while position < size:
+        if position + HEAD_SIZE > size:
+            raise RecordError(offset, "the chunk ends within the head of a record")
+        opcode, length = unpack(data, position)
+        begin = position + HEAD_SIZE
+        position = begin + length
+        if position > size:
+            raise RecordError(offset, f"a record of {length} bytes reaches beyond its chunk")
+        yield opcode, begin, position
+
+
+def read_message(content: bytes, begin: int, end: int, offset: int) -> StoredMessage:
+    """Read a message from its record's content, which lies between `begin` and `end`.
+
+    Raises
+    ------
+    RecordError
+        If the record is too short.
+    """
+    head_end = begin + _MESSAGE_HEAD.size
+    if head_end > end:
+        raise RecordError(offset, "a message record is cut off")
+    channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content, begin)
+    return StoredMessage(channel_id, sequence, log_time, publish_time, content[head_end:end])

@@ -1,0 +1,5 @@
+"""Running a scenario as one process per node, in lockstep over DDS."""
+
+from swarmabs_bringup.orchestration.lockstep_run import LockstepRun, Outcome, Progress
+
+__all__ = ["LockstepRun", "Outcome", "Progress"]

@@ -1,0 +1,126 @@
+"""The Fast DDS profile of a run: loopback only, fixed participant ids, and robots that never discover each other.
+
+Every participant announces itself to the coordinators alone, so discovery grows with the number of robots and not with its
+square: that is what lets 200 processes find each other in seconds. Only UDP is used: a process that is killed leaves no file
+of shared memory behind.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.orchestration.domain import (
+    DATA_OFFSET,
+    DOMAIN_GAIN,
+    METATRAFFIC_OFFSET,
+    PARTICIPANT_GAIN,
+    PORT_BASE,
+    metatraffic_port,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+PARTICIPANT_VARIABLE = "SWARMABS_PARTICIPANT"
+"""Environment variable that holds a process's participant id."""
+
+COORDINATORS = 8
+"""Participant ids below belong to the coordinators (plane, observer, controller, recorder, spares)."""
+
+_BUFFER = 4 * 2**20
+
+_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <profiles>
+    <transport_descriptors>
+      <transport_descriptor>
+        <transport_id>loopback</transport_id>
+        <type>UDPv4</type>
+        <sendBufferSize>{buffer}</sendBufferSize>
+        <receiveBufferSize>{buffer}</receiveBufferSize>
+        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
+        <maxInitialPeersRange>400</maxInitialPeersRange>
+      </transport_descriptor>
+    </transport_descriptors>
+    <participant profile_name="swarmabs" is_default_profile="true">
+      <rtps>
+        <participantID>{participant}</participantID>
+        <port>
+          <portBase>{port_base}</portBase>
+          <domainIDGain>{domain_gain}</domainIDGain>
+          <participantIDGain>{participant_gain}</participantIDGain>
+          <offsetd0>0</offsetd0>
+          <offsetd1>{metatraffic_offset}</offsetd1>
+          <offsetd2>1</offsetd2>
+          <offsetd3>{data_offset}</offsetd3>
+        </port>
+        <userTransports><transport_id>loopback</transport_id></userTransports>
+        <useBuiltinTransports>false</useBuiltinTransports>
+        <builtin>
+          <discovery_config>
+            <discoveryProtocol>SIMPLE</discoveryProtocol>
+            <leaseDuration><sec>3600</sec></leaseDuration>
+            <leaseAnnouncement><sec>2</sec></leaseAnnouncement>
+            <initialAnnouncements>
+              <count>10</count>
+              <period><sec>0</sec><nanosec>200000000</nanosec></period>
+            </initialAnnouncements>
+          </discovery_config>
+          <use_WriterLivelinessProtocol>false</use_WriterLivelinessProtocol>
+          <metatrafficUnicastLocatorList>
+            <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
+          </metatrafficUnicastLocatorList>
+          <initialPeersList>
+{peers}
+          </initialPeersList>
+          <mutation_tries>1000</mutation_tries>
+        </builtin>
+      </rtps>
+    </participant>
+  </profiles>
+</dds>
+"""
+
+
+def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), participant: int | None = None) -> str:
+    """Return the profile.
+
+    Parameters
+    ----------
+    domain : int
+        ROS domain of the run.
+    peers : iterable of int
+        Ids of the participants to which this one announces itself. The coordinators suffice for a member of the swarm; a
+        tool that wants to see everybody needs everybody.
+    participant : int, optional
+        This process's participant id; by default the environment variable `PARTICIPANT_VARIABLE` says it, so that
+        one file serves all processes of a run.
+    """
+    locators = "\n".join(
+        f"            <locator><udpv4><address>127.0.0.1</address><port>{metatraffic_port(domain, peer)}</port>"
+        "</udpv4></locator>"
+        for peer in peers
+    )
+    return _PROFILE.format(
+        buffer=_BUFFER,
+        participant=f"${{{PARTICIPANT_VARIABLE}}}" if participant is None else participant,
+        port_base=PORT_BASE,
+        domain_gain=DOMAIN_GAIN,
+        participant_gain=PARTICIPANT_GAIN,
+        metatraffic_offset=METATRAFFIC_OFFSET,
+        data_offset=DATA_OFFSET,
+        peers=locators,
+    )
+
+
+def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
+    """Return the environment variables that put a process into a run's domain."""
+    return {
+        "ROS_DOMAIN_ID": str(domain),
+        # LOCALHOST and SUBNET would make the middleware add transports of its own to those of the profile.
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": profile_path,
+        "FASTDDS_DEFAULT_PROFILES_FILE": profile_path,
+    }

@@ -1,0 +1,323 @@
+"""One run in lockstep, from the first process to the last."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import threading
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import psutil
+
+from swarmabs_bringup.orchestration.dds_profile import COORDINATORS, dds_environment, profile_xml
+from swarmabs_bringup.orchestration.domain import (
+    DATA_OFFSET,
+    DOMAIN_GAIN,
+    PARTICIPANT_GAIN,
+    SPACING,
+    claimed_domain,
+)
+from swarmabs_bringup.orchestration.launcher_client import LauncherClient
+from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan, agent_name, plan
+from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
+from swarmabs_core import configure
+from swarmabs_core.membership import ChangeKind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_core.membership import Change
+    from swarmabs_core.scenario import Scenario
+
+START_SILENCE = 30.0
+"""Time, s, in which at least one more process must become ready."""
+STALL_GRACE = 1.0
+"""Time, s, for which reports of a stall are gathered before they are judged."""
+CLOSING_SECONDS = 20.0
+"""Time, s, that the recorder has to complete the bag."""
+POLL = 0.1
+
+_SIGNALS = {ChangeKind.KILL: signal.SIGKILL, ChangeKind.FREEZE: signal.SIGSTOP, ChangeKind.LEAVE: signal.SIGTERM}
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What is to be told while a run goes on.
+
+    Parameters
+    ----------
+    phase : str
+        ``starting``, ``running`` or ``closing``.
+    ready, processes : int
+        How many processes are ready, and how many there are.
+    step, steps : int
+        Steps recorded, and steps in all.
+    step_rate : float
+        Steps per second of wall time since the start.
+    angle, error : float, optional
+        Of the latest step recorded, rad.
+    """
+
+    phase: Literal["starting", "running", "closing"]
+    ready: int
+    processes: int
+    step: int
+    steps: int
+    step_rate: float = 0.0
+    angle: float | None = None
+    error: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a run ended.
+
+    Parameters
+    ----------
+    status : str
+        ``ok``, ``failed`` or ``interrupted``.
+    reason : str, optional
+        What went wrong; may have several lines, the last ones of logs.
+    figures : dict
+        Digest and figures, as far as they were recorded.
+    start_seconds, stepping_seconds : float, optional
+        Wall time until the first step, and from it to the last, s.
+    """
+
+    status: Literal["ok", "failed", "interrupted"]
+    reason: str | None
+    figures: dict[str, Any]
+    start_seconds: float | None = None
+    stepping_seconds: float | None = None
+
+
+class LockstepRun:
+    """Starts a scenario's processes, waits until they have met, lets them run, and ends them all.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; generated robots are listed.
+    folder : RunFolder
+        An empty folder for the results.
+    record : bool
+        Whether to write a bag.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    namespace : str
+        ROS namespace of the swarm.
+    spawn_order : callable, optional
+        Puts the robots' processes into another order before they are started.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        *,
+        record: bool = True,
+        on_progress: Callable[[Progress], None] | None = None,
+        namespace: str = "/",
+        spawn_order: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] | None = None,
+    ) -> None:
+        self._scenario = scenario
+        self._folder = folder
+        self._namespace = namespace
+        self._on_progress = on_progress
+        bag = folder.bag if record else None
+        self._plan = plan(scenario, scenario_file=folder.scenario, bag=bag, logs=folder.logs)
+        self._spawn_order = spawn_order
+        self._supervision = Supervision(tuple(process.name for process in self._plan))
+        self._interrupted = False
+        self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
+        self._begun = time.monotonic()
+        self._started: float | None = None
+        self._finished: float | None = None
+        self._stalled_since: float | None = None
+
+    def run(self) -> Outcome:
+        """Run to the end, whatever it is; afterwards no process, port or shared memory of the run is left.
+
+        Raises
+        ------
+        RunError
+            If the run cannot even be begun, such as when no ROS domain is free.
+        """
+        participants = COORDINATORS + len(self._scenario.agents)
+        ports = DATA_OFFSET + PARTICIPANT_GAIN * participants
+        spacing = -(-ports // (DOMAIN_GAIN * SPACING)) * SPACING
+        self._folder.fill(self._scenario)
+        profile = self._folder.logs / "fastdds.xml"
+        with ExitStack() as stack:
+            domain = stack.enter_context(claimed_domain(spacing))
+            profile.write_text(profile_xml(domain), encoding="utf-8")
+            wake = stack.enter_context(self._interruptible())
+            log = self._folder.logs / "launcher.log"
+            launcher = stack.enter_context(LauncherClient(dds_environment(domain, str(profile)), log))
+            failure = self._supervise(launcher, wake)
+            return self._conclude(launcher, wake, failure)
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[int]:
+        """Turn SIGINT and SIGTERM into a flag and a byte on a pipe, whose read end is yielded."""
+        read, write = os.pipe()
+        os.set_blocking(write, False)
+        main = threading.current_thread() is threading.main_thread()
+        previous = {}
+        if main:
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                previous[number] = signal.signal(number, self._interrupt)
+            signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        try:
+            yield read
+        finally:
+            if main:
+                signal.set_wakeup_fd(-1)
+                for number, handler in previous.items():
+                    signal.signal(number, handler)
+            os.close(read)
+            os.close(write)
+
+    def _interrupt(self, *_: object) -> None:
+        self._interrupted = True
+
+    def _supervise(self, launcher: LauncherClient, wake: int) -> Failure | None:
+        """Drive the run until it is complete, fails or is interrupted."""
+        state = self._supervision
+        self._spawn(launcher)
+        news = time.monotonic()
+        known = 0
+        while not self._interrupted:
+            self._listen(launcher, wake)
+            now = time.monotonic()
+            if state.failure is not None:
+                return state.failure
+            if not launcher.alive():
+                return Failure("the launcher has died", ("launcher",))
+            if state.done is not None:
+                return None
+            if self._started is None:
+                if len(state.ready) > known:
+                    known, news = len(state.ready), now
+                if state.all_ready():
+                    self._started = now
+                    launcher.start_all()
+                elif now - news > START_SILENCE:
+                    return self._not_started()
+            else:
+                self._inject_faults(launcher)
+                failure = self._check_stalls(now)
+                if failure is not None:
+                    return failure
+            self._tell("starting" if self._started is None else "running")
+        return None
+
+    def _spawn(self, launcher: LauncherClient) -> None:
+        coordinators, agents = self._plan[: -len(self._scenario.agents)], self._plan[-len(self._scenario.agents) :]
+        if self._spawn_order is not None:
+            agents = tuple(self._spawn_order(agents))
+        for process in (*coordinators, *agents):
+            launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
+
+    def _listen(self, launcher: LauncherClient, wake: int) -> None:
+        ready, _, _ = select.select([launcher.reports, wake], [], [], POLL)
+        if wake in ready:
+            os.read(wake, 4096)
+        if launcher.reports in ready:
+            for report in launcher.read():
+                self._supervision.take(report)
+        progress = self._supervision.progress
+        if self._finished is None and progress is not None and progress["step"] >= self._scenario.steps:
+            self._finished = time.monotonic()
+
+    def _not_started(self) -> Failure:
+        missing = self._supervision.not_ready()
+        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")  # noqa: PLR2004
+        return Failure(f"not all processes have met within {START_SILENCE:g} s without news: {shown}", missing[:2])
+
+    def _inject_faults(self, launcher: LauncherClient) -> None:
+        """End or stop the processes whose last state is recorded; as state machines they have fallen silent already."""
+        recorded = -1 if self._supervision.progress is None else self._supervision.progress["step"]
+        while self._faults and self._faults[0].step <= recorded:
+            fault = self._faults.pop(0)
+            name = agent_name(fault.agent_id)
+            self._supervision.expect_end(name)
+            launcher.signal(name, _SIGNALS[fault.kind])
+
+    def _check_stalls(self, now: float) -> Failure | None:
+        state, lockstep = self._supervision, self._scenario.lockstep
+        if not state.stalls or self._finished is not None:
+            self._stalled_since = None
+            return None
+        if self._stalled_since is None:
+            self._stalled_since = now
+        # Where robots are dropped, the run gets the time that this takes, and fails only if it does not help.
+        grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
+        if now - self._stalled_since < grace:
+            return None
+        return state.diagnose({name: _process_state(pid) for name, pid in state.pids.items()})
+
+    def _conclude(self, launcher: LauncherClient, wake: int, failure: Failure | None) -> Outcome:
+        """Let the recorder complete the bag of a run that did not finish, and sum up."""
+        state = self._supervision
+        reason = self._describe(failure)
+        if reason is not None:
+            (self._folder.logs / "orchestrator.log").write_text(reason + "\n", encoding="utf-8")
+        elif self._interrupted:
+            reason = "interrupted"
+        if state.done is None and RECORDER in state.pids and RECORDER not in state.exited:
+            launcher.signal(RECORDER, signal.SIGTERM)
+            deadline = time.monotonic() + CLOSING_SECONDS
+            while state.done is None and RECORDER not in state.exited and time.monotonic() < deadline:
+                self._listen(launcher, wake)
+                self._tell("closing")
+        done = state.done or {"complete": False, "figures": {}}
+        complete = done["complete"] and failure is None
+        return Outcome(
+            "ok" if complete else "interrupted" if self._interrupted and failure is None else "failed",
+            None if complete else reason or "the recorder could not complete the recording",
+            dict(done["figures"]),
+            None if self._started is None else self._started - self._begun,
+            None if self._started is None else (self._finished or time.monotonic()) - self._started,
+        )
+
+    def _describe(self, failure: Failure | None) -> str | None:
+        if failure is None:
+            return None
+        texts = []
+        for name in failure.culprits[:3]:
+            with suppress(OSError):
+                texts.append((name, (self._folder.logs / f"{name}.log").read_text(encoding="utf-8", errors="replace")))
+        return "\n".join(part for part in (failure.reason, last_lines(texts)) if part)
+
+    def _tell(self, phase: Literal["starting", "running", "closing"]) -> None:
+        if self._on_progress is None:
+            return
+        state = self._supervision
+        progress = state.progress or {}
+        step = progress.get("step", 0)
+        elapsed = 0.0 if self._started is None else (self._finished or time.monotonic()) - self._started
+        self._on_progress(
+            Progress(
+                phase,
+                len(state.ready),
+                len(state.names),
+                step,
+                self._scenario.steps,
+                step / elapsed if elapsed > 0.0 else 0.0,
+                progress.get("angle"),
+                progress.get("error"),
+            )
+        )
+
+
+def _process_state(pid: int) -> str:
+    try:
+        return str(psutil.Process(pid).status())
+    except psutil.Error:
+        return "dead"

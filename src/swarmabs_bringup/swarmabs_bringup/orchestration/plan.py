@@ -1,0 +1,220 @@
+"""Which processes a scenario needs, and with which parameters each is started."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from math import isinf
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.orchestration.dds_profile import COORDINATORS
+from swarmabs_core import configure
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    MAIN_TOPICS,
+    PLANE_STATE,
+    RECORDING_PROGRESS,
+    Kind,
+    Topic,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from swarmabs_core.behaviours import AgentConfig
+    from swarmabs_core.scenario import Scenario
+
+PLANE, OBSERVER, CONTROLLER, RECORDER = "plane_sim", "abstraction_observer", "parent_controller", "recorder"
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessPlan:
+    """One process of a run.
+
+    Parameters
+    ----------
+    name : str
+        Name of its node.
+    module : str
+        Module whose ``main`` it runs.
+    participant : int
+        Its DDS participant id.
+    parameters : dict
+        Its ROS parameters.
+    publications, subscriptions : tuple of Topic
+        Its endpoints, from which follows whom each must have met before the run starts.
+    """
+
+    name: str
+    module: str
+    participant: int
+    parameters: dict[str, object]
+    publications: tuple[Topic, ...]
+    subscriptions: tuple[Topic, ...]
+
+    def arguments(self, namespace: str) -> list[str]:
+        """Return the node's command line."""
+        given = [f"{name}:={_yaml(value)}" for name, value in self.parameters.items() if value not in ((), [])]
+        return [
+            "--ros-args",
+            # What a node logs goes to its standard error, and from there to its file in the run's folder.
+            *("--disable-external-lib-logs", "--disable-rosout-logs"),
+            *("-r", f"__node:={self.name}"),
+            *("-r", f"__ns:={namespace}"),
+            *(word for text in given for word in ("-p", text)),
+        ]
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    return repr(value)
+
+
+def agent_name(agent_id: int) -> str:
+    """Return the node name of a robot."""
+    return f"agent_{agent_id:03d}"
+
+
+def plan(scenario: Scenario, *, scenario_file: Path, bag: Path | None, logs: Path) -> tuple[ProcessPlan, ...]:
+    """Return the processes of a scenario: the coordinators first, then the robots by id.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    scenario_file : Path
+        Where the resolved scenario stands, for the recorder.
+    bag : Path, optional
+        Folder of the bag; none if nothing is to be recorded.
+    logs : Path
+        Folder of the processes' logs, for the recorder.
+    """
+    common: dict[str, object] = {
+        "period_ns": scenario.step_ns,
+        "last_step": scenario.steps,
+        "stall_timeout": scenario.lockstep.stall_timeout,
+    }
+    swarm: dict[str, object] = {
+        "members": configure.members(scenario),
+        "schedule": tuple(str(change) for change in configure.schedule(scenario)),
+        "gravity": scenario.plane.gravity,
+    }
+    plane, manifold = scenario.plane, scenario.manifold
+    processes = [
+        ProcessPlan(
+            PLANE,
+            "plane_sim.node",
+            0,
+            common
+            | swarm
+            | {
+                "inertia": plane.inertia,
+                "length": plane.length,
+                "friction": plane.friction,
+                "substep": plane.substep,
+                "angle": plane.angle,
+                "angular_velocity": plane.angular_velocity,
+                "disturbance.amplitude": plane.disturbance.amplitude,
+                "disturbance.angular_frequency": plane.disturbance.angular_frequency,
+            },
+            (EVENTS, PLANE_STATE),
+            (AGENT_STATE, EVENTS),
+        ),
+        ProcessPlan(
+            OBSERVER,
+            "abstraction_observer.node",
+            1,
+            common | swarm | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall},
+            (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
+            (AGENT_STATE,),
+        ),
+        ProcessPlan(
+            CONTROLLER,
+            "parent_controller.node",
+            2,
+            common
+            | {
+                "plane.inertia": plane.inertia,
+                "plane.friction": plane.friction,
+                "manifold.curvature": manifold.curvature,
+                "manifold.offset": manifold.offset,
+                "manifold.torque_max": manifold.torque_max,
+                "recording_window": configure.RECORDING_WINDOW,
+                "controller.type": scenario.controller.type,
+            }
+            | {f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
+            (EVENTS, DESIRED_ABSTRACT_STATE),
+            (PLANE_STATE, RECORDING_PROGRESS),
+        ),
+        ProcessPlan(
+            RECORDER,
+            "swarmabs_bringup.recorder.node",
+            3,
+            common | {"scenario_file": str(scenario_file), "bag": str(bag or ""), "logs": str(logs)},
+            (RECORDING_PROGRESS,),
+            (*MAIN_TOPICS, EVENTS),
+        ),
+        *(
+            ProcessPlan(
+                agent_name(config.agent_id),
+                "agent_node.node",
+                COORDINATORS + index,
+                common | _agent_parameters(config),
+                (EVENTS, AGENT_STATE),
+                (*BROADCASTS, PLANE_STATE)
+                if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR
+                else BROADCASTS,
+            )
+            for index, config in enumerate(configure.agent_configs(scenario))
+        ),
+    ]
+    _expect_counterparts(processes)
+    return tuple(processes)
+
+
+def _agent_parameters(config: AgentConfig) -> dict[str, object]:
+    gains, life, limits = config.gains, config.life, config.limits
+    parameters: dict[str, object] = {
+        "agent_id": config.agent_id,
+        "kind": config.kind.name.lower(),
+        "mass": config.mass,
+        "damping": config.damping,
+        "position": config.position,
+        "velocity": config.velocity,
+        "gravity": config.gravity,
+        "plane_length": config.plane_length,
+        "gains.k": gains.k,
+        "gains.kp": gains.kp,
+        "gains.kd": gains.kd,
+        "gains.ksd": gains.ksd,
+        "limits.velocity": 0.0 if isinf(limits.velocity) else limits.velocity,
+        "limits.force": 0.0 if isinf(limits.force) else limits.force,
+        "first_step": life.first_step,
+        "delay": config.delay,
+        "loss_probability": config.loss_probability,
+        "seed": config.seed,
+        "feels_gravity": config.feels_gravity,
+    }
+    if life.end is not None:
+        parameters |= {"end": life.end.value, "end_step": life.end_step}
+    return parameters
+
+
+def _expect_counterparts(processes: list[ProcessPlan]) -> None:
+    """Tell every process how many counterparts each of its endpoints will meet."""
+    publishers = Counter(topic for process in processes for topic in process.publications)
+    subscribers = Counter(topic for process in processes for topic in process.subscriptions)
+    for process in processes:
+        met = {topic: subscribers[topic] for topic in process.publications}
+        met |= {topic: publishers[topic] for topic in process.subscriptions if topic not in met}
+        process.parameters["match"] = [f"{topic.name} {number}" for topic, number in met.items()]

@@ -1,0 +1,155 @@
+"""What the orchestrator knows of its processes, and what it concludes: a state machine without clock and processes."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+PUBLISHER_OF = {
+    "plane/state": PLANE,
+    "swarm/abstract_state": OBSERVER,
+    "swarm/auxiliary_state": OBSERVER,
+    "swarm/desired_abstract_state": CONTROLLER,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Stall:
+    """What a node waits for."""
+
+    step: int
+    missing: tuple[str, ...]
+    silence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a run has failed, and the processes whose logs tell more."""
+
+    reason: str
+    culprits: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class Supervision:
+    """Keeps the books on a run's processes.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of all processes.
+    """
+
+    names: tuple[str, ...]
+    pids: dict[str, int] = field(default_factory=dict)
+    ready: set[str] = field(default_factory=set)
+    exited: dict[str, int] = field(default_factory=dict)
+    stalls: dict[str, Stall] = field(default_factory=dict)
+    expected_ends: set[str] = field(default_factory=set)
+    progress: Mapping[str, Any] | None = None
+    done: Mapping[str, Any] | None = None
+    failure: Failure | None = None
+
+    def take(self, report: Mapping[str, Any]) -> None:
+        """Take a report of a node or of the launcher."""
+        event, node = report["event"], report["node"]
+        if event == "spawned":
+            self.pids[report["name"]] = report["child"]
+        elif event == "exited":
+            self._exited(report["name"], report["code"])
+        elif event == "ready":
+            self.ready.add(node)
+        elif event == "stalled":
+            self.stalls[node] = Stall(report["step"], tuple(report["missing"]), report["silence"])
+        elif event == "recovered":
+            self.stalls.pop(node, None)
+        elif event == "failed":
+            self._fail(Failure(f"{node}: {report['reason']}"))
+        elif event == "progress":
+            self.progress = report
+        elif event == "done":
+            self.done = report
+
+    def all_ready(self) -> bool:
+        """Tell whether every process has met its counterparts."""
+        return len(self.ready) == len(self.names)
+
+    def not_ready(self) -> tuple[str, ...]:
+        """Return the processes that have not met all their counterparts."""
+        return tuple(name for name in self.names if name not in self.ready)
+
+    def expect_end(self, name: str) -> None:
+        """Note that a process is about to end by plan."""
+        self.expected_ends.add(name)
+
+    def _exited(self, name: str, code: int) -> None:
+        self.exited[name] = code
+        finished = name == RECORDER and self.done is not None
+        if name in self.expected_ends or finished:
+            return
+        self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how_it_ended(code)}", (name,)))
+
+    def _fail(self, failure: Failure) -> None:
+        # What a node says of itself comes before the news of its end, and the first failure causes the others.
+        if self.failure is None:
+            self.failure = failure
+
+    def diagnose(self, states: Mapping[str, str]) -> Failure:
+        """Conclude from the nodes' reports of stalls who does not answer.
+
+        Parameters
+        ----------
+        states : mapping
+            What the operating system says of each process, such as ``stopped``.
+        """
+        culprits = self._silent()
+        silence = max((stall.silence for stall in self.stalls.values()), default=0.0)
+        step = min((stall.step for stall in self.stalls.values()), default=0)
+        if not culprits:
+            waits = "; ".join(f"{name} waits for {', '.join(s.missing[:5])}" for name, s in sorted(self.stalls.items())[:4])
+            return Failure(f"nothing has moved at step {step} for {silence:g} s: {waits}")
+        shown = ", ".join(
+            f"{name.replace('agent_', 'agent ')} (process {self.pids.get(name)} is {states.get(name, 'gone')})"
+            for name in culprits[:5]
+        )
+        more = f" and {len(culprits) - 5} more" if len(culprits) > 5 else ""  # noqa: PLR2004 - five are shown
+        verb = "has" if len(culprits) == 1 else "have"
+        return Failure(f"{shown}{more} {verb} not answered step {step} for {silence:g} s", culprits)
+
+    def _silent(self) -> tuple[str, ...]:
+        """Return those who are waited for and do not wait themselves."""
+        wanted = {_process_of(item) for stall in self.stalls.values() for item in stall.missing}
+        return tuple(name for name in self.names if name in wanted and name not in self.stalls)
+
+
+def _process_of(item: str) -> str:
+    """Return the process that a node means when it says what it misses."""
+    if item.startswith("agent "):
+        return agent_name(int(item.removeprefix("agent ")))
+    return PUBLISHER_OF.get(item, item)
+
+
+def how_it_ended(code: int) -> str:
+    """Say in words how a process with this exit code (negative: signal) ended."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
+
+
+def last_lines(texts: Iterable[tuple[str, str]], count: int = 8) -> str:
+    """Return the last lines of logs, given as (name, text), for an error message."""
+    parts = []
+    for name, text in texts:
+        lines = [line for line in text.splitlines() if line.strip()][-count:]
+        if lines:
+            parts.append("\n".join([f"last lines of {name}.log:", *(f"  {line}" for line in lines)]))
+    return "\n".join(parts)

@@ -1,0 +1,45 @@
+"""What a bag says of where it comes from."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+from swarmabs_core.fingerprint import libm_fingerprint
+
+if TYPE_CHECKING:
+    from swarmabs_core.scenario import Scenario
+
+_DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a run's result may depend on; those not installed as distributions are left out."""
+    found = {"python": platform.python_version()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def provenance(scenario: Scenario, *, driver: str) -> dict[str, object]:
+    """Return the provenance of a run; `driver` says what moved the state machines: ``lockstep`` or ``simulate``."""
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "driver": driver,
+        "versions": versions(),
+        "machine": platform.machine(),
+        "byte_order": sys.byteorder,
+        "libm_fingerprint": libm_fingerprint(),
+    }
+
+
+def provenance_json(scenario: Scenario, *, driver: str) -> bytes:
+    """Return the provenance as a bag's attachment."""
+    return json.dumps(provenance(scenario, driver=driver), indent=2, sort_keys=True).encode() + b"\n"

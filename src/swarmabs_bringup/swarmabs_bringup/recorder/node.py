@@ -1,0 +1,168 @@
+"""Node ``recorder``: puts the messages of a run in order and writes them to a bag."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.recorder.recording import Recording
+from swarmabs_core import configure
+from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    EVENTS,
+    MAIN_TOPICS,
+    NEVER,
+    RECORDING_PROGRESS,
+    Message,
+    Messages,
+    RecordingProgress,
+    Topic,
+)
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.recording import RunCollector
+from swarmabs_core.scenario import load_scenario
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_core.scenario import Scenario
+
+PARAMETERS = (
+    Parameter("scenario_file", "", "file of the resolved scenario"),
+    Parameter("bag", "", "folder of the bag; empty: nothing is written, digest and figures are computed"),
+    Parameter("logs", "", "folder whose log files are attached at the end"),
+)
+
+CREDIT_EVERY = 10
+"""Steps between two reports of how far the recording is."""
+REPORT_SECONDS = 0.1
+"""Time between two reports to the orchestrator, s."""
+
+
+class Recorder:
+    """Records complete steps, and tells the parent controller how far it is.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The resolved scenario.
+    recording : Recording
+        Where the steps go.
+    on_step : callable
+        Told the number of steps recorded.
+    """
+
+    def __init__(self, scenario: Scenario, recording: Recording, on_step: Callable[[int], None]) -> None:
+        self._period_ns = scenario.step_ns
+        self._recording = recording
+        self._on_step = on_step
+        self._collector = RunCollector(
+            configure.members(scenario), configure.schedule(scenario), scenario.steps
+        )
+        self._credited = -1
+
+    def start(self) -> Messages:
+        """Say that nothing is written yet."""
+        return (RecordingProgress(0, 0, NEVER),)
+
+    def handle(self, message: Message) -> Messages:
+        """Take a message of the run; now and then answer with the progress."""
+        if isinstance(message, RecordingProgress):
+            raise UnexpectedMessageError("recorder", message)
+        steps = self._collector.add(message)
+        if not steps:
+            return ()
+        for step in steps:
+            self._recording.add(step)
+        written = self._collector.step - 1
+        self._on_step(self._collector.step)
+        if written - self._credited < CREDIT_EVERY and not self._collector.finished:
+            return ()
+        self._credited = written
+        return (RecordingProgress(written * self._period_ns, written, written),)
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for everything until the run is complete."""
+        return () if self._collector.finished else _EVERYTHING
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the first incomplete step and what it lacks."""
+        return self._collector.step, self._collector.missing()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run is complete."""
+        return self._collector.finished
+
+
+_EVERYTHING = (EVENTS, *MAIN_TOPICS)
+
+
+def _log_text(folder: str) -> bytes:
+    """Return all log files of the run, one after the other."""
+    if not folder:
+        return b""
+    parts = []
+    for path in sorted(Path(folder).glob("*.log")):
+        text = path.read_bytes()
+        if text:
+            parts.append(b"==> %b <==\n%b\n" % (path.name.encode(), text))
+    return b"".join(parts)
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:
+    """Return behaviour and endpoints.
+
+    Raises
+    ------
+    InputError
+        If there is no scenario, or the bag cannot be written where it shall be.
+    """
+    if not settings.text("scenario_file"):
+        raise InputError("parameter scenario_file: give the file of the resolved scenario")
+    scenario = load_scenario(Path(settings.text("scenario_file")))
+    bag = settings.text("bag")
+    recording = Recording(scenario, Path(bag) if bag else None, driver="lockstep")
+    planned = {change.step for change in configure.schedule(scenario)}
+    reported = time.monotonic()
+
+    def report(steps: int) -> None:
+        nonlocal reported
+        now = time.monotonic()
+        if now - reported >= REPORT_SECONDS or steps - 1 in planned or steps > scenario.steps:
+            reported = now
+            latest = recording.latest
+            if latest is not None:
+                status.send("progress", step=latest.step, angle=latest.angle, error=latest.error)
+
+    recorder = Recorder(scenario, recording, report)
+
+    def finish(problem: str | None) -> None:
+        log = {"run.log": _log_text(settings.text("logs"))}
+        if problem is None and recorder.finished:
+            figures = recording.close(log)
+        else:
+            figures = recording.abort(problem or "stopped before the end", log)
+        status.send("done", complete=problem is None and recorder.finished, figures=figures)
+
+    depth = min(20_000, max(1000, 100 * len(scenario.agents)))
+    subscriptions = {
+        topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=True) for topic in _EVERYTHING
+    }
+    return NodeSpec(recorder, (RECORDING_PROGRESS,), subscriptions, on_exit=finish, lingers=False)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("recorder", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+"""Digest, figures and bag of a run, whoever moves it: the recorder node and ``simulate`` share this."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.bag import BagWriter
+from swarmabs_bringup.provenance import provenance_json
+from swarmabs_core import configure
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.recording import Digest, Metrics
+from swarmabs_core.scenario import dump_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from swarmabs_core.recording import Latest, RecordedStep
+    from swarmabs_core.scenario import Scenario
+
+Figures = dict[str, float | int | str | None]
+
+
+class Recording:
+    """Takes the complete steps of a run in order.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The resolved scenario; it is attached to the bag at once.
+    folder : Path, optional
+        Folder of the bag; none if only digest and figures are wanted.
+    driver : str
+        What moves the run, for the provenance.
+
+    Raises
+    ------
+    InputError
+        If the folder is not empty or cannot be written.
+    """
+
+    def __init__(self, scenario: Scenario, folder: Path | None, *, driver: str) -> None:
+        self._digest = Digest()
+        self._metrics = Metrics(configure.parent_controller(scenario).reference)
+        self._writer = None
+        if folder is not None:
+            self._writer = BagWriter(
+                folder,
+                topics=(*MAIN_TOPICS, EVENTS),
+                attachments={
+                    "scenario.yaml": dump_scenario(scenario).encode(),
+                    "provenance.json": provenance_json(scenario, driver=driver),
+                },
+            )
+
+    @property
+    def latest(self) -> Latest | None:
+        """What the run looks like now."""
+        return self._metrics.latest
+
+    def add(self, step: RecordedStep) -> None:
+        """Record a step.
+
+        Raises
+        ------
+        BagWriteError
+            If the disk is full or fails; `abort` then completes what is there.
+        """
+        self._digest.update(step)
+        self._metrics.update(step)
+        if self._writer is not None:
+            for record in step.records:
+                self._writer.write(record.topic, record.message.stamp, record.payload)
+
+    def poll(self) -> None:
+        """Hand what is old enough to the operating system."""
+        if self._writer is not None:
+            self._writer.poll()
+
+    def close(self, attachments: Mapping[str, bytes] | None = None) -> Figures:
+        """Complete the bag and return digest and figures."""
+        if self._writer is not None:
+            self._writer.close(attachments)
+        return self.figures()
+
+    def abort(self, reason: str, attachments: Mapping[str, bytes] | None = None) -> Figures:
+        """Complete the bag of a run that failed, as far as possible, and return digest and figures so far."""
+        if self._writer is not None:
+            self._writer.abort(reason, attachments)
+        return self.figures()
+
+    def figures(self) -> Figures:
+        """Return the figures of the run so far; there is no digest of a run that recorded nothing."""
+        return {**self._metrics.summary(), "digest": self._digest.hexdigest() if self.latest is not None else None}

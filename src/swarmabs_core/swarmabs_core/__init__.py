@@ -1,0 +1,1 @@
+"""Mathematics and node behaviours of swarmabs, without ROS."""

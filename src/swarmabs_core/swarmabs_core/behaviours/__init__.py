@@ -1,0 +1,21 @@
+"""What the nodes do, as pure state machines: messages in, messages out; no ROS, no clock, no I/O."""
+
+from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan, Limits
+from swarmabs_core.behaviours.base import Behaviour
+from swarmabs_core.behaviours.controller import Controller, ControllerConfig
+from swarmabs_core.behaviours.observer import Observer, ObserverConfig
+from swarmabs_core.behaviours.plane import Plane, PlaneConfig
+
+__all__ = [
+    "Agent",
+    "AgentConfig",
+    "Behaviour",
+    "Controller",
+    "ControllerConfig",
+    "LifeSpan",
+    "Limits",
+    "Observer",
+    "ObserverConfig",
+    "Plane",
+    "PlaneConfig",
+]

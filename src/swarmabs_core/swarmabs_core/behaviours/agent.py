@@ -1,0 +1,312 @@
+"""A robot: its own state and the three broadcasts in, its own command and next state out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import copysign, inf, isfinite, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflict
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.faults import lost
+from swarmabs_core.membership import ChangeKind
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    NEVER,
+    PLANE_STATE,
+    TOPIC_OF,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    DesiredAbstractState,
+    EventKind,
+    Kind,
+    Message,
+    Messages,
+    Mode,
+    PlaneState,
+    Status,
+    SwarmEvent,
+    Topic,
+)
+from swarmabs_core.swarm_law import double_integrator_command, single_integrator_command
+
+if TYPE_CHECKING:
+    from swarmabs_core.swarm_law import SwarmGains
+
+BRAKING_TIME = 0.1
+"""Time constant of a double integrator's brake in a safe stop, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest speed (m/s) and force (N) of a robot."""
+
+    velocity: float = inf
+    force: float = inf
+
+
+@dataclass(frozen=True, slots=True)
+class LifeSpan:
+    """When a robot takes part: its first step, and how and with which step it ends, if planned."""
+
+    first_step: int = 0
+    end: ChangeKind | None = None
+    end_step: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AgentConfig:
+    """Configuration of a robot.
+
+    Parameters
+    ----------
+    agent_id : int
+        1 to 65535.
+    kind : Kind
+        Dynamics.
+    mass : float
+        kg.
+    position, velocity : float
+        Initial state, m and m/s.
+    gains : SwarmGains
+        Gains of the law.
+    period_ns : int
+        Control period, ns.
+    gravity : float
+        m/s^2.
+    plane_length : float
+        m.
+    damping : float
+        N s/m, of a double integrator.
+    limits : Limits
+        What the drive can do.
+    life : LifeSpan
+        When the robot takes part.
+    delay : int
+        Injected age of the broadcasts, steps.
+    loss_probability : float
+        Injected probability of missing the broadcasts of a step.
+    seed : int
+        Seed of the injected losses.
+    feels_gravity : bool
+        Whether a double integrator feels the plane's tilt and rotation, which the paper's model neglects.
+    last_step : int, optional
+        The step with which the run ends.
+    """
+
+    agent_id: int
+    kind: Kind
+    mass: float
+    position: float
+    velocity: float
+    gains: SwarmGains
+    period_ns: int
+    gravity: float
+    plane_length: float
+    damping: float = 0.0
+    limits: Limits = field(default_factory=Limits)
+    life: LifeSpan = field(default_factory=LifeSpan)
+    delay: int = 0
+    loss_probability: float = 0.0
+    seed: int = 1
+    feels_gravity: bool = False
+    last_step: int | None = None
+
+
+class _Broadcasts(NamedTuple):
+    """The complete set of one step."""
+
+    abstract: AbstractState
+    sums: AuxiliaryState
+    desired: DesiredAbstractState
+
+
+class Agent:
+    """One robot of the swarm. It never learns of any other.
+
+    Attributes
+    ----------
+    needs : tuple of Topic
+        The topics to which the robot listens.
+    """
+
+    def __init__(self, config: AgentConfig) -> None:
+        self._config = config
+        period = config.period_ns / 1e9
+        self._drive: SingleIntegratorDrive | DoubleIntegratorDrive
+        if config.kind is Kind.SINGLE_INTEGRATOR:
+            self._drive = SingleIntegratorDrive(period)
+        else:
+            self._drive = DoubleIntegratorDrive(period, config.mass, config.damping)
+        self._braking_time = max(BRAKING_TIME, period)
+        # The message that comes last is waited for first: then the others are there already.
+        self.needs: tuple[Topic, ...] = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
+        if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR:
+            self.needs = (*self.needs, PLANE_STATE)
+        first = config.life.first_step
+        self._joined = first == 0
+        self._step = first if self._joined else first - 1  # a newcomer waits for the step before its first
+        self._heard: dict[Topic, Message] = {}
+        self._history: deque[_Broadcasts] = deque(maxlen=config.delay + 1)
+        self._ended = False
+        self._position, self._velocity = config.position, config.velocity
+        self._command = 0.0
+        self._broadcast_step = NEVER
+        self._status = Status.ACTIVE
+        self._stopped = False
+        self._limited = False
+
+    def start(self) -> Messages:
+        """Publish the initial state, unless the robot joins later."""
+        return (self._publish(),) if self._joined else ()
+
+    def handle(self, message: Message) -> Messages:
+        """Take a broadcast; with the last one of the step answer the robot's next state."""
+        topic = TOPIC_OF[type(message)]
+        if topic not in self.needs:
+            raise UnexpectedMessageError(f"agent {self._config.agent_id}", message)
+        if self._ended or message.step != self._step:
+            return ()
+        refuse_conflict(self._heard.setdefault(topic, message), message, topic.name)
+        return self._advance() if len(self._heard) == len(self.needs) else ()
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for the one broadcast that is expected last among those missing."""
+        if self._ended:
+            return ()
+        for topic in self.needs:
+            if topic not in self._heard:
+                return (topic,)
+        return ()
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and the topics not yet heard."""
+        return self._step, tuple(topic.name for topic in self.needs if topic not in self._heard)
+
+    def _publish(self) -> AgentState:
+        config = self._config
+        leaves = config.life.end is ChangeKind.LEAVE and config.life.end_step == self._step
+        return AgentState(
+            self._step * config.period_ns,
+            self._step,
+            self._broadcast_step,
+            config.agent_id,
+            config.kind,
+            Status.LEFT if leaves else self._status,
+            config.mass,
+            config.damping,
+            self._position,
+            self._velocity,
+            self._command,
+        )
+
+    def _advance(self) -> Messages:
+        """Compute the command of the step, move for a period and publish the state at its end."""
+        config, heard = self._config, self._heard
+        if self._step == config.last_step or (self._joined and self._step == config.life.end_step):
+            self._ended = True
+            return ()
+        self._heard = {}
+        if not self._joined:
+            self._joined = True
+            self._step += 1
+            return (self._publish(),)
+        abstract, sums, desired = heard[ABSTRACT_STATE], heard[AUXILIARY_STATE], heard[DESIRED_ABSTRACT_STATE]
+        assert isinstance(abstract, AbstractState)  # noqa: S101 - the three are kept by topic
+        assert isinstance(sums, AuxiliaryState)  # noqa: S101
+        assert isinstance(desired, DesiredAbstractState)  # noqa: S101
+        self._history.append(_Broadcasts(abstract, sums, desired))
+        events = self._decide()
+        force = self._command
+        if PLANE_STATE in heard:
+            force += self._weight(heard[PLANE_STATE])
+        self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
+        self._step += 1
+        return (*events, self._publish())
+
+    def _weight(self, plane: Message) -> float:
+        """Return the force of gravity and rotation along the plane, N, held over the period."""
+        assert isinstance(plane, PlaneState)  # noqa: S101 - kept by topic
+        config, w = self._config, plane.angular_velocity
+        return config.mass * (self._position * w * w - config.gravity * sin(plane.angle))
+
+    def _decide(self) -> Messages:
+        """Update command, the step of the broadcasts that it rests on, and status; return the events."""
+        config = self._config
+        if lost(config.loss_probability, config.seed, self._step, config.agent_id):
+            return ()
+        if len(self._history) <= config.delay:
+            self._command, self._broadcast_step = 0.0, NEVER
+            return ()
+        broadcasts = self._history[0]
+        if broadcasts.desired.mode != Mode.RUN:
+            self._stopped = True
+        command, problem = self._law(broadcasts)
+        if problem:
+            self._command, self._broadcast_step = self._brake(), NEVER
+            return self._set_status(Status.SAFE_STOP, EventKind.SAFE_STOP, problem)
+        self._broadcast_step = broadcasts.abstract.step
+        self._command = self._limit(command)
+        events = self._set_status(Status.ACTIVE, EventKind.RECOVERED, "")
+        before, self._limited = self._limited, self._command != command
+        if self._limited and not before:
+            events = (*events, self._event(EventKind.LIMIT_HIT, command, "command limited"))
+        return events
+
+    def _law(self, broadcasts: _Broadcasts) -> tuple[float, str]:
+        """Return the command that the law asks for, or why none may be computed."""
+        config = self._config
+        abstract, sums, desired = broadcasts
+        if self._stopped:
+            return 0.0, "stop commanded"
+        if is_degenerate(sums.s0, sums.s3, config.plane_length):
+            return 0.0, "the swarm has no spread (S3 vanishes)"
+        if config.kind is Kind.SINGLE_INTEGRATOR:
+            command = single_integrator_command(
+                config.mass, self._position, config.gains, config.gravity, abstract, sums, desired
+            )
+        else:
+            command = double_integrator_command(
+                config.mass,
+                config.damping,
+                self._position,
+                self._velocity,
+                config.gains,
+                config.gravity,
+                abstract,
+                sums,
+                desired,
+            )
+        return command, "" if isfinite(command) else "the broadcasts are not finite"
+
+    def _brake(self) -> float:
+        config = self._config
+        if config.kind is Kind.SINGLE_INTEGRATOR:
+            return 0.0
+        force = min(config.mass * abs(self._velocity) / self._braking_time, config.limits.force)
+        return -copysign(force, self._velocity)
+
+    def _limit(self, command: float) -> float:
+        limits = self._config.limits
+        if isinstance(self._drive, SingleIntegratorDrive):
+            return min(max(command, -limits.velocity), limits.velocity)
+        if limits.velocity < inf:
+            coast, gain = self._drive.decay * self._velocity, self._drive.force_to_velocity
+            command = min(max(command, (-limits.velocity - coast) / gain), (limits.velocity - coast) / gain)
+        return min(max(command, -limits.force), limits.force)  # last: a drive cannot give more
+
+    def _set_status(self, status: Status, kind: EventKind, detail: str) -> Messages:
+        if status is self._status:
+            return ()
+        self._status = status
+        return (self._event(kind, 0.0, detail),)
+
+    def _event(self, kind: EventKind, value: float, detail: str) -> SwarmEvent:
+        """Return an event that holds from the state on that is about to be published."""
+        step = self._step + 1
+        return SwarmEvent(step * self._config.period_ns, step, self._config.agent_id, kind, value, detail)

@@ -1,0 +1,135 @@
+"""The abstraction observer: the robots' states in, abstract and auxiliary state of the swarm out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.errors import RunError
+from swarmabs_core.membership import Change, Membership
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    EventKind,
+    Kind,
+    Message,
+    Messages,
+    Status,
+    SwarmEvent,
+    Topic,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverConfig:
+    """Configuration of the observer.
+
+    Parameters
+    ----------
+    members : tuple of int
+        Ids of all robots that ever take part.
+    period_ns : int
+        Control period, ns.
+    gravity : float
+        m/s^2.
+    ksd : float
+        Damping that the double integrators' law adds, N s/m.
+    schedule : tuple of Change
+        Scheduled changes of the membership.
+    last_step : int, optional
+        The step with which the run ends.
+    """
+
+    members: tuple[int, ...]
+    period_ns: int
+    gravity: float
+    ksd: float
+    schedule: tuple[Change, ...] = ()
+    last_step: int | None = None
+
+
+class Observer:
+    """Sums the swarm up, once every member of a step was heard. It alone decides who is a member."""
+
+    def __init__(self, config: ObserverConfig) -> None:
+        self._config = config
+        self._membership = Membership(config.members, config.schedule)
+        self._gathering = Gathering(self._membership)
+        self._previous: dict[int, AgentState] = {}
+        self._standing: dict[int, Weight] = {}
+
+    def start(self) -> Messages:
+        """Publish nothing: the robots begin."""
+        return ()
+
+    def handle(self, message: Message) -> Messages:
+        """Take a robot's state; with the last one of a step answer events, abstract and auxiliary state."""
+        if not isinstance(message, AgentState):
+            raise UnexpectedMessageError("observer", message)
+        self._gathering.add(message)
+        return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def drop(self, agents: Iterable[int], reason: str) -> Messages:
+        """Declare robots dead from the current step on: they are taken to stand where they last were."""
+        for agent_id in agents:
+            self._membership.end(agent_id, self._gathering.step - 1, stays=True, reason=reason)
+        return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for robots' states."""
+        return () if self._finished() else (AGENT_STATE,)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and the robots not yet heard."""
+        return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
+
+    def missing_agents(self) -> tuple[int, ...]:
+        """Return the ids of the robots not yet heard in the current step."""
+        return self._gathering.missing()
+
+    def _finished(self) -> bool:
+        last = self._config.last_step
+        return last is not None and self._gathering.step > last
+
+    def _finish(self) -> Messages:
+        config = self._config
+        step = self._gathering.step
+        stamp = step * config.period_ns
+        events = self._announce(step, stamp)
+        states = self._gathering.take()
+        if not self._finished() and not self._membership.publishing(self._gathering.step):
+            raise RunError(f"step {self._gathering.step}: no robot is left that takes part in the run")
+        active = [s for s in states if s.status == Status.ACTIVE]
+        weights = [Weight(s.mass, s.position, s.velocity) for s in states]
+        weights.extend(self._standing.values())
+        total = abstraction(weights, config.gravity)
+        spread = spread_sums((s.mass, s.position) for s in active)
+        damping = damping_sums(
+            ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
+        )
+        self._previous = {s.agent_id: s for s in states}
+        return (
+            *events,
+            AbstractState(
+                stamp, step, len(weights), total.torque, total.inertia, total.torque_rate, total.inertia_rate
+            ),
+            AuxiliaryState(stamp, step, *spread, *damping, total.q),
+        )
+
+    def _announce(self, step: int, stamp: int) -> list[SwarmEvent]:
+        events = []
+        for agent_id, kind, reason in self._membership.changes(step):
+            if kind is EventKind.DEAD and agent_id in self._previous:
+                last = self._previous[agent_id]
+                self._standing[agent_id] = Weight(last.mass, last.position, 0.0)
+            position = self._previous[agent_id].position if agent_id in self._previous else 0.0
+            events.append(SwarmEvent(stamp, step, agent_id, kind, position, reason))
+        return events

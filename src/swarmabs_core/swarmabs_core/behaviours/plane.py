@@ -1,0 +1,185 @@
+"""The simulated plane: the robots' states in, angle and angular velocity out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.friction import Friction
+from swarmabs_core.membership import Change, Membership
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    EVENTS,
+    AgentState,
+    EventKind,
+    Kind,
+    Message,
+    Messages,
+    PlaneState,
+    SwarmEvent,
+    Topic,
+)
+from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneConfig:
+    """Configuration of the simulated plane.
+
+    Parameters
+    ----------
+    members : tuple of int
+        Ids of all robots that ever take part.
+    period_ns : int
+        Control period, ns.
+    inertia : float
+        Moment of inertia of the plane alone, kg m^2.
+    length : float
+        Length of the plane, m.
+    gravity : float
+        m/s^2.
+    friction : Friction
+        Friction of the bearing.
+    substep : float
+        Largest integration step, s.
+    angle, angular_velocity : float
+        Initial state, rad and rad/s.
+    disturbance : Disturbance
+        Disturbance torque.
+    schedule : tuple of Change
+        Scheduled changes of the membership.
+    last_step : int, optional
+        The step with which the run ends.
+    """
+
+    members: tuple[int, ...]
+    period_ns: int
+    inertia: float
+    length: float
+    gravity: float
+    friction: Friction
+    substep: float
+    angle: float
+    angular_velocity: float
+    disturbance: Disturbance
+    schedule: tuple[Change, ...] = ()
+    last_step: int | None = None
+
+
+class _Load(NamedTuple):
+    """A robot on the plane at the last step."""
+
+    kind: int
+    mass: float
+    position: float
+    velocity: float
+
+
+class Plane:
+    """Integrates the plane over a period, once the robots' states at its end are known."""
+
+    def __init__(self, config: PlaneConfig) -> None:
+        self._config = config
+        self._period = config.period_ns / 1e9
+        self._dynamics = PlaneDynamics(
+            inertia=config.inertia,
+            friction=config.friction,
+            disturbance=config.disturbance,
+            period=self._period,
+            substep=config.substep,
+        )
+        self._membership = Membership(config.members, config.schedule)
+        self._gathering = Gathering(self._membership)
+        self._angle = config.angle
+        self._angular_velocity = config.angular_velocity
+        self._loads: dict[int, _Load] = {}
+        self._outside: set[int] = set()
+
+    def start(self) -> Messages:
+        """Publish nothing: the robots begin."""
+        return ()
+
+    def handle(self, message: Message) -> Messages:
+        """Take a robot's state or an event; with the last state of a step answer the plane's state."""
+        if isinstance(message, AgentState):
+            self._gathering.add(message)
+        elif isinstance(message, SwarmEvent):
+            self._membership.apply(message.kind, message.agent_id, message.step, message.detail)
+        else:
+            raise UnexpectedMessageError("plane", message)
+        return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for robots' states, and for news of robots that will send none."""
+        return () if self._finished() else (AGENT_STATE, EVENTS)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and the robots not yet heard."""
+        return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
+
+    def _finished(self) -> bool:
+        last = self._config.last_step
+        return last is not None and self._gathering.step > last
+
+    def _finish(self) -> Messages:
+        config = self._config
+        step = self._gathering.step
+        stamp = step * config.period_ns
+        states = self._gathering.take()
+        if step > 0:
+            time = (step - 1) * config.period_ns / 1e9
+            load = swarm_load(self._paths(states), config.gravity)
+            self._angle, self._angular_velocity = self._dynamics.advance(
+                self._angle, self._angular_velocity, time, load
+            )
+        self._keep(states)
+        return (*self._limits(states, stamp), PlaneState(stamp, step, self._angle, self._angular_velocity))
+
+    def _paths(self, states: list[AgentState]) -> list[RobotPath]:
+        """Return the paths over the last period of all robots that were on the plane at its beginning."""
+        now = {state.agent_id: state for state in states}
+        paths = []
+        for agent_id, load in self._loads.items():
+            state = now.get(agent_id)
+            if state is None:
+                paths.append(standing(load.mass, load.position))
+            elif load.kind == Kind.SINGLE_INTEGRATOR:
+                paths.append(straight(load.mass, load.position, state.position))
+            else:
+                start, end = (load.position, load.velocity), (state.position, state.velocity)
+                paths.append(hermite(load.mass, start, end, self._period))
+        return paths
+
+    def _keep(self, states: list[AgentState]) -> None:
+        """Note who is on the plane now: those heard, and those who stand for good."""
+        still = {
+            agent_id: load._replace(velocity=0.0)
+            for agent_id, load in self._loads.items()
+            if not self._membership.publishes(agent_id, self._gathering.step - 1)
+            and self._membership.stays(agent_id)
+        }
+        self._loads = {s.agent_id: _Load(s.kind, s.mass, s.position, s.velocity) for s in states} | still
+
+    def _limits(self, states: list[AgentState], stamp: int) -> list[SwarmEvent]:
+        """Say which robots have just crossed the end of the plane (eq. swarmStateConstraint)."""
+        half = 0.5 * self._config.length
+        events = []
+        for state in states:
+            outside = abs(state.position) > half
+            if outside and state.agent_id not in self._outside:
+                self._outside.add(state.agent_id)
+                events.append(
+                    SwarmEvent(
+                        stamp,
+                        state.step,
+                        state.agent_id,
+                        EventKind.LIMIT_HIT,
+                        state.position,
+                        "off the plane's end",
+                    )
+                )
+            elif not outside:
+                self._outside.discard(state.agent_id)
+        return events

@@ -1,0 +1,147 @@
+"""Canonical little-endian CDR of the swarm's messages, every padding byte zero.
+
+A message is encapsulation header, ``std_msgs/Header``, ``uint64 step`` and the message's own fields; since
+the frame id is always ``plane``, all but `SwarmEvent` have a fixed layout, and one `struct.Struct` each says
+it all. That these layouts are what ROS 2 itself writes for ``swarmabs_msgs`` is a test.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, SwarmEvent
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import Message
+
+_ENCAPSULATION = b"\x00\x01\x00\x00"
+_FRAME = FRAME_ID.encode() + b"\x00"
+_SECOND = 1_000_000_000
+_TRANSPORT_PADDING = 4
+"""Fast DDS pads a serialised payload to a multiple of this."""
+
+# encapsulation | sec, nanosec | frame id: length, characters, padding to 8 | step
+_PREFIX = f"<4siII{len(_FRAME)}s6xQ"
+_FIELDS = {
+    "PlaneState": "2d",
+    "AgentState": "QHBB4x5d",
+    "AbstractState": "H6x4d",
+    "AuxiliaryState": "8d",
+    "DesiredAbstractState": "B7x8d",
+    "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
+    "RecordingProgress": "Q",
+}
+_LAYOUT: dict[type[Message], struct.Struct] = {
+    topic.message: struct.Struct(_PREFIX + _FIELDS[topic.message.__name__]) for topic in TOPICS
+}
+_EVENT = _LAYOUT[SwarmEvent]
+
+
+def encode(message: Message) -> bytes:
+    """Serialise a message.
+
+    Parameters
+    ----------
+    message : Message
+        Any message of the swarm.
+
+    Returns
+    -------
+    bytes
+        Canonical CDR with its four-byte encapsulation header: equal messages give equal bytes.
+
+    Raises
+    ------
+    MalformedMessageError
+        If a field does not fit its type.
+    """
+    if isinstance(message, SwarmEvent):
+        return _encode_event(message)
+    seconds, nanoseconds = divmod(message[0], _SECOND)
+    try:
+        return _LAYOUT[type(message)].pack(
+            _ENCAPSULATION, seconds, nanoseconds, len(_FRAME), _FRAME, *message[1:]
+        )
+    except struct.error as error:
+        raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
+
+
+def _encode_event(event: SwarmEvent) -> bytes:
+    seconds, nanoseconds = divmod(event.stamp, _SECOND)
+    try:
+        detail = event.detail.encode() + b"\x00"
+        fixed = _EVENT.pack(
+            _ENCAPSULATION,
+            seconds,
+            nanoseconds,
+            len(_FRAME),
+            _FRAME,
+            event.step,
+            event.agent_id,
+            event.kind,
+            event.value,
+            len(detail),
+        )
+    except (struct.error, UnicodeEncodeError) as error:
+        raise MalformedMessageError("SwarmEvent", f"{error} in {event}") from error
+    return fixed + detail
+
+
+def decode(message_type: type[Message], data: bytes) -> Message:
+    """Read a message from CDR; the content of padding bytes does not matter.
+
+    Parameters
+    ----------
+    message_type : type
+        The class of the message, one of those in `swarmabs_core.messages.TOPICS`.
+    data : bytes
+        CDR with encapsulation header, as it comes from DDS.
+
+    Raises
+    ------
+    MalformedMessageError
+        If the length, the encapsulation or the frame id is not that of a message of this swarm.
+    """
+    layout = _LAYOUT[message_type]
+    size = layout.size
+    if message_type is SwarmEvent:
+        return _decode_event(data)
+    if not size <= len(data) < size + _TRANSPORT_PADDING:
+        raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
+    encapsulation, seconds, nanoseconds, length, frame, *fields = layout.unpack_from(data)
+    _check_head(message_type, encapsulation, length, frame)
+    make: Any = message_type
+    return make(seconds * _SECOND + nanoseconds, *fields)  # type: ignore[no-any-return]
+
+
+def _decode_event(data: bytes) -> SwarmEvent:
+    if len(data) < _EVENT.size:
+        raise MalformedMessageError("SwarmEvent", f"{len(data)} bytes, expected at least {_EVENT.size}")
+    encapsulation, seconds, nanoseconds, length, frame, step, agent_id, kind, value, count = (
+        _EVENT.unpack_from(data)
+    )
+    _check_head(SwarmEvent, encapsulation, length, frame)
+    text = data[_EVENT.size : _EVENT.size + count]
+    if count < 1 or len(text) != count or text[-1:] != b"\x00":
+        raise MalformedMessageError("SwarmEvent", "`detail` is cut off or not terminated")
+    if len(data) >= _EVENT.size + count + _TRANSPORT_PADDING:
+        raise MalformedMessageError("SwarmEvent", f"{len(data)} bytes, expected {_EVENT.size + count}")
+    try:
+        detail = text[:-1].decode()
+    except UnicodeDecodeError as error:
+        raise MalformedMessageError("SwarmEvent", "`detail` is not UTF-8") from error
+    return SwarmEvent(seconds * _SECOND + nanoseconds, step, agent_id, kind, value, detail)
+
+
+def _check_head(message_type: type[Message], encapsulation: bytes, length: int, frame: bytes) -> None:
+    if encapsulation[:2] != _ENCAPSULATION[:2]:
+        raise MalformedMessageError(message_type.__name__, "not little-endian CDR")
+    if length != len(_FRAME) or frame != _FRAME:
+        raise MalformedMessageError(message_type.__name__, f"frame_id is not {FRAME_ID!r}")
+
+
+def agent_id_of(message: Message) -> int:
+    """Return the robot that a message is about, 0 for the messages of the coordinators."""
+    return message.agent_id if isinstance(message, (AgentState, SwarmEvent)) else 0

@@ -1,0 +1,166 @@
+"""From a scenario to the configurations of the nodes."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING, cast
+
+from swarmabs_core.behaviours import (
+    AgentConfig,
+    ControllerConfig,
+    LifeSpan,
+    Limits,
+    ObserverConfig,
+    PlaneConfig,
+)
+from swarmabs_core.controllers import ParentContext, make_controller
+from swarmabs_core.friction import Friction
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import Kind
+from swarmabs_core.plant import Disturbance
+from swarmabs_core.scenario import AgentFault
+from swarmabs_core.swarm_law import SwarmGains
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmabs_core.controllers import ParentController
+    from swarmabs_core.parameters import Settings, Value
+    from swarmabs_core.scenario import Scenario
+
+RECORDING_WINDOW = 100
+"""How many steps a recorded run may be ahead of what is on disk."""
+
+KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
+
+
+def members(scenario: Scenario) -> tuple[int, ...]:
+    """Return the ids of all robots, ascending."""
+    return tuple(agent.id for agent in scenario.agents)
+
+
+def schedule(scenario: Scenario) -> tuple[Change, ...]:
+    """Return the scheduled membership changes by step."""
+    return tuple(
+        sorted(
+            Change(scenario.fault_step(fault.at), fault.agent, ChangeKind(fault.kind))
+            for fault in scenario.faults
+            if isinstance(fault, AgentFault)
+        )
+    )
+
+
+def friction(scenario: Scenario) -> Friction:
+    """Return the friction of the bearing."""
+    return Friction(*scenario.plane.friction)
+
+
+def manifold(scenario: Scenario) -> Manifold:
+    """Return the manifold of the desired abstract state."""
+    m = scenario.manifold
+    return Manifold(m.curvature, m.offset, m.torque_max)
+
+
+def observer_config(scenario: Scenario) -> ObserverConfig:
+    """Return the observer's configuration."""
+    return ObserverConfig(
+        members=members(scenario),
+        period_ns=scenario.step_ns,
+        gravity=scenario.plane.gravity,
+        ksd=scenario.swarm.gains.ksd,
+        schedule=schedule(scenario),
+        last_step=scenario.steps,
+    )
+
+
+def plane_config(scenario: Scenario) -> PlaneConfig:
+    """Return the simulated plane's configuration."""
+    plane = scenario.plane
+    return PlaneConfig(
+        members=members(scenario),
+        period_ns=scenario.step_ns,
+        inertia=plane.inertia,
+        length=plane.length,
+        gravity=plane.gravity,
+        friction=friction(scenario),
+        substep=plane.substep,
+        angle=plane.angle,
+        angular_velocity=plane.angular_velocity,
+        disturbance=Disturbance(plane.disturbance.amplitude, plane.disturbance.angular_frequency),
+        schedule=schedule(scenario),
+        last_step=scenario.steps,
+    )
+
+
+def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig:
+    """Return the configuration of the parent controller's node."""
+    return ControllerConfig(
+        period_ns=scenario.step_ns,
+        manifold=manifold(scenario),
+        recording_window=recording_window,
+        last_step=scenario.steps,
+    )
+
+
+def controller_settings(scenario: Scenario) -> Settings:
+    """Return the settings of the control law, nested names joined by dots."""
+    found: dict[str, Value] = {}
+
+    def flatten(prefix: str, values: Mapping[str, object]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                flatten(f"{prefix}{key}.", value)
+            else:
+                found[prefix + key] = cast("Value", value)
+
+    flatten("", scenario.controller.model_dump(exclude={"type"}))
+    return found
+
+
+def parent_controller(scenario: Scenario) -> ParentController:
+    """Return the control law of the plane."""
+    context = ParentContext(scenario.period, scenario.plane.inertia, friction(scenario), manifold(scenario))
+    return make_controller(scenario.controller.type, controller_settings(scenario), context)
+
+
+def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
+    """Return the robots' configurations by ascending id."""
+    g = scenario.swarm.gains
+    gains = SwarmGains(g.k, g.kp, g.kd, g.ksd)
+    limits = Limits(scenario.limits.velocity or inf, scenario.limits.force or inf)
+    lives: dict[int, LifeSpan] = {}
+    for change in schedule(scenario):
+        life = lives.get(change.agent_id, LifeSpan())
+        if change.kind is ChangeKind.JOIN:
+            lives[change.agent_id] = LifeSpan(change.step, life.end, life.end_step)
+        else:
+            lives[change.agent_id] = LifeSpan(life.first_step, change.kind, change.step)
+    delay, probability = 0, 0.0
+    for fault in scenario.faults:
+        if fault.kind == "delay":
+            delay = fault.steps
+        elif fault.kind == "loss":
+            probability = fault.probability
+    return tuple(
+        AgentConfig(
+            agent_id=agent.id,
+            kind=KINDS[agent.kind],
+            mass=agent.mass,
+            position=agent.position,
+            velocity=agent.velocity,
+            gains=gains,
+            period_ns=scenario.step_ns,
+            gravity=scenario.plane.gravity,
+            plane_length=scenario.plane.length,
+            damping=agent.damping,
+            limits=limits,
+            life=lives.get(agent.id, LifeSpan()),
+            delay=delay,
+            loss_probability=probability,
+            seed=scenario.seed,
+            feels_gravity=scenario.plane.robot_gravity,
+            last_step=scenario.steps,
+        )
+        for agent in scenario.agents
+    )

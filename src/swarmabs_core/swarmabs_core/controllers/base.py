@@ -1,0 +1,69 @@
+"""What a parent controller is to the rest of the system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from swarmabs_core.friction import Friction
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.messages import PlaneState
+from swarmabs_core.parameters import Parameter, Settings
+
+
+@dataclass(frozen=True, slots=True)
+class ParentContext:
+    """What a parent controller may know of the system that it controls.
+
+    Parameters
+    ----------
+    period : float
+        Control period, s.
+    inertia : float
+        Moment of inertia of the plane alone, kg m^2.
+    friction : Friction
+        Model of the bearing's friction.
+    manifold : Manifold
+        Curve on which the desired abstract state lies.
+    """
+
+    period: float
+    inertia: float
+    friction: Friction
+    manifold: Manifold
+
+
+class Trajectory(Protocol):
+    """Reference of the plane's angle."""
+
+    def derivatives(self, time: float) -> tuple[float, float, float, float, float]:
+        """Return th_d and its first four derivatives (rad, rad/s, ... rad/s^4) at a time in s."""
+        ...
+
+
+class ParentController(Protocol):
+    """A control law for the plane. It may keep a state, so it is asked once per step, in order."""
+
+    def torque(self, time: float, plane: PlaneState) -> float:
+        """Return the torque tau_raw (N m) wanted at a time (s), before it is limited and filtered.
+
+        Raises
+        ------
+        RunError
+            If the law is not defined in this state of the plane.
+        """
+        ...
+
+    def reference(self, time: float) -> float:
+        """Return the angle (rad) that the plane should have at a time (s)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerType:
+    """An entry of the registry: name, declared settings and how to make a controller from them, checked."""
+
+    name: str
+    settings: tuple[Parameter, ...]
+    make: Callable[[Settings, ParentContext], ParentController]

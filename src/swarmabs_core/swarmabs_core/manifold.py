@@ -1,0 +1,40 @@
+"""The curve in the abstract space on which the desired abstract state is kept (eq. JLimit)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Manifold:
+    """J_sd = curvature tau^2 + offset for |tau| <= torque_max.
+
+    Parameters
+    ----------
+    curvature : float
+        kg m^2/(N m)^2.
+    offset : float
+        kg m^2.
+    torque_max : float
+        N m (eq. tauLimit).
+    """
+
+    curvature: float
+    offset: float
+    torque_max: float
+
+    def clip(self, torque: float) -> float:
+        """Return the torque (N m) limited to +-torque_max."""
+        return min(max(torque, -self.torque_max), self.torque_max)
+
+    def inertia(self, torque: float) -> float:
+        """Return the inertia (kg m^2) that belongs to a torque (N m)."""
+        return self.curvature * torque * torque + self.offset
+
+    def inertia_rate(self, torque: float, rate: float) -> float:
+        """Return the inertia's rate of change (kg m^2/s) along the curve; `rate` in N m/s."""
+        return 2.0 * self.curvature * torque * rate
+
+    def inertia_acceleration(self, torque: float, rate: float, acceleration: float) -> float:
+        """Return the inertia's second derivative (kg m^2/s^2) along the curve; `acceleration` in N m/s^2."""
+        return 2.0 * self.curvature * (rate * rate + torque * acceleration)

@@ -1,0 +1,141 @@
+"""Who takes part in which step: the same rule for observer, plane and recorder.
+
+Scheduled changes (the faults of a scenario) are known to all three beforehand. A change that nobody planned
+is decided by the observer alone and reaches the others as an event.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import EventKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+class ChangeKind(str, Enum):
+    """How a robot's membership changes at a step."""
+
+    JOIN = "join"
+    """It publishes its first state at the step."""
+    LEAVE = "leave"
+    """It publishes its last state, saying so, at the step; afterwards its weight is gone."""
+    KILL = "kill"
+    """It publishes its last state at the step; afterwards it stands still where it was."""
+    FREEZE = "freeze"
+    """Like `KILL`, but the process is stopped and not ended."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Change:
+    """A scheduled change of one robot's membership."""
+
+    step: int
+    agent_id: int
+    kind: ChangeKind
+
+    def __str__(self) -> str:
+        return f"{self.kind.value} {self.agent_id} {self.step}"
+
+    @classmethod
+    def parse(cls, text: str) -> Change:
+        """Read ``KIND AGENT STEP``, such as ``kill 3 500``.
+
+        Raises
+        ------
+        InputError
+            If the text is not of this form.
+        """
+        try:
+            kind, agent_id, step = text.split()
+            return cls(int(step), int(agent_id), ChangeKind(kind))
+        except ValueError:
+            raise InputError(
+                f"membership change {text!r} is not of the form 'KIND AGENT STEP' with KIND one of "
+                + ", ".join(kind.value for kind in ChangeKind)
+            ) from None
+
+
+@dataclass(slots=True)
+class _Span:
+    """First and last step at which a robot publishes, and whether its weight stays on the plane then."""
+
+    first: int = 0
+    last: int | None = None
+    stays: bool = False
+    reason: str = ""
+
+    def covers(self, step: int) -> bool:
+        return self.first <= step and (self.last is None or step <= self.last)
+
+
+class Membership:
+    """Membership of the swarm by step.
+
+    Parameters
+    ----------
+    members : iterable of int
+        Ids of all robots that ever take part.
+    schedule : iterable of Change
+        Scheduled changes; a robot without a ``join`` takes part from step 0.
+    """
+
+    def __init__(self, members: Iterable[int], schedule: Iterable[Change] = ()) -> None:
+        self._spans = {agent_id: _Span() for agent_id in sorted(members)}
+        for change in sorted(schedule):
+            if change.agent_id not in self._spans:
+                raise InputError(f"membership change '{change}': there is no robot {change.agent_id}")
+            span = self._spans[change.agent_id]
+            if change.kind is ChangeKind.JOIN:
+                span.first = change.step
+            else:
+                self._end(
+                    span, change.step, stays=change.kind is not ChangeKind.LEAVE, reason=change.kind.value
+                )
+        self._cached: tuple[int, tuple[int, ...]] = (-1, ())
+
+    def _end(self, span: _Span, last: int, *, stays: bool, reason: str) -> None:
+        span.last, span.stays, span.reason = last, stays, reason
+        self._cached = (-1, ())
+
+    def __contains__(self, agent_id: object) -> bool:
+        return agent_id in self._spans
+
+    def publishing(self, step: int) -> tuple[int, ...]:
+        """Return the ids, ascending, of the robots whose state of a step is waited for."""
+        if self._cached[0] != step:
+            self._cached = (step, tuple(i for i, span in self._spans.items() if span.covers(step)))
+        return self._cached[1]
+
+    def publishes(self, agent_id: int, step: int) -> bool:
+        """Tell whether a robot publishes its state of a step."""
+        return agent_id in self._spans and self._spans[agent_id].covers(step)
+
+    def stays(self, agent_id: int) -> bool:
+        """Tell whether a robot that publishes no more remains on the plane."""
+        return self._spans[agent_id].stays
+
+    def changes(self, step: int) -> list[tuple[int, EventKind, str]]:
+        """Return robot, kind and reason of every change that holds from a step on, by robot id."""
+        found = []
+        for agent_id, span in self._spans.items():
+            if span.first == step and step > 0:
+                found.append((agent_id, EventKind.JOINED, ""))
+            if span.last is not None and span.last + 1 == step:
+                found.append((agent_id, EventKind.DEAD if span.stays else EventKind.LEFT, span.reason))
+        return found
+
+    def end(self, agent_id: int, last: int, *, stays: bool, reason: str) -> None:
+        """Note that a robot publishes its last state at step `last`; an earlier end that is known stands."""
+        span = self._spans[agent_id]
+        if span.last is None or span.last > last:
+            self._end(span, last, stays=stays, reason=reason)
+
+    def apply(self, kind: int, agent_id: int, step: int, reason: str) -> None:
+        """Take over a change that the observer has announced; `step` is the first at which it holds."""
+        if kind in (EventKind.DEAD, EventKind.LEFT) and agent_id in self._spans:
+            self.end(agent_id, step - 1, stays=kind == EventKind.DEAD, reason=reason)

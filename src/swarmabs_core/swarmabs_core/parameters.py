@@ -1,0 +1,116 @@
+"""Declared parameters: name, default, meaning and bounds in one place.
+
+One table of `Parameter` per node, and per kind of parent controller, feeds the declaration to ROS, the checks
+and the documentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+from swarmabs_core.errors import InputError
+
+Scalar = bool | int | float | str
+Value = Scalar | tuple[int, ...] | tuple[float, ...] | tuple[str, ...]
+Settings = Mapping[str, Value]
+"""Values by parameter name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One declared parameter; its type is that of its default.
+
+    Parameters
+    ----------
+    name : str
+        Name; dots nest.
+    default : Value
+        Value where none is given.
+    description : str
+        Meaning and unit.
+    minimum, maximum : float, optional
+        Inclusive bounds of a number, or of each number of an array.
+    above : float, optional
+        Exclusive lower bound.
+    length : int, optional
+        Length that an array must have.
+    choices : tuple of str, optional
+        The texts allowed.
+    """
+
+    name: str
+    default: Value
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    length: int | None = None
+    choices: tuple[str, ...] | None = None
+
+    def check(self, value: Value) -> Value:
+        """Return the value as the default's type: tuples for arrays, floats for integers where one is due.
+
+        Raises
+        ------
+        InputError
+            If type, length, choice or bounds are not met; the text names parameter, value and what is
+            allowed.
+        """
+        if isinstance(self.default, tuple):
+            return self._check_array(value)
+        return self._check_scalar(value, self.default)
+
+    def _check_array(self, value: Value) -> Value:
+        items = value if isinstance(value, (tuple, list)) else (value,)
+        if self.length is not None and len(items) != self.length:
+            raise self._refusal(value, f"{self.length} elements")
+        model = self.default[0] if isinstance(self.default, tuple) and self.default else None
+        return tuple(item if model is None else self._check_scalar(item, model) for item in items)  # type: ignore[return-value]
+
+    def _check_scalar(self, value: Value, model: Scalar) -> Scalar:
+        if isinstance(model, bool) or isinstance(value, bool):
+            if isinstance(model, bool) and isinstance(value, bool):
+                return value
+            raise self._refusal(value, "true or false" if isinstance(model, bool) else "not a boolean")
+        if isinstance(model, str):
+            if not isinstance(value, str) or (self.choices is not None and value not in self.choices):
+                raise self._refusal(value, "one of " + ", ".join(self.choices) if self.choices else "a text")
+            return value
+        if isinstance(value, int) and isinstance(model, float):
+            value = float(value)
+        if isinstance(value, (str, tuple)) or not isinstance(value, type(model)):
+            raise self._refusal(value, f"a value of type {type(model).__name__}")
+        self._check_bounds(value)
+        return value
+
+    def _check_bounds(self, value: float) -> None:
+        if not isfinite(value):
+            raise self._refusal(value, "a finite number")
+        if self.above is not None and value <= self.above:
+            raise self._refusal(value, f"more than {self.above:g}")
+        if self.minimum is not None and value < self.minimum:
+            raise self._refusal(value, f"at least {self.minimum:g}")
+        if self.maximum is not None and value > self.maximum:
+            raise self._refusal(value, f"at most {self.maximum:g}")
+
+    def _refusal(self, value: object, allowed: str) -> InputError:
+        return InputError(
+            f"parameter {self.name}: {value!r} is not allowed; give {allowed} ({self.description})"
+        )
+
+
+def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dict[str, Value]:
+    """Check given values against a table and fill in the defaults.
+
+    Raises
+    ------
+    InputError
+        For a value that its parameter refuses, and for a name that is not in the table.
+    """
+    unknown = sorted(given.keys() - {parameter.name for parameter in table})
+    if unknown:
+        known = ", ".join(parameter.name for parameter in table)
+        raise InputError(f"{owner} has no parameter {unknown[0]!r}; it has {known}")
+    return {p.name: p.check(given[p.name]) if p.name in given else p.default for p in table}

@@ -1,0 +1,211 @@
+r"""The tilting plane under a moving swarm (eq. newDynamics with eq. frictionModel).
+
+.. math:: (J + J_s) \dot w = -\cos(\theta) \tau_s - \dot J_s w - f_f(w) - \tau_d(t), \qquad \dot\theta = w
+
+Within a control period each robot's path is a polynomial of the time: a straight line for a single
+integrator, which holds its velocity; the cubic Hermite interpolant of positions and velocities at both ends
+for a double integrator; a constant for a robot that stands. So torque and inertia of the swarm are
+polynomials too, of degree 3 and 6, summed once a period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, cos, isfinite, sin, tanh
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.errors import RunError
+from swarmabs_core.summation import exact_sum
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from swarmabs_core.friction import Friction
+
+TORQUE_DEGREE = 3
+INERTIA_DEGREE = 6
+
+
+class RobotPath(NamedTuple):
+    """Mass (kg) and path of a robot over a period: p(s) = c0 + c1 s + c2 s^2 + c3 s^3 (m), s in [0, 1]."""
+
+    mass: float
+    c0: float
+    c1: float
+    c2: float
+    c3: float
+
+
+def standing(mass: float, position: float) -> RobotPath:
+    """Return the path of a robot that does not move."""
+    return RobotPath(mass, position, 0.0, 0.0, 0.0)
+
+
+def straight(mass: float, start: float, end: float) -> RobotPath:
+    """Return the path of a robot that moves from `start` to `end` (m) at constant velocity."""
+    return RobotPath(mass, start, end - start, 0.0, 0.0)
+
+
+def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], period: float) -> RobotPath:
+    """Return the cubic path between two states.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    start, end : tuple of float
+        Position (m) and velocity (m/s) at the beginning and at the end.
+    period : float
+        Time between them, s.
+    """
+    p0, v0 = start
+    p1, v1 = end
+    d0, d1, rise = v0 * period, v1 * period, p1 - p0
+    return RobotPath(mass, p0, d0, 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise)
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmLoad:
+    """Torque and inertia of the swarm over one period as polynomials of s in [0, 1], lowest power first.
+
+    Parameters
+    ----------
+    torque : tuple of float
+        Four coefficients, N m.
+    inertia : tuple of float
+        Seven coefficients, kg m^2.
+    """
+
+    torque: tuple[float, float, float, float]
+    inertia: tuple[float, float, float, float, float, float, float]
+
+
+def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
+    """Sum the robots' loads; the sums are correctly rounded, so the order of the robots does not matter.
+
+    Parameters
+    ----------
+    paths : sequence of RobotPath
+        All robots whose weight is on the plane.
+    gravity : float
+        m/s^2.
+    """
+    t: list[list[float]] = [[], [], [], []]
+    j: list[list[float]] = [[], [], [], [], [], [], []]
+    for m, a, b, c, d in paths:
+        ma, mb = m * a, m * b
+        t[0].append(ma)
+        t[1].append(mb)
+        j[0].append(ma * a)
+        j[1].append(2.0 * ma * b)
+        j[2].append(mb * b)
+        if c or d:
+            mc, md = m * c, m * d
+            t[2].append(mc)
+            t[3].append(md)
+            j[2].append(2.0 * ma * c)
+            j[3].append(2.0 * (ma * d + mb * c))
+            j[4].append(mc * c + 2.0 * mb * d)
+            j[5].append(2.0 * mc * d)
+            j[6].append(md * d)
+    t0, t1, t2, t3 = (gravity * exact_sum(terms) for terms in t)
+    j0, j1, j2, j3, j4, j5, j6 = (exact_sum(terms) for terms in j)
+    return SwarmLoad((t0, t1, t2, t3), (j0, j1, j2, j3, j4, j5, j6))
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """tau_d(t) = amplitude sin(angular_frequency t), in N m and rad/s."""
+
+    amplitude: float
+    angular_frequency: float
+
+    def torque(self, time: float) -> float:
+        """Return the disturbance torque, N m, at a time in s."""
+        return self.amplitude * sin(self.angular_frequency * time) if self.amplitude else 0.0
+
+
+class PlaneDynamics:
+    """Integrates the plane over one control period by the classical Runge-Kutta method with fixed substeps.
+
+    Parameters
+    ----------
+    inertia : float
+        Moment of inertia J of the plane alone, kg m^2.
+    friction : Friction
+        Friction of the bearing.
+    disturbance : Disturbance
+        Disturbance torque.
+    period : float
+        Control period, s.
+    substep : float
+        Largest integration step, s; the period is divided into equal ones. 0.5 to 1 ms suit the paper's
+        friction, whose slope at rest makes the plane stiff.
+    """
+
+    def __init__(
+        self, *, inertia: float, friction: Friction, disturbance: Disturbance, period: float, substep: float
+    ) -> None:
+        self._inertia = inertia
+        self._friction = friction
+        self._disturbance = disturbance
+        self._period = period
+        # A period that is a multiple of the substep must not gain one more by rounding.
+        self._count = max(1, ceil(period / substep * (1.0 - 1e-12)))
+
+    def advance(
+        self, angle: float, angular_velocity: float, time: float, load: SwarmLoad
+    ) -> tuple[float, float]:
+        """Return angle (rad) and angular velocity (rad/s) one period after `time` (s).
+
+        Raises
+        ------
+        RunError
+            If the motion is no longer finite.
+        """
+        count, period = self._count, self._period
+        torque, inertia, inertia_rate, disturbance = self._sample(time, load)
+        g1, g2, g3 = self._friction.g1, self._friction.g2, self._friction.g3
+        g4, g5, g6 = self._friction.g4, self._friction.g5, self._friction.g6
+
+        def acceleration(th: float, w: float, n: int) -> float:
+            friction = g1 * (tanh(g2 * w) - tanh(g3 * w)) + g4 * tanh(g5 * w) + g6 * w
+            return (-cos(th) * torque[n] - inertia_rate[n] * w - friction - disturbance[n]) / inertia[n]
+
+        h = period / count
+        half = 0.5 * h
+        th, w = angle, angular_velocity
+        try:
+            for n in range(0, 2 * count, 2):
+                a1 = acceleration(th, w, n)
+                w2 = w + half * a1
+                a2 = acceleration(th + half * w, w2, n + 1)
+                w3 = w + half * a2
+                a3 = acceleration(th + half * w2, w3, n + 1)
+                w4 = w + h * a3
+                a4 = acceleration(th + h * w3, w4, n + 2)
+                th += h / 6.0 * (w + 2.0 * (w2 + w3) + w4)
+                w += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+        except (ValueError, OverflowError) as error:  # cos(inf)
+            raise RunError(f"the plane's motion is not finite at t = {time:g} s") from error
+        if not (isfinite(th) and isfinite(w)):
+            raise RunError(f"the plane's motion is not finite at t = {time:g} s")
+        return th, w
+
+    def _sample(
+        self, time: float, load: SwarmLoad
+    ) -> tuple[list[float], list[float], list[float], list[float]]:
+        """Evaluate torque, inertia, inertia rate, disturbance at the ends and middles of the substeps."""
+        t0, t1, t2, t3 = load.torque
+        j0, j1, j2, j3, j4, j5, j6 = load.inertia
+        period, points = self._period, 2 * self._count
+        total = self._inertia + j0
+        torque, inertia, inertia_rate, disturbance = [], [], [], []
+        for n in range(points + 1):
+            s = n / points
+            torque.append(t0 + s * (t1 + s * (t2 + s * t3)))
+            inertia.append(total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6))))))
+            slope = j1 + s * (2.0 * j2 + s * (3.0 * j3 + s * (4.0 * j4 + s * (5.0 * j5 + s * 6.0 * j6))))
+            inertia_rate.append(slope / period)
+            disturbance.append(self._disturbance.torque(time + s * period))
+        return torque, inertia, inertia_rate, disturbance

@@ -1,0 +1,270 @@
+"""Gathering of a whole run, step by step: what a recorder writes, in which order, and the digest of it.
+
+A run is complete when every message of the five main topics is there exactly once. Repeats are dropped if
+they are identical and refused if they are not.
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.behaviours.base import ConflictError, UnknownAgentError
+from swarmabs_core.cdr import encode
+from swarmabs_core.membership import Membership
+from swarmabs_core.messages import (
+    EVENTS,
+    MAIN_TOPICS,
+    TOPIC_OF,
+    AgentState,
+    Message,
+    PlaneState,
+    Status,
+    SwarmEvent,
+    Topic,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from swarmabs_core.membership import Change
+
+    Reference = Callable[[float], float]
+
+_COORDINATED = MAIN_TOPICS[1:]
+"""The main topics of which there is one message per step."""
+
+
+class Record(NamedTuple):
+    """A message as it is recorded: topic, robot (0 for none), the message and its canonical bytes."""
+
+    topic: Topic
+    agent_id: int
+    message: Message
+    payload: bytes
+
+
+class RecordedStep(NamedTuple):
+    """All records of a step, in the order in which a bag holds them."""
+
+    step: int
+    records: tuple[Record, ...]
+
+
+class Digest:
+    """SHA-256 over the main topics of a run, steps in ascending order.
+
+    Every record contributes its topic's name without namespace, a zero byte, the length of its payload as
+    little-endian uint32 and the payload; within a step records are sorted by topic and robot.
+    """
+
+    def __init__(self) -> None:
+        self._hash = sha256()
+
+    def update(self, step: RecordedStep) -> None:
+        """Add the next step."""
+        main = [r for r in step.records if r.topic is not EVENTS]
+        for record in sorted(main, key=lambda r: (r.topic.name, r.agent_id)):
+            self._hash.update(
+                b"%b\x00%b" % (record.topic.name.encode(), len(record.payload).to_bytes(4, "little"))
+            )
+            self._hash.update(record.payload)
+
+    def hexdigest(self) -> str:
+        """Return the digest of the steps so far."""
+        return self._hash.hexdigest()
+
+
+class _Slot:
+    """What has arrived of one step."""
+
+    __slots__ = ("agents", "events", "main")
+
+    def __init__(self) -> None:
+        self.main: dict[Topic, Record] = {}
+        self.agents: dict[int, Record] = {}
+        self.events: dict[bytes, Record] = {}
+
+
+class RunCollector:
+    """Puts the messages of a run in order, whenever and however often they arrive.
+
+    Parameters
+    ----------
+    members : iterable of int
+        Ids of all robots that ever take part.
+    schedule : iterable of Change
+        Scheduled changes of the membership.
+    last_step : int
+        The step with which the run ends.
+    memory : int
+        How many steps back repeats are still compared with what was recorded.
+    """
+
+    def __init__(
+        self, members: Iterable[int], schedule: Iterable[Change], last_step: int, *, memory: int = 250
+    ) -> None:
+        self._membership = Membership(members, schedule)
+        self._last_step = last_step
+        self._memory = memory
+        self._step = 0
+        self._slots: dict[int, _Slot] = {}
+
+    @property
+    def step(self) -> int:
+        """The first step that is not complete."""
+        return self._step
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are complete."""
+        return self._step > self._last_step
+
+    def add(self, message: Message) -> list[RecordedStep]:
+        """Take a message; return the steps that are complete with it.
+
+        Raises
+        ------
+        ConflictError
+            If it differs from the message that stands in its place.
+        UnknownAgentError
+            If it comes from a robot that is no member.
+        """
+        topic = TOPIC_OF[type(message)]
+        step = message.step
+        if step > self._last_step or step < self._step - self._memory:
+            return []
+        slot = self._slots.get(step)
+        if slot is None:
+            slot = self._slots[step] = _Slot()
+        if isinstance(message, AgentState):
+            self._add_agent(slot, topic, message)
+        elif isinstance(message, SwarmEvent):
+            return self._add_event(slot, topic, message)
+        else:
+            known = slot.main.get(topic)
+            if known is None:
+                slot.main[topic] = Record(topic, 0, message, encode(message))
+            elif known.payload != encode(message):
+                raise ConflictError(topic.name, step)
+        return self._complete() if step == self._step else []
+
+    def _add_agent(self, slot: _Slot, topic: Topic, state: AgentState) -> None:
+        agent_id = state.agent_id
+        if agent_id not in self._membership:
+            raise UnknownAgentError(agent_id)
+        known = slot.agents.get(agent_id)
+        if known is not None:
+            if known.payload != encode(state):
+                raise ConflictError(f"{topic.name} of agent {agent_id}", state.step)
+            return
+        if not self._membership.publishes(agent_id, state.step):
+            return
+        slot.agents[agent_id] = Record(topic, agent_id, state, encode(state))
+        if state.status == Status.LEFT:
+            self._membership.end(agent_id, state.step, stays=False, reason="left")
+
+    def _add_event(self, slot: _Slot, topic: Topic, event: SwarmEvent) -> list[RecordedStep]:
+        payload = encode(event)
+        if payload in slot.events:
+            return []
+        record = slot.events[payload] = Record(topic, event.agent_id, event, payload)
+        self._membership.apply(event.kind, event.agent_id, event.step, event.detail)
+        if event.step < self._step:  # its step is recorded already: it stands late, but it stands
+            return [RecordedStep(event.step, (record,))]
+        return self._complete()
+
+    def missing(self) -> tuple[str, ...]:
+        """Return what is missing for the current step, for people."""
+        slot = self._slots.get(self._step, _Slot())
+        agents = [i for i in self._membership.publishing(self._step) if i not in slot.agents]
+        topics = [topic.name for topic in _COORDINATED if topic not in slot.main]
+        return (*(f"agent {i}" for i in agents), *topics)
+
+    def missing_agents(self) -> tuple[int, ...]:
+        """Return the robots whose state of the current step is missing."""
+        slot = self._slots.get(self._step, _Slot())
+        return tuple(i for i in self._membership.publishing(self._step) if i not in slot.agents)
+
+    def _complete(self) -> list[RecordedStep]:
+        steps = []
+        while not self.finished and (slot := self._slots.get(self._step)) is not None:
+            expected = self._membership.publishing(self._step)
+            if len(slot.main) < len(_COORDINATED) or any(i not in slot.agents for i in expected):
+                break
+            steps.append(
+                RecordedStep(
+                    self._step,
+                    (
+                        *(slot.agents[i] for i in expected),
+                        *(slot.main[topic] for topic in _COORDINATED),
+                        *(slot.events[key] for key in sorted(slot.events)),
+                    ),
+                )
+            )
+            self._slots.pop(self._step - self._memory, None)
+            self._step += 1
+        return steps
+
+
+class Latest(NamedTuple):
+    """What people watch while a run goes on."""
+
+    step: int
+    angle: float
+    error: float
+
+
+class Metrics:
+    """Figures of a run, accumulated step by step.
+
+    Parameters
+    ----------
+    reference : callable
+        Angle (rad) that the plane should have at a time (s).
+    tolerance : float
+        Error (rad) below which the plane counts as settled.
+    """
+
+    def __init__(self, reference: Reference, tolerance: float = 0.01) -> None:
+        self._reference = reference
+        self._tolerance = tolerance
+        self._settled_at: float | None = None
+        self._error: float | None = None
+        self._squares = 0.0
+        self._steps = 0
+        self._max_abs_position: float | None = None
+        self._messages = 0
+        self.latest: Latest | None = None
+
+    def update(self, step: RecordedStep) -> None:
+        """Add the next step."""
+        self._messages += len(step.records)
+        for record in step.records:
+            message = record.message
+            if isinstance(message, AgentState):
+                self._max_abs_position = max(self._max_abs_position or 0.0, abs(message.position))
+            elif isinstance(message, PlaneState):
+                self._plane(message)
+
+    def _plane(self, plane: PlaneState) -> None:
+        time = plane.stamp / 1e9
+        error = self._reference(time) - plane.angle
+        if abs(error) >= self._tolerance:
+            self._settled_at = None
+        elif self._settled_at is None:
+            self._settled_at = time
+        self._error = error
+        self._squares += error * error
+        self._steps += 1
+        self.latest = Latest(plane.step, plane.angle, error)
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Return the figures under their names in ``summary.json``."""
+        return {
+            "settled_at": self._settled_at,
+            "final_error": self._error,
+            "rms_error": (self._squares / self._steps) ** 0.5 if self._steps else None,
+            "max_abs_position": self._max_abs_position,
+            "messages": self._messages,
+        }

@@ -1,0 +1,72 @@
+"""Scenarios: the one description of a run that everything is started from (design.md, section 4)."""
+
+from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
+from .checks import largest_position, spread
+from .controllers import (
+    CONTROLLER_CONFIGS,
+    TRAJECTORY_CONFIGS,
+    AriseConfig,
+    ConstantTrajectory,
+    ControllerConfig,
+    LqrConfig,
+    PdConfig,
+    SineTrajectory,
+    TrajectoryConfig,
+)
+from .dump import dump_scenario
+from .errors import ScenarioError
+from .faults import (
+    FAULT_KINDS,
+    AgentFault,
+    DelayFault,
+    Fault,
+    FreezeFault,
+    JoinFault,
+    KillFault,
+    LeaveFault,
+    LossFault,
+)
+from .loader import load_scenario, parse_scenario
+from .model import Disturbance, Limits, Lockstep, Manifold, Plane, Scenario, Swarm, SwarmGains
+from .schema import json_schema
+
+__all__ = [
+    "AGENT_KINDS",
+    "CONTROLLER_CONFIGS",
+    "FAULT_KINDS",
+    "TRAJECTORY_CONFIGS",
+    "Agent",
+    "AgentFault",
+    "AriseConfig",
+    "ConstantTrajectory",
+    "ControllerConfig",
+    "DelayFault",
+    "Disturbance",
+    "DoubleIntegratorAgent",
+    "Fault",
+    "FreezeFault",
+    "Generate",
+    "JoinFault",
+    "KillFault",
+    "LeaveFault",
+    "Limits",
+    "Lockstep",
+    "LossFault",
+    "LqrConfig",
+    "Manifold",
+    "PdConfig",
+    "Plane",
+    "Scenario",
+    "ScenarioError",
+    "SineTrajectory",
+    "SingleIntegratorAgent",
+    "Swarm",
+    "SwarmGains",
+    "TrajectoryConfig",
+    "dump_scenario",
+    "json_schema",
+    "largest_position",
+    "load_scenario",
+    "parse_scenario",
+    "spread",
+]

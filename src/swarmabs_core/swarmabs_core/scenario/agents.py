@@ -1,0 +1,182 @@
+"""The robots of a scenario, listed one by one or generated."""
+
+import math
+import random
+from typing import Annotated, ClassVar, Literal, TypeAlias
+
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    TypeAdapter,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from .errors import show
+from .fields import LARGEST, AsPair, Finding, Model, NonNegative, Number, Positive, problem, raise_findings
+
+LARGEST_ID = 65535
+AUTO_INERTIA = 0.0288
+"""Inertia in kg m^2 that the robots have at ``position: auto``: that of the paper's four robots."""
+
+AgentId: TypeAlias = Annotated[int, Field(ge=1, le=LARGEST_ID)]
+
+
+def _offer_velocity(schema: dict[str, JsonValue]) -> None:
+    """Let the schema tolerate what `SingleIntegratorAgent.tolerates` does."""
+    properties = schema["properties"]
+    if isinstance(properties, dict):
+        properties["velocity"] = {"const": 0, "description": "tolerated if 0: it moves by command only, m/s"}
+
+
+class SingleIntegratorAgent(Model):
+    """A robot whose command is its velocity, p' = u."""
+
+    model_config = ConfigDict(json_schema_extra=_offer_velocity)
+
+    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    kind: Literal["single_integrator"] = Field(default="single_integrator", description="p' = u")
+    mass: Positive = Field(description="mass, kg")
+    position: Number = Field(description="initial position on the plane, 0 at the axis, m")
+
+    damping: ClassVar[float] = 0.0
+    velocity: ClassVar[float] = 0.0
+
+    @classmethod
+    def tolerates(cls, key: str, value: object) -> bool:
+        """Tolerate an initial velocity of 0, so that robots of both kinds can be written alike."""
+        return (
+            key == "velocity"
+            and isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and value == 0
+        )
+
+    @classmethod
+    def unknown_key(cls, key: str) -> PydanticCustomError:
+        """Explain which kind of robot has the key."""
+        if key == "damping":
+            return problem(
+                "a single integrator has no damping", "remove it, or use 'kind: double_integrator'"
+            )
+        if key == "velocity":
+            return problem(
+                "a single integrator starts at velocity 0",
+                "remove it, or use 'kind: double_integrator' with a damping",
+            )
+        return super().unknown_key(key)
+
+
+class DoubleIntegratorAgent(Model):
+    """A robot whose command is its force, m v' = u - c v."""
+
+    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    kind: Literal["double_integrator"] = Field(default="double_integrator", description="m v' = u - c v")
+    mass: Positive = Field(description="mass, kg")
+    damping: NonNegative = Field(description="viscous damping c of its motion, N s/m; 0 is legal")
+    position: Number = Field(description="initial position on the plane, 0 at the axis, m")
+    velocity: Number = Field(default=0.0, description="initial velocity, m/s")
+
+
+Agent: TypeAlias = SingleIntegratorAgent | DoubleIntegratorAgent
+
+AGENT_KINDS: dict[str, type[Model]] = {
+    "single_integrator": SingleIntegratorAgent,
+    "double_integrator": DoubleIntegratorAgent,
+}
+"""The model of each ``kind`` of robot."""
+
+_POSITIVE: TypeAdapter[float] = TypeAdapter(Positive)
+
+
+def _auto_or_number(value: object) -> object:
+    if value == "auto":
+        return value
+    if isinstance(value, str):
+        raise problem(
+            f"expected a number or auto, found the text {show(value)}", "write 'auto', or a number in m"
+        )
+    return _POSITIVE.validate_python(value, strict=True)
+
+
+class Generate(Model):
+    """A swarm drawn at random: ids from 1, single integrators first, positions +p, -p alternating."""
+
+    single_integrator: int = Field(
+        default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots"
+    )
+    double_integrator: int = Field(
+        default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots"
+    )
+    mass: Annotated[tuple[Positive, Positive], AsPair] = Field(
+        default=(0.25, 0.75), description="[smallest, largest] mass, uniformly distributed, kg"
+    )
+    damping: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
+        default=(0.5, 1.5),
+        description="[smallest, largest] damping of a double integrator, uniformly distributed, N s/m",
+    )
+    position: Annotated[
+        float | Literal["auto"],
+        BeforeValidator(_auto_or_number),
+        WithJsonSchema(
+            {"anyOf": [{"const": "auto"}, {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}]}
+        ),
+    ] = Field(
+        default="auto",
+        description="distance p of every robot from the axis, m; auto: sqrt(0.0288/M), M = total mass",
+    )
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of Python's random.Random")
+
+    @model_validator(mode="after")
+    def _check_ranges(self) -> "Generate":
+        findings = [
+            Finding.of(
+                (name,),
+                f"the smallest {name} {low!r} exceeds the largest {high!r}",
+                "write [smallest, largest]",
+            )
+            for name, (low, high) in (("mass", self.mass), ("damping", self.damping))
+            if low > high
+        ]
+        count = self.single_integrator + self.double_integrator
+        if count > LARGEST_ID:
+            findings.append(
+                Finding.of(
+                    (), f"{count} robots are more than there are ids", f"generate at most {LARGEST_ID} in all"
+                )
+            )
+        raise_findings("Generate", findings)
+        return self
+
+    def agents(self) -> tuple[Agent, ...]:
+        """Draw the robots.
+
+        With ``r = random.Random(seed)``, each robot in order of its id takes its mass from
+        ``r.uniform(*mass)`` and then, if it is a double integrator, its damping from
+        ``r.uniform(*damping)``. A single integrator has no damping and draws none.
+
+        Returns
+        -------
+        tuple of Agent
+            The robots in order of their ids 1, 2, ...: single integrators first, odd ids at +p, even at -p.
+        """
+        draw = random.Random(self.seed)  # noqa: S311 - reproducible, not secret
+        bodies: list[tuple[float, float | None]] = []
+        for index in range(self.single_integrator + self.double_integrator):
+            mass = draw.uniform(*self.mass)
+            bodies.append((mass, None if index < self.single_integrator else draw.uniform(*self.damping)))
+        if isinstance(self.position, float):
+            distance = self.position
+        else:
+            distance = math.sqrt(AUTO_INERTIA / math.fsum(mass for mass, _ in bodies)) if bodies else 0.0
+        agents: list[Agent] = []
+        for number, (mass, damping) in enumerate(bodies, start=1):
+            position = distance if number % 2 else -distance
+            if damping is None:
+                agents.append(SingleIntegratorAgent(id=number, mass=mass, position=position))
+            else:
+                agents.append(DoubleIntegratorAgent(id=number, mass=mass, damping=damping, position=position))
+        return tuple(agents)

@@ -1,0 +1,323 @@
+"""Checks that look at several fields of a scenario at once, and warnings about legal but doubtful ones."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from fractions import Fraction
+from functools import partial
+from typing import TYPE_CHECKING
+
+from .faults import AgentFault, DelayFault, JoinFault, LeaveFault, LossFault
+from .fields import SMALLEST, Finding, Location
+from .timing import NANOSECONDS
+
+if TYPE_CHECKING:
+    from .agents import Agent
+    from .model import Manifold, Scenario
+
+SMALLEST_SPREAD = 1e-12
+"""S3 must exceed this many S0^2 L^2: below, the robots cannot tell torque from inertia."""
+
+
+def findings(scenario: "Scenario") -> list[Finding]:
+    """Return every error of a scenario whose fields are valid one by one."""
+    # A later check relies on, or is only of interest after, the earlier ones.
+    for checks in ((_timing,), (_ids, _positions, _faults), (_spread,), (_preimage,)):
+        if found := [finding for check in checks for finding in check(scenario)]:
+            return found
+    return []
+
+
+def warnings(scenario: "Scenario") -> tuple[str, ...]:
+    """Return what is legal but likely to go wrong, one line each."""
+    checks = (_outside_reachable_set, _underdamped, _wrong_feedback, _membership)
+    return tuple(text for check in checks for text in check(scenario))
+
+
+def spread(agents: Iterable["Agent"]) -> tuple[float, float]:
+    """Return S0 (kg^2) and S3 = S0 sum m^2 (p - S1/S0)^2 (kg^4 m^2) of `agents`, from centred positions."""
+    members = [(agent.mass * agent.mass, agent.position) for agent in agents]
+    s0 = math.fsum(square for square, _ in members)
+    centre = math.fsum(square * position for square, position in members) / s0
+    return s0, s0 * math.fsum(square * (position - centre) ** 2 for square, position in members)
+
+
+def largest_position(torque: float, inertia: float, masses: Sequence[float], gravity: float) -> float:
+    """Return the largest |p_i| (m) that any robot can have in the preimage of an abstract state.
+
+    With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
+    attained; it is infinite where the preimage is empty.
+
+    Parameters
+    ----------
+    torque, inertia : float
+        The abstract state: tau_s in N m, Js in kg m^2.
+    masses : sequence of float
+        The robots' masses in kg.
+    gravity : float
+        g in m/s^2.
+    """
+    total = math.fsum(masses)
+    moment = torque / gravity
+    free = inertia - moment * moment / total
+    if free < 0:
+        return math.inf
+    return abs(moment) / total + math.sqrt(free * max(0.0, 1 / min(masses) - 1 / total))
+
+
+def _timing(scenario: "Scenario") -> Iterator[Finding]:
+    if scenario.duration_ns % scenario.step_ns:
+        below = scenario.duration_ns // scenario.step_ns * scenario.step_ns
+        near = [ns for ns in (below, below + scenario.step_ns) if ns > 0]
+        yield Finding.of(
+            ("duration",),
+            f"the duration {scenario.duration!r} s is not a multiple of the step {scenario.step!r} s",
+            f"use a duration of {' or '.join(repr(ns / NANOSECONDS) for ns in near)} s, or another step",
+            see=("step",),
+        )
+
+
+def _ids(scenario: "Scenario") -> Iterator[Finding]:
+    if len(scenario.agents) < 2:
+        count = len(scenario.agents)
+        yield Finding.of(
+            _swarm_location(scenario),
+            f"a swarm needs at least two robots, found {count}",
+            "add robots: torque and inertia are two quantities",
+        )
+    first: dict[int, Location] = {}
+    for index, agent in enumerate(scenario.swarm.agents or ()):
+        location: Location = ("swarm", "agents", index, "id")
+        if agent.id in first:
+            free = next(number for number in range(1, 65537) if number not in first)
+            yield Finding.of(
+                location,
+                f"robot {agent.id} is listed twice",
+                f"give every robot its own id, e.g. {free}",
+                see=first[agent.id],
+            )
+        first.setdefault(agent.id, location)
+
+
+def _positions(scenario: "Scenario") -> Iterator[Finding]:
+    half = scenario.plane.length / 2
+    remedy = f"keep it within +-{half!r} m, or lengthen the plane ('plane.length')"
+    if scenario.swarm.generate is not None:
+        distance = max((abs(agent.position) for agent in scenario.agents), default=0.0)
+        if distance > half:
+            yield Finding.of(
+                ("swarm", "generate", "position"),
+                f"{distance!r} m is off the plane, whose half length is {half!r} m",
+                remedy,
+            )
+        return
+    for index, agent in enumerate(scenario.swarm.agents or ()):
+        if abs(agent.position) > half:
+            yield Finding.of(
+                ("swarm", "agents", index, "position"),
+                f"{agent.position!r} m is off the plane, whose half length is {half!r} m",
+                remedy,
+            )
+
+
+def _spread(scenario: "Scenario") -> Iterator[Finding]:
+    where = _swarm_location(scenario)
+    present = scenario.initial_agents
+    if len(present) < 2:
+        yield Finding.of(
+            where,
+            f"a swarm needs at least two robots at step 0, found {len(present)}: the others join later",
+            "let fewer robots join later, or add robots",
+        )
+        return
+    s0, s3 = spread(present)
+    if s3 <= SMALLEST_SPREAD * s0 * s0 * scenario.plane.length * scenario.plane.length:
+        yield Finding.of(
+            where,
+            f"the robots stand at one point (S3 = {s3:.3g} kg^4 m^2), "
+            "where torque and inertia cannot be steered independently",
+            "give them different positions, e.g. alternating +0.125 and -0.125",
+        )
+
+
+def _preimage(scenario: "Scenario") -> Iterator[Finding]:
+    # A tau^2 + B - tau^2/(g^2 M) is linear in tau^2, positive at 0: if negative anywhere, then at torque_max.
+    manifold, mass = scenario.manifold, _total_mass(scenario.agents)
+    if (failing := _empty_from(manifold, mass, scenario.plane.gravity)) is None:
+        return
+    weight = scenario.plane.gravity**2 * (manifold.curvature + manifold.offset / manifold.torque_max**2)
+    yield Finding.of(
+        ("manifold",),
+        f"no positions of the robots ({mass:.6g} kg in all) have the inertia curvature*tau^2 + offset "
+        f"for |tau| > {failing:.6g} N m, and torque_max is {manifold.torque_max!r}",
+        f"lower torque_max to {_rounded_down(failing)!r}, "
+        f"or use at least {_rounded_up(1 / weight)!r} kg of robots",
+    )
+
+
+def _empty_from(manifold: "Manifold", mass: float, gravity: float) -> float | None:
+    """Return the torque (N m) above which the preimage of the manifold is empty, None if it never is."""
+    curvature, offset, largest = (
+        Fraction(x) for x in (manifold.curvature, manifold.offset, manifold.torque_max)
+    )
+    needed = 1 / (Fraction(gravity) ** 2 * Fraction(mass))
+    if curvature * largest**2 + offset >= needed * largest**2:
+        return None
+    return math.sqrt(offset / (needed - curvature))
+
+
+def _rounded_down(value: float) -> float:
+    return float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal_from_float(value))
+
+
+def _rounded_up(value: float) -> float:
+    return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal_from_float(value))
+
+
+def _faults(scenario: "Scenario") -> Iterator[Finding]:
+    ids = {agent.id for agent in scenario.agents}
+    last = scenario.steps
+    joined: dict[int, tuple[int, Location]] = {}
+    gone: dict[int, tuple[int, Location]] = {}
+    single: dict[type, Location] = {}
+    for index, fault in enumerate(scenario.faults):
+        here: Location = ("faults", index)
+        if isinstance(fault, LossFault | DelayFault):
+            if type(fault) in single:
+                yield Finding.of(
+                    here, f"a second {fault.kind}", f"keep one {fault.kind}", see=single[type(fault)]
+                )
+            single.setdefault(type(fault), here)
+            continue
+        if fault.agent not in ids:
+            near = min(ids, key=partial(_distance, fault.agent), default=1)
+            yield Finding.of(
+                (*here, "agent"), f"there is no robot {fault.agent}", f"name an existing one, e.g. {near}"
+            )
+            continue
+        step = scenario.fault_step(fault.at)
+        if step > last:
+            yield Finding.of(
+                (*here, "at"),
+                f"{fault.at!r} s is step {step}, after the last step {last}",
+                f"use a time within the duration of {scenario.duration!r} s",
+            )
+        kept = joined if isinstance(fault, JoinFault) else gone
+        if fault.agent in kept:
+            what = "joins twice" if isinstance(fault, JoinFault) else "is killed, frozen or leaves twice"
+            yield Finding.of(
+                here, f"robot {fault.agent} {what}", "keep one of them", see=kept[fault.agent][1]
+            )
+        kept.setdefault(fault.agent, (step, here))
+    for number in sorted(joined.keys() & gone.keys()):
+        if 0 < joined[number][0] >= gone[number][0]:
+            yield Finding.of(
+                (*joined[number][1], "at"),
+                f"robot {number} joins at step {joined[number][0]}, but is out from step {gone[number][0]}",
+                "let it join at an earlier step",
+                see=gone[number][1],
+            )
+
+
+def _distance(wanted: int, known: int) -> tuple[int, int]:
+    return abs(known - wanted), known
+
+
+def _swarm_location(scenario: "Scenario") -> Location:
+    return ("swarm", "agents" if scenario.swarm.agents is not None else "generate")
+
+
+def _total_mass(agents: Iterable["Agent"]) -> float:
+    return math.fsum(agent.mass for agent in agents)
+
+
+def _outside_reachable_set(scenario: "Scenario") -> Iterator[str]:
+    manifold, half = scenario.manifold, scenario.plane.length / 2
+    masses = [agent.mass for agent in scenario.agents]
+
+    def reach(torque: float) -> float:
+        inertia = manifold.curvature * torque * torque + manifold.offset
+        return largest_position(torque, inertia, masses, scenario.plane.gravity)
+
+    leaves = _first_crossing(reach, half, manifold.torque_max)
+    if leaves is not None:
+        yield (
+            f"manifold: from |tau| = {leaves:.4g} N m on, below torque_max = {manifold.torque_max!r}, "
+            "some positions with the wanted torque and inertia are off the plane (the manifold leaves A_A); "
+            "lower torque_max, or lengthen the plane"
+        )
+
+
+def _first_crossing(function: Callable[[float], float], bound: float, end: float) -> float | None:
+    """Return the first argument in [0, end] at which `function` exceeds `bound`, None if it never does."""
+    grid = 1000
+    low = 0.0
+    for index in range(grid + 1):
+        high = end * index / grid
+        if function(high) > bound:
+            while high - low > 1e-9 * end:
+                middle = (low + high) / 2
+                low, high = (low, middle) if function(middle) > bound else (middle, high)
+            return high
+        low = high
+    return None
+
+
+def _underdamped(scenario: "Scenario") -> Iterator[str]:
+    if all(agent.kind != "double_integrator" for agent in scenario.initial_agents):
+        return
+    kp, kd = scenario.swarm.gains.kp[1], scenario.swarm.gains.kd[1]
+    ratio = kd / (2 * math.sqrt(kp))
+    if ratio >= 1:
+        return
+    initial = math.fsum(agent.mass * agent.position**2 for agent in scenario.initial_agents)
+    overshoot = math.exp(-math.pi * ratio / math.sqrt(1 - ratio * ratio))
+    undershoot = overshoot * (initial - scenario.manifold.offset)
+    if undershoot >= scenario.manifold.offset / 2:
+        yield (
+            f"swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, {initial:.4g} kg m^2 at the start, undershoot "
+            f"the {scenario.manifold.offset!r} it should reach by {undershoot:.3g}, and near 0 the swarm is "
+            f"flung apart; use a kd of at least {_rounded_up(2 * math.sqrt(kp))!r}, or smaller positions"
+        )
+
+
+def _wrong_feedback(scenario: "Scenario") -> Iterator[str]:
+    gains = getattr(scenario.controller, "gains", None)
+    if scenario.controller.type == "pd" and isinstance(gains, tuple) and gains[0] <= 0:
+        yield f"controller.gains: k1 = {gains[0]!r} does not level the plane; use a positive gain"
+
+
+def _membership(scenario: "Scenario") -> Iterator[str]:
+    """Follow the robots that are there through all faults: their number, and the preimage of the manifold."""
+    active = {agent.id for agent in scenario.initial_agents}
+    heavy = set(active)
+    by_step: dict[int, list[AgentFault]] = {}
+    for fault in scenario.faults:
+        if isinstance(fault, AgentFault):
+            # A robot that joins is there in the fault step, one that goes is so for the last time.
+            first = scenario.fault_step(fault.at) + (not isinstance(fault, JoinFault))
+            if first <= scenario.steps:
+                by_step.setdefault(first, []).append(fault)
+    states = [(0, len(active), frozenset(heavy))]
+    for step in sorted(by_step):
+        for change in by_step[step]:
+            if isinstance(change, JoinFault):
+                active.add(change.agent)
+                heavy.add(change.agent)
+            else:
+                active.discard(change.agent)
+                if isinstance(change, LeaveFault):
+                    heavy.discard(change.agent)
+        states.append((step, len(active), frozenset(heavy)))
+    few = next(((step, count) for step, count, _ in states if count < 2), None)
+    if few is not None:
+        yield f"faults: from step {few[0]} on only {few[1]} robots are active; torque and inertia need two"
+    for step, _, present in states:
+        mass = _total_mass(agent for agent in scenario.agents if agent.id in present)
+        failing = None if mass < SMALLEST else _empty_from(scenario.manifold, mass, scenario.plane.gravity)
+        if failing is not None:
+            yield (
+                f"faults: from step {step} on the robots present weigh {mass:.4g} kg, too little for the "
+                f"manifold beyond |tau| = {failing:.4g} N m; lower manifold.torque_max, or keep more robots"
+            )
+            return

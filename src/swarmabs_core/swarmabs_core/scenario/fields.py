@@ -1,0 +1,216 @@
+"""What all scenario models are built of: the strict base model, bounded numbers, lists and tagged choices."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Annotated, ClassVar, TypeAlias
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+from .errors import describe, shorten, show
+
+Location: TypeAlias = tuple[str | int, ...]
+
+LARGEST = 1e12
+"""Largest magnitude of any number: far above anything physical, so low that no sum or square overflows."""
+SMALLEST = 1e-12
+"""Smallest magnitude of a number that must be positive."""
+
+
+def problem(text: str, remedy: str, see: Location | None = None) -> PydanticCustomError:
+    """Return an error with a remedy; `see` is the location of the other field that takes part in it."""
+    context: dict[str, str | Location] = {"problem": text, "remedy": remedy}
+    if see is not None:
+        context["see"] = see
+    return PydanticCustomError("scenario", "{problem}; {remedy}", context)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An error at a location relative to the model that is being validated."""
+
+    location: Location
+    error: PydanticCustomError
+
+    @classmethod
+    def of(cls, location: Location, text: str, remedy: str, see: Location | None = None) -> "Finding":
+        """Return the finding with its error made from texts, see `problem`."""
+        return cls(location, problem(text, remedy, see))
+
+
+def as_error(title: str, findings: Sequence[Finding]) -> ValidationError:
+    """Return one validation error with all findings."""
+    details = [InitErrorDetails(type=f.error, loc=f.location, input=None) for f in findings]
+    return ValidationError.from_exception_data(title, details)
+
+
+def raise_findings(title: str, findings: Sequence[Finding]) -> None:
+    """Raise all findings as one validation error; do nothing if there are none."""
+    if findings:
+        raise as_error(title, findings)
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Return a remedy: the known name nearest to `name`, or all known names if none is near."""
+    close = get_close_matches(shorten(name), known, n=1, cutoff=0.6)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known: {', '.join(known)}"
+
+
+class Model(BaseModel):
+    """Base of every part of a scenario: frozen, strict, without unknown keys, all numbers finite."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def key_names(cls) -> list[str]:
+        """Return the keys as written in a scenario file."""
+        return [field.alias or name for name, field in cls.model_fields.items()]
+
+    @classmethod
+    def unknown_key(cls, key: str) -> PydanticCustomError:
+        """Return the error for a key that this model does not have."""
+        return problem(f"unknown key {show(key)}", nearest(key, cls.key_names()))
+
+    @classmethod
+    def tolerates(cls, key: str, value: object) -> bool:
+        """Say whether a key that this model does not have may stand there all the same, without effect."""
+        del key, value
+        return False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, data: object) -> object:
+        # Unknown keys before missing ones, so that a misspelt required key is reported as what it is.
+        if not isinstance(data, Mapping):
+            return data
+        known = set(cls.key_names())
+        unknown = [key for key, value in data.items() if key not in known and not cls.tolerates(key, value)]
+        raise_findings(cls.__name__, [Finding((str(key),), cls.unknown_key(str(key))) for key in unknown])
+        required = {
+            field.alias or name: field for name, field in cls.model_fields.items() if field.is_required()
+        }
+        missing = {key: field.description for key, field in required.items() if key not in data}
+        raise_findings(
+            cls.__name__,
+            [
+                Finding.of((key,), f"'{key}' is missing", f"add '{key}: ...' ({what})")
+                for key, what in missing.items()
+            ],
+        )
+        return {key: value for key, value in data.items() if key in known}
+
+
+def _not_tiny(value: float) -> float:
+    if value < SMALLEST:
+        raise problem(f"{value!r} is too small", f"give a number of at least {SMALLEST}")
+    return value
+
+
+def _without_negative_zero(value: float) -> float:
+    return value + 0.0
+
+
+WithoutNegativeZero = AfterValidator(_without_negative_zero)
+"""Makes -0.0 the 0.0 that it equals, so that equal scenarios give equal bytes."""
+
+Number: TypeAlias = Annotated[float, Field(ge=-LARGEST, le=LARGEST), WithoutNegativeZero]
+NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=LARGEST), WithoutNegativeZero]
+Positive: TypeAlias = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_not_tiny)]
+
+
+def _as_tuple(length: int | None) -> Callable[[object], object]:
+    def convert(value: object) -> object:
+        wanted = "a list" if length is None else f"a list of {length} numbers"
+        if not isinstance(value, list | tuple):
+            raise problem(f"expected {wanted}, found {describe(value)}", f"write {wanted} in [ ]")
+        if length is not None and len(value) != length:
+            raise problem(f"expected {wanted}, found {describe(value)}", f"give exactly {length} numbers")
+        return tuple(value)
+
+    return convert
+
+
+AsTuple = BeforeValidator(_as_tuple(None))
+AsPair = BeforeValidator(_as_tuple(2))
+AsFour = BeforeValidator(_as_tuple(4))
+AsSix = BeforeValidator(_as_tuple(6))
+
+
+class TaggedModel(Model):
+    """A model that is chosen by the value of one of its keys, see `Tagged`."""
+
+    tag_name: ClassVar[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Tagged:
+    """Annotation of a field whose model is looked up in a registry by the value of its tag key.
+
+    The registry is read at every validation, so models that are registered later are accepted from then on.
+
+    Parameters
+    ----------
+    base : type of Model
+        What every registered model derives from; instances are taken as they are.
+    tag : str
+        Name of the tag key.
+    registry : mapping of str to type of Model
+        The model of each value of the tag.
+    default : str, optional
+        Value of the tag when the key is left out; without it the key is required.
+    """
+
+    base: type[Model]
+    tag: str
+    registry: Mapping[str, type[Model]]
+    default: str | None = None
+
+    def validate(self, value: object) -> Model:
+        """Return the registered model that `value` describes."""
+        if isinstance(value, self.base):
+            return value
+        if not isinstance(value, Mapping):
+            raise problem(
+                f"expected a mapping, found {describe(value)}",
+                f"write {{{self.tag}: {next(iter(self.registry))}, ...}}",
+            )
+        known = list(self.registry)
+        name = value.get(self.tag, self.default)
+        if isinstance(name, str) and name in self.registry:
+            return self.registry[name].model_validate(value)
+        if name is None and self.tag not in value:
+            raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known)}")
+        text = show(name) if isinstance(name, str) else f"({describe(name)})"
+        remedy = nearest(name if isinstance(name, str) else "", known)
+        error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
+        raise as_error(self.base.__name__, [error])
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate by the registry and serialise by the model found."""
+        return core_schema.no_info_before_validator_function(self.validate, core_schema.any_schema())
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Offer every registered model; the tag is required unless it is the default."""
+        choices: list[JsonSchemaValue] = []
+        for name, model in self.registry.items():
+            choice = dict(handler(model.__pydantic_core_schema__))
+            if name != self.default:
+                choice["required"] = [self.tag, *choice.get("required", ())]
+            choices.append(choice)
+        return {"oneOf": choices}

@@ -1,0 +1,205 @@
+"""Reading scenarios: text to a checked `Scenario`, every error with its file, line, field and remedy."""
+
+import os
+import re
+import stat
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from .errors import ScenarioError, describe, show
+from .fields import Location, nearest
+from .model import LONGEST_NAME, Scenario
+from .overrides import apply_overrides
+from .yaml_tree import LARGEST_TEXT, Node, dotted, read_tree
+
+_NUMERIC = re.compile(r"\s*[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\s*")
+_START = "begin with 'schema: 1'"
+
+
+def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path : path-like
+        A YAML file in UTF-8; its stem is the default of ``name``.
+    overrides : sequence of str
+        Overrides ``a.b=v`` (the arguments of ``--set``), applied in order, see `apply_overrides`.
+
+    Returns
+    -------
+    Scenario
+        The checked scenario; a swarm that is generated is left to generate, see `Scenario.resolved`.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read or the scenario is invalid.
+    """
+    path = Path(path)
+    source = str(path)
+    data = _read_bytes(path, source)
+    if (nul := data.find(b"\0")) >= 0:
+        raise ScenarioError(
+            source, "not a text file: it has a NUL byte", "give a scenario in YAML", line=_line(data, nul)
+        )
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise ScenarioError(
+            source,
+            f"not UTF-8: byte 0x{data[exc.start]:02x} at offset {exc.start}",
+            "save the file as UTF-8",
+            line=_line(data, exc.start),
+        ) from exc
+    return parse_scenario(text, source=source, default_name=default_name(path.stem), overrides=overrides)
+
+
+def parse_scenario(
+    text: str, *, source: str = "<text>", default_name: str = "scenario", overrides: Sequence[str] = ()
+) -> Scenario:
+    """Read a scenario from a text; parameters as of `load_scenario`.
+
+    Parameters
+    ----------
+    text : str
+        The scenario in YAML.
+    source : str
+        What errors call it.
+    default_name : str
+        The scenario's name if the text has none.
+    overrides : sequence of str
+        Overrides ``a.b=v``.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario is invalid.
+    """
+    root = apply_overrides(_mapping(read_tree(text, source)), overrides)
+    data = root.plain()
+    if isinstance(data, dict):
+        data.setdefault("name", default_name)
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as exc:
+        raise _first_error(exc, root) from exc
+
+
+def default_name(stem: str) -> str:
+    """Return the name of a scenario whose file has this stem: the stem, made a valid name."""
+    name = "".join("_" if c in "/\\" or not c.isprintable() else c for c in stem)
+    if not name[:1].isalnum() and not name.startswith("_"):
+        name = f"_{name}"
+    return name[:LONGEST_NAME].rstrip(" ")
+
+
+def _read_bytes(path: Path, source: str) -> bytes:
+    try:
+        with open(path, "rb", opener=_open_without_waiting) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ScenarioError(source, "not a regular file", "give a scenario file in YAML")
+            data = file.read(LARGEST_TEXT + 1)
+    except IsADirectoryError as exc:
+        raise ScenarioError(source, "is a directory", "give a scenario file in YAML") from exc
+    except FileNotFoundError as exc:
+        raise ScenarioError(source, "no such file", _remedy_missing(path)) from exc
+    except (OSError, ValueError) as exc:  # ValueError: the path has a NUL
+        reason = exc.strerror if isinstance(exc, OSError) and exc.strerror else str(exc)
+        raise ScenarioError(
+            source, f"cannot be read: {reason}", "check the path and its permissions"
+        ) from exc
+    if len(data) > LARGEST_TEXT:
+        raise ScenarioError(
+            source, f"larger than {LARGEST_TEXT} bytes", "shorten it; 'swarm.generate' stands for many robots"
+        )
+    return data
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open a file; a pipe that nobody writes is opened at once, too, so that it can be refused."""
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
+def _remedy_missing(path: Path) -> str:
+    try:
+        names = sorted(entry.name for entry in path.parent.iterdir() if entry.suffix in {".yaml", ".yml"})
+    except OSError:
+        return "check the path"
+    return nearest(path.name, names[:5]) if names else "check the path"
+
+
+def _line(data: bytes, offset: int) -> int:
+    return data.count(b"\n", 0, offset) + 1
+
+
+def _mapping(root: Node) -> Node:
+    if root.value is None:
+        raise root.mark.error("no scenario: there is nothing in it", _START)
+    if not isinstance(root.value, Mapping):
+        raise root.mark.error(
+            f"expected a mapping, found {describe(root.value)}", f"{_START}, then 'key: value' lines"
+        )
+    return root
+
+
+def _first_error(exc: ValidationError, root: Node) -> ScenarioError:
+    """Return the first error in order of the file, those of overrides before it."""
+    errors = [_located(detail, root) for detail in exc.errors(include_url=False)]
+    first = min(errors, key=lambda error: error.line or 0)
+    first.more = len(errors) - 1
+    return first
+
+
+def _located(detail: ErrorDetails, root: Node) -> ScenarioError:
+    """Return the error at its field; of two fields in contradiction, at the one that was overridden."""
+    text, remedy = _explain(detail)
+    fields: list[Location] = [detail["loc"]]
+    if "see" in detail.get("ctx", {}):
+        fields.append(detail["ctx"]["see"])
+    given = [(field, mark) for field in fields for mark, present in [root.locate(field)] if present]
+    if not given:
+        given = [(detail["loc"], root.locate(detail["loc"])[0])]
+    (field, mark), *others = sorted(given, key=lambda place: place[1].line is not None)
+    for _, other in others:
+        text += f" (see {other.source if other.line is None else f'line {other.line}'})"
+    return ScenarioError(mark.source, text, remedy, line=mark.line, field=dotted(field))
+
+
+def _explain(detail: ErrorDetails) -> tuple[str, str]:
+    """Return problem and remedy of one validation error."""
+    context = detail.get("ctx", {})
+    value = detail["input"]
+    kind = detail["type"]
+    if kind == "scenario":
+        return str(context["problem"]), str(context["remedy"])
+    for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<=")):
+        if name in context:
+            bound = context[name]
+            text = f"{bound:.12g}" if isinstance(bound, float) else str(bound)
+            return f"{show(value)} is out of range", f"give a number {sign} {text}"
+    if kind == "literal_error":
+        expected = str(context["expected"])
+        remedy = (
+            nearest(value, re.findall("'([^']*)'", expected))
+            if isinstance(value, str)
+            else f"write {expected}"
+        )
+        return f"expected {expected}, found {describe(value)}", remedy
+    expected, remedy = _EXPECTED.get(kind, ("something else", detail["msg"]))
+    if isinstance(value, str) and _NUMERIC.fullmatch(value) and "number" in expected:
+        remedy = "remove the quotes"
+    return f"expected {expected}, found {describe(value)}", remedy
+
+
+_EXPECTED = {
+    "float_type": ("a number", "write a number, e.g. 0.5"),
+    "finite_number": ("a finite number", "write a number, e.g. 0.5"),
+    "int_type": ("a whole number", "write a whole number, e.g. 1"),
+    "string_type": ("a text", "put it in quotes"),
+    "bool_type": ("true or false", "write true or false"),
+    "model_type": ("a mapping", "write 'key: value' pairs, or leave it out"),
+}

@@ -1,0 +1,135 @@
+"""Overrides from the command line, ``a.b=v``, applied to the tree of a scenario before it is checked."""
+
+from collections.abc import Mapping, Sequence
+
+from .controllers import DEFAULT_CONTROLLER, DEFAULT_TRAJECTORY
+from .errors import describe, shorten
+from .fields import Location
+from .model import Scenario
+from .yaml_tree import Entry, Mark, Node, Plain, read_tree
+
+_LONGEST_SHOWN = 100
+_TYPED = {("controller",): DEFAULT_CONTROLLER, ("controller", "trajectory"): DEFAULT_TRAJECTORY}
+"""The mappings whose keys depend on their ``type``, with the type they have when it is left out."""
+
+
+def apply_overrides(root: Node, overrides: Sequence[str]) -> Node:
+    """Return the tree with all overrides applied in order.
+
+    An override is ``path=value``: the path dotted, list elements by index (the index after the last element
+    appends), the value YAML. Mappings that are missing on the way are created; so are lists that have a
+    default. Where ``controller.type`` (or ``controller.trajectory.type``) is set to another type than the
+    file's, the file's other keys of that mapping are dropped, because they belong to the old type; keys that
+    overrides have set stay.
+
+    Raises
+    ------
+    ScenarioError
+        If an override cannot be read or its path does not fit the tree; its source is the override itself.
+    """
+    for text in overrides:
+        root = _apply(root, text)
+    return root
+
+
+def _apply(root: Node, text: str) -> Node:
+    mark = Mark(f"--set {shorten(text, _LONGEST_SHOWN)}", None)
+    path, equals, value = text.partition("=")
+    parts = path.strip().split(".")
+    if not equals or not all(parts):
+        raise mark.error("not of the form path=value", "write e.g. --set plane.angle=0.2")
+    if len(parts) > 32:
+        raise mark.error(f"a path of {len(parts)} parts", "write e.g. --set plane.angle=0.2")
+    new = read_tree(value, mark.source, numbered=False)
+    for typed, default in _TYPED.items():
+        if parts == [*typed, "type"]:
+            root = _drop_other_type(root, typed, default, new)
+    return _set(root, (), parts, new, root)
+
+
+def _set(node: Node, done: Location, parts: Sequence[str], new: Node, root: Node) -> Node:
+    """Return `node`, which stands at `done` in `root`, with `new` at the path `parts` below it."""
+    if not parts:
+        return new
+    mark, head, rest = new.mark, parts[0], parts[1:]
+    if isinstance(node.value, tuple):
+        index = _index(node.value, done, head, mark)
+        items = list(node.value)
+        child = items[index] if index < len(items) else Node({}, mark)
+        items[index : index + 1] = [_set(child, (*done, index), rest, new, root)]
+        return Node(tuple(items), node.mark)
+    if node.value is not None and not isinstance(node.value, Mapping):
+        raise mark.error(f"it is {describe(node.value)} and has no parts", "set the whole value", done)
+    entries = dict(node.value or {})
+    if head in entries and entries[head].node.value is not None:
+        child, key = entries[head].node, entries[head].mark
+    else:
+        child, key = _missing(root, (*done, head), rest, mark), mark
+    entries[head] = Entry(key if rest else mark, _set(child, (*done, head), rest, new, root))
+    return Node(entries, node.mark)
+
+
+def _index(items: Sequence[Node], done: Location, head: str, mark: Mark) -> int:
+    if not (head.isascii() and head.isdigit()) or len(head) > 9 or int(head) > len(items):
+        raise mark.error(
+            f"'{shorten(head)}' is no index of this list of {len(items)}",
+            f"use 0 to {len(items) - 1}, or {len(items)} to append" if items else "use 0 to append",
+            done,
+        )
+    return int(head)
+
+
+def _missing(root: Node, done: Location, rest: Sequence[str], mark: Mark) -> Node:
+    """Return what stands for a value that the file leaves out: its default if an element of it is set."""
+    if not rest or not (rest[0].isascii() and rest[0].isdigit()):
+        return Node({}, mark)
+    default = _default(root, done)
+    if isinstance(default, list):
+        return _as_node(default, mark)
+    if done == ("swarm", "agents"):
+        raise mark.error(
+            "the robots are not listed one by one", "list them, or set parts of swarm.generate", done
+        )
+    raise mark.error("it is not a list", "set one of its keys, or the whole value", done)
+
+
+def _default(root: Node, location: Location) -> object:
+    """Return the default of a field, given the types that the tree names."""
+    tree = root.plain()
+    data: dict[str, object] = {"schema": 1, "swarm": {"generate": {"single_integrator": 2}}}
+    named = tree.get("controller") if isinstance(tree, dict) else None
+    if isinstance(named, dict) and "type" in named:
+        data["controller"] = {"type": named["type"]}
+    try:
+        default: object = Scenario.model_validate(data).model_dump(mode="json", by_alias=True)
+    except ValueError:  # the controller's type is unknown: said when the scenario is checked
+        return None
+    for part in location:
+        default = default.get(str(part)) if isinstance(default, dict) else None
+    return default
+
+
+def _as_node(value: Plain, mark: Mark) -> Node:
+    if isinstance(value, list):
+        return Node(tuple(_as_node(item, mark) for item in value), mark)
+    if isinstance(value, dict):
+        return Node({key: Entry(mark, _as_node(item, mark)) for key, item in value.items()}, mark)
+    return Node(value, mark)
+
+
+def _drop_other_type(root: Node, path: Sequence[str], default: str, new: Node) -> Node:
+    """Return the tree without the file's keys of the mapping at `path` if its type changes to `new`."""
+    if not path:
+        entries = root.value
+        if not isinstance(entries, Mapping):
+            return root
+        if new.value == (entries["type"].node.value if "type" in entries else default):
+            return root
+        return Node({key: entry for key, entry in entries.items() if entry.mark.line is None}, root.mark)
+    if not isinstance(root.value, Mapping) or path[0] not in root.value:
+        return root
+    entry = root.value[path[0]]
+    return Node(
+        {**root.value, path[0]: Entry(entry.mark, _drop_other_type(entry.node, path[1:], default, new))},
+        root.mark,
+    )

@@ -1,0 +1,320 @@
+"""YAML as a tree that remembers where every key and value stands; nothing is executed and nothing guessed.
+
+Only plain data is read: mappings with text keys, lists, and scalars of the YAML 1.2 core kind. So ``1e-3``
+is a number, ``yes`` and ``1:30`` are texts, and what two YAML versions read differently (``010``) or what is
+no number to compute with (``.nan``) is refused. Size, depth and the number of values after expansion of
+aliases are limited.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NoReturn, TypeAlias
+
+import yaml
+
+from .errors import ScenarioError, describe, show
+from .fields import Location
+
+LARGEST_TEXT = 16 * 2**20
+"""Largest text in bytes; 65,535 listed robots, the most there can be, fit."""
+MOST_VALUES = 2_000_000
+"""Most values and keys, each alias counted as what it stands for."""
+DEEPEST = 32
+"""Deepest nesting of lists and mappings."""
+
+# Only the events of these loaders are used, never what they construct. libyaml's is ten times faster.
+_LOADER = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
+
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_LONGEST_NUMBER = 400
+_CONSTANTS: dict[str, bool | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+_TAG = "tag:yaml.org,2002:"
+_REMOVE_TAG = "remove the tag: a scenario is plain data"
+
+Scalar: TypeAlias = str | int | float | bool | None
+Plain: TypeAlias = "Scalar | list[Plain] | dict[str, Plain]"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Where something stands: a file with a line counted from 1, or an override."""
+
+    source: str
+    line: int | None
+
+    def error(self, problem: str, remedy: str, field: Location = ()) -> ScenarioError:
+        """Return the error that something here is wrong."""
+        return ScenarioError(self.source, problem, remedy, line=self.line, field=dotted(field))
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value with its place; `size` and `height` count what is in it after expansion of aliases."""
+
+    value: "Scalar | tuple[Node, ...] | Mapping[str, Entry]"
+    mark: Mark
+    size: int = 1
+    height: int = 0
+
+    def plain(self) -> Plain:
+        """Return the value without places."""
+        if isinstance(self.value, Mapping):
+            return {key: entry.node.plain() for key, entry in self.value.items()}
+        if isinstance(self.value, tuple):
+            return [node.plain() for node in self.value]
+        return self.value
+
+    def locate(self, location: Location) -> tuple[Mark, bool]:
+        """Return where a field stands and True, or where the nearest of its parents does and False.
+
+        A mapping or a list is where its key is, a scalar where it is itself; what an override has changed, in
+        whole or in part, is where the override is.
+        """
+        node, mark = self, self.mark
+        for part in location:
+            if isinstance(node.value, Mapping) and str(part) in node.value:
+                entry = node.value[str(part)]
+                node = entry.node
+                mark = entry.mark if isinstance(node.value, Mapping | tuple) else node.mark
+            elif isinstance(node.value, tuple) and isinstance(part, int) and part < len(node.value):
+                node = node.value[part]
+                mark = node.mark
+            else:
+                return mark, False
+        return node.override() or mark, True
+
+    def override(self) -> Mark | None:
+        """Return the place of the last value in this one that has no line: overrides have none."""
+        if isinstance(self.value, Mapping):
+            parts = [entry.node for entry in self.value.values()]
+        else:
+            parts = list(self.value) if isinstance(self.value, tuple) else []
+        found = self.mark if self.mark.line is None else None
+        for part in parts:
+            found = part.override() or found
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A value of a mapping with the place of its key."""
+
+    mark: Mark
+    node: Node
+
+
+def dotted(location: Location) -> str:
+    """Return a field's path as ``--set`` takes it."""
+    return ".".join(str(part) for part in location)
+
+
+def read_tree(text: str, source: str, *, numbered: bool = True) -> Node:
+    """Read one YAML document.
+
+    Parameters
+    ----------
+    text : str
+        The document; an empty one is null.
+    source : str
+        The file or override it comes from, for errors.
+    numbered : bool
+        Whether places have line numbers.
+
+    Raises
+    ------
+    ScenarioError
+        If the text is not YAML, not plain data, or too large.
+    """
+    return _Reader(text, source, numbered=numbered).read()
+
+
+class _Reader:
+    """Turns the events of one document into a tree."""
+
+    def __init__(self, text: str, source: str, *, numbered: bool) -> None:
+        self._text = text
+        self._source = source
+        self._numbered = numbered
+        self._values = 0
+        self._anchors: dict[str, Node] = {}
+        self._path: list[str | int] = []
+        self._events: Iterator[yaml.Event] = iter(())
+
+    def read(self) -> Node:
+        if len(self._text) > LARGEST_TEXT:
+            raise self._mark(None).error(
+                f"more than {LARGEST_TEXT} characters", "shorten it; 'swarm.generate' stands for many robots"
+            )
+        if bad := _UNPRINTABLE.search(self._text):
+            line = self._text.count("\n", 0, bad.start())
+            raise self._mark(line).error(
+                f"the character {bad.group()!a} is not text", "remove it; a scenario is text"
+            )
+        self._events = yaml.parse(self._text, Loader=_LOADER)
+        try:
+            return self._document()
+        except yaml.MarkedYAMLError as exc:
+            mark = exc.problem_mark or exc.context_mark
+            text = ", ".join(part for part in (exc.context, exc.problem) if part)
+            column = f" near column {mark.column + 1}" if mark else ""
+            raise self._mark(mark.line if mark else None).error(
+                f"not valid YAML: {text}", f"check indentation, brackets and quotes{column}"
+            ) from exc
+        except yaml.YAMLError as exc:
+            raise self._mark(None).error(f"not valid YAML: {exc}", "write it as UTF-8 text") from exc
+
+    def _document(self) -> Node:
+        root = Node(None, self._mark(0))
+        documents = 0
+        for event in self._events:
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    raise self._at(event).error(
+                        "a second YAML document", "keep one scenario per file, without '---'"
+                    )
+                root = self._node(next(self._events), 0)
+        return root
+
+    def _node(self, event: yaml.Event, depth: int) -> Node:
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event, depth)
+        self._count(event, 1)
+        if isinstance(event, yaml.ScalarEvent):
+            node = Node(self._scalar(event), self._at(event))
+        elif depth >= DEEPEST:
+            self._fail(event, f"nested more than {DEEPEST} deep", "a scenario needs no such nesting")
+        elif isinstance(event, yaml.SequenceStartEvent):
+            node = self._sequence(event, depth + 1)
+        else:
+            node = self._mapping(event, depth + 1)
+        if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+            self._anchors[event.anchor] = node
+        return node
+
+    def _alias(self, event: yaml.AliasEvent, depth: int) -> Node:
+        node = self._anchors.get(event.anchor or "")
+        if node is None:
+            self._fail(
+                event, f"the alias {show(event.anchor)} has no anchor before it", "write the value itself"
+            )
+        self._count(event, node.size)
+        if depth + node.height > DEEPEST:
+            self._fail(event, f"nested more than {DEEPEST} deep", "a scenario needs no such nesting")
+        return node
+
+    def _sequence(self, event: yaml.SequenceStartEvent, depth: int) -> Node:
+        self._require_tag(event, "seq")
+        items: list[Node] = []
+        while not isinstance(event_ := next(self._events), yaml.SequenceEndEvent):
+            self._path.append(len(items))
+            items.append(self._node(event_, depth))
+            self._path.pop()
+        height = 1 + max((node.height for node in items), default=0)
+        return Node(tuple(items), self._at(event), 1 + sum(node.size for node in items), height)
+
+    def _mapping(self, event: yaml.Event, depth: int) -> Node:
+        self._require_tag(event, "map")
+        entries: dict[str, Entry] = {}
+        while not isinstance(event_ := next(self._events), yaml.MappingEndEvent):
+            mark = self._at(event_)
+            key = self._key(event_)
+            self._path.append(key)
+            if key in entries:
+                first = entries[key].mark.line
+                seen = f" (see line {first})" if first else ""
+                raise mark.error(f"the key is given twice{seen}", "remove one of them", tuple(self._path))
+            entries[key] = Entry(mark, self._node(next(self._events), depth))
+            self._path.pop()
+        height = 1 + max((entry.node.height for entry in entries.values()), default=0)
+        size = 1 + sum(1 + entry.node.size for entry in entries.values())
+        return Node(entries, self._at(event), size, height)
+
+    def _key(self, event: yaml.Event) -> str:
+        self._count(event, 1)
+        if not isinstance(event, yaml.ScalarEvent):
+            self._fail(event, "a key that is not a name", "write 'key: value' with a name as key")
+        key = self._scalar(event)
+        if not isinstance(key, str):
+            self._fail(
+                event, f"a key that is not a name: {describe(key)}", "write 'key: value' with a name as key"
+            )
+        return key
+
+    def _scalar(self, event: yaml.ScalarEvent) -> Scalar:
+        tag = event.tag
+        if tag in {"!", f"{_TAG}str"} or (tag is None and not event.implicit[0]):
+            return event.value
+        if tag is None:
+            return self._plain(event)
+        kinds: dict[str, tuple[type, ...]] = {
+            f"{_TAG}int": (int,),
+            f"{_TAG}float": (int, float),
+            f"{_TAG}bool": (bool,),
+            f"{_TAG}null": (type(None),),
+        }
+        if tag not in kinds:
+            self._refuse_tag(event, tag)
+        value = self._plain(event)
+        if type(value) not in kinds[tag]:
+            self._fail(event, f"{describe(value)} does not fit its tag {show(tag)}", _REMOVE_TAG)
+        return value
+
+    def _plain(self, event: yaml.ScalarEvent) -> Scalar:
+        text = event.value
+        if text in _CONSTANTS:
+            return _CONSTANTS[text]
+        if _LEADING_ZERO.fullmatch(text):
+            self._fail(
+                event,
+                f"{show(text)} begins with 0, which could mean octal",
+                "leave out the 0, or quote a text",
+            )
+        if _NOT_FINITE.fullmatch(text):
+            self._fail(event, f"{text} is not a finite number", "give a finite number")
+        if not _FLOAT.fullmatch(text):
+            return text
+        if len(text) > _LONGEST_NUMBER:
+            self._fail(event, f"a number of {len(text)} characters", "give a number a computer can hold")
+        if _INTEGER.fullmatch(text):
+            return int(text)
+        value = float(text)
+        if math.isinf(value):
+            self._fail(event, f"{show(text)} is not a finite number", "give a finite number")
+        return value
+
+    def _require_tag(self, event: yaml.Event, name: str) -> None:
+        tag = getattr(event, "tag", None)
+        if tag not in {None, "!", f"{_TAG}{name}"}:
+            self._refuse_tag(event, tag)
+
+    def _refuse_tag(self, event: yaml.Event, tag: str) -> NoReturn:
+        self._fail(event, f"the tag {show(tag)} is not allowed", _REMOVE_TAG)
+
+    def _count(self, event: yaml.Event, values: int) -> None:
+        self._values += values
+        if self._values > MOST_VALUES:
+            self._fail(
+                event,
+                f"more than {MOST_VALUES} values after expansion of aliases",
+                "write the scenario without aliases",
+            )
+
+    def _fail(self, event: yaml.Event, problem: str, remedy: str) -> NoReturn:
+        raise self._at(event).error(problem, remedy, tuple(self._path))
+
+    def _at(self, event: yaml.Event) -> Mark:
+        return self._mark(event.start_mark.line if event.start_mark else None)
+
+    def _mark(self, line: int | None) -> Mark:
+        return Mark(self._source, line + 1 if line is not None and self._numbered else None)

@@ -1,0 +1,80 @@
+"""The whole system in one process: the same state machines that run as nodes, without ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from swarmabs_core import configure
+from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    TOPIC_OF,
+)
+from swarmabs_core.recording import RunCollector
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from swarmabs_core.behaviours import Behaviour
+    from swarmabs_core.messages import Message, Messages, Topic
+    from swarmabs_core.recording import RecordedStep
+    from swarmabs_core.scenario import Scenario
+
+
+class Simulation:
+    """Observer, plane, parent controller and robots of a scenario, connected by a queue.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to simulate.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        agents = [Agent(config) for config in configure.agent_configs(scenario)]
+        observer = Observer(configure.observer_config(scenario))
+        plane = Plane(configure.plane_config(scenario))
+        controller = Controller(
+            configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
+        )
+        self._behaviours: tuple[Behaviour, ...] = (observer, plane, controller, *agents)
+        self._collector = RunCollector(
+            configure.members(scenario), configure.schedule(scenario), scenario.steps, memory=2
+        )
+        feeling = [agent for agent in agents if PLANE_STATE in agent.needs]
+        hear = [agent.handle for agent in agents]
+        self._subscribers: dict[Topic, tuple[Callable[[Message], Messages], ...]] = {
+            AGENT_STATE: (observer.handle, plane.handle),
+            PLANE_STATE: (controller.handle, *(agent.handle for agent in feeling)),
+            ABSTRACT_STATE: tuple(hear),
+            AUXILIARY_STATE: tuple(hear),
+            DESIRED_ABSTRACT_STATE: tuple(hear),
+            EVENTS: (plane.handle,),
+        }
+
+    def steps(self) -> Iterator[RecordedStep]:
+        """Run, and yield every step as a bag would hold it.
+
+        Raises
+        ------
+        RunError
+            If the run fails, such as by a plane that turns over, or stalls.
+        """
+        queue: deque[Message] = deque()
+        for behaviour in self._behaviours:
+            queue.extend(behaviour.start())
+        while queue:
+            message = queue.popleft()
+            yield from self._collector.add(message)
+            for handle in self._subscribers[TOPIC_OF[type(message)]]:
+                queue.extend(handle(message))
+        if not self._collector.finished:
+            missing = ", ".join(self._collector.missing())
+            raise RunError(f"the run stalls at step {self._collector.step}; missing: {missing}")

@@ -1,0 +1,127 @@
+r"""What a robot commands itself (eq. nodeControlLaw, nodeControlLaw_double).
+
+It knows its own state and the broadcasts alone.
+
+With :math:`e = a_d - a` and :math:`r_i` the i-th row of the pseudo-inverse of the abstraction's Jacobian
+
+.. math:: r_i = \left[\frac{m_i (S_2 - p_i S_1)}{g S_3},\ \frac{m_i (p_i S_0 - S_1)}{2 S_3}\right]
+
+a single integrator commands the velocity :math:`v_i = r_i (K e + \overline{\dot a_d})` and a double
+integrator the force
+
+.. math::
+
+    u_i = m_i r_i (K_p e + (K_d - C_a) \dot e - [0, 2Q] + \ddot a_d)
+        + (c_i + k_{sd}) r_i \dot a_d - k_{sd} v_i
+
+The paper's pseudo-inverse lacks the 1/g, its C_a the division by S3, and its :math:`\dot\Phi \dot p_i` stands
+for the sum over the swarm, which is [0, 2Q]; this module computes the corrected forms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState
+
+Pair = tuple[float, float]
+
+
+def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float) -> Pair:
+    """Return a robot's row of the pseudo-inverse (eq. pinv, with the missing 1/g).
+
+    Parameters
+    ----------
+    mass, position : float
+        kg, m.
+    sums : AuxiliaryState
+        Broadcast sums; S3 must not vanish.
+    gravity : float
+        m/s^2.
+
+    Returns
+    -------
+    tuple of float
+        Velocity per torque rate, m/(N m), and per inertia rate, m/(kg m^2).
+    """
+    return (
+        mass * (sums.s2 - position * sums.s1) / (gravity * sums.s3),
+        mass * (position * sums.s0 - sums.s1) / (2.0 * sums.s3),
+    )
+
+
+def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, float, float]:
+    """Return C_a row by row: how damping acts on the rate of the abstract state, 1/s on the diagonal."""
+    s0, s1, s2, s3 = sums.s0, sums.s1, sums.s2, sums.s3
+    d0, d1, d2 = sums.d0, sums.d1, sums.d2
+    return (
+        (s2 * d0 - s1 * d1) / s3,
+        gravity * (s0 * d1 - s1 * d0) / (2.0 * s3),
+        2.0 * (s2 * d1 - s1 * d2) / (gravity * s3),
+        (s0 * d2 - s1 * d1) / s3,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmGains:
+    """Gains of the swarm's laws, diagonal matrices as pairs (torque, inertia).
+
+    Parameters
+    ----------
+    k : tuple of float
+        Single integrators, 1/s.
+    kp, kd : tuple of float
+        Double integrators, 1/s^2 and 1/s.
+    ksd : float
+        Damping that a double integrator adds to its own, N s/m.
+    """
+
+    k: Pair
+    kp: Pair
+    kd: Pair
+    ksd: float
+
+
+def single_integrator_command(
+    mass: float,
+    position: float,
+    gains: SwarmGains,
+    gravity: float,
+    abstract: AbstractState,
+    sums: AuxiliaryState,
+    desired: DesiredAbstractState,
+) -> float:
+    """Return the velocity command of a single integrator, m/s (eq. nodeControlLaw)."""
+    r0, r1 = pinv_row(mass, position, sums, gravity)
+    k0, k1 = gains.k
+    return r0 * (k0 * (desired.torque - abstract.torque) + desired.mean_torque_rate) + r1 * (
+        k1 * (desired.inertia - abstract.inertia) + desired.mean_inertia_rate
+    )
+
+
+def double_integrator_command(
+    mass: float,
+    damping: float,
+    position: float,
+    velocity: float,
+    gains: SwarmGains,
+    gravity: float,
+    abstract: AbstractState,
+    sums: AuxiliaryState,
+    desired: DesiredAbstractState,
+) -> float:
+    """Return the force command of a double integrator, N (eq. nodeControlLaw_double, corrected)."""
+    r0, r1 = pinv_row(mass, position, sums, gravity)
+    c00, c01, c10, c11 = damping_matrix(sums, gravity)
+    e0 = desired.torque - abstract.torque
+    e1 = desired.inertia - abstract.inertia
+    de0 = desired.torque_rate - abstract.torque_rate
+    de1 = desired.inertia_rate - abstract.inertia_rate
+    y0 = gains.kp[0] * e0 + (gains.kd[0] - c00) * de0 - c01 * de1 + desired.torque_acceleration
+    y1 = (
+        gains.kp[1] * e1 - c10 * de0 + (gains.kd[1] - c11) * de1 - 2.0 * sums.q + desired.inertia_acceleration
+    )
+    feed_forward = r0 * desired.torque_rate + r1 * desired.inertia_rate
+    return mass * (r0 * y0 + r1 * y1) + (damping + gains.ksd) * feed_forward - gains.ksd * velocity

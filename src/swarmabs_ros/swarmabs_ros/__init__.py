@@ -1,0 +1,1 @@
+"""What the ROS nodes of swarmabs share."""

@@ -1,0 +1,174 @@
+"""Publishers and subscriptions of serialised messages, and how a node waits for them.
+
+This is the one place that goes below rclpy's public interface: waiting on a wait set and taking messages directly costs a
+quarter of what an executor with callbacks costs, and that is what carries hundreds of processes on two cores.
+`ExecutorReceiver` does the same with public means and is what to fall back to if a future rclpy changes underneath.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections import deque
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+from swarmabs_ros.qos import OFFERED, Qos
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
+    from rclpy.subscription import Subscription
+
+    from swarmabs_core.messages import Topic
+
+Waiting = Literal["wait_set", "executor"]
+
+_RELIABILITY = {"reliable": QoSReliabilityPolicy.RELIABLE, "best_effort": QoSReliabilityPolicy.BEST_EFFORT}
+_DURABILITY = {"volatile": QoSDurabilityPolicy.VOLATILE, "transient_local": QoSDurabilityPolicy.TRANSIENT_LOCAL}
+
+
+def ros_type(topic: Topic) -> Any:  # noqa: ANN401 - rclpy's message classes have no common base
+    """Return the ROS message class of a topic."""
+    package, _, name = topic.ros_type.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def profile(qos: Qos) -> QoSProfile:
+    """Return rclpy's form of a quality of service."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=qos.depth,
+        reliability=_RELIABILITY[qos.reliability],
+        durability=_DURABILITY[qos.durability],
+    )
+
+
+def advertise(node: Node, topic: Topic) -> Publisher:
+    """Create the publisher of a topic, which takes serialised messages."""
+    return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[topic]))
+
+
+class Receiver(Protocol):
+    """Access to the messages that have arrived."""
+
+    def take(self, topic: Topic) -> bytes | None:
+        """Return the oldest message of a topic that has not been taken, None if there is none."""
+        ...
+
+    def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
+        """Wait until a message of one of the topics is there; return False if it was not in time (s)."""
+        ...
+
+    def publisher_count(self, topic: Topic) -> int:
+        """Return the number of matched publishers of a topic."""
+        ...
+
+
+class WaitSetReceiver:
+    """Waits on a wait set of just the topics in question and takes serialised messages directly.
+
+    Parameters
+    ----------
+    node : Node
+        Node to which the subscriptions belong.
+    subscriptions : mapping
+        Requested quality of service by topic.
+
+    Raises
+    ------
+    ImportError
+        If this rclpy has no such interface; the text names the alternative.
+    """
+
+    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
+        self._context = node.context.handle
+        self._types = {topic: ros_type(topic) for topic in subscriptions}
+        self._subscriptions: dict[Topic, Any] = {
+            topic: node.create_subscription(self._types[topic], topic.name, _never, profile(qos), raw=True)
+            for topic, qos in subscriptions.items()
+        }
+        self._wait_sets: dict[tuple[Topic, ...], Any] = {}
+        try:
+            self._make_wait_set: Any = rclpy_implementation.WaitSet
+            self._take = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
+        except AttributeError as error:
+            raise ImportError(
+                f"this rclpy cannot be waited on directly ({error}); start with the parameter receive:=executor"
+            ) from error
+
+    def take(self, topic: Topic) -> bytes | None:
+        """Return the oldest message of a topic that has not been taken, None if there is none."""
+        taken = self._take[topic](self._types[topic], True)
+        return None if taken is None else taken[0]
+
+    def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
+        """Wait until a message of one of the topics is there; return False if it was not in time (s)."""
+        wait_set = self._wait_sets.get(topics)
+        if wait_set is None:
+            wait_set = self._make_wait_set(len(topics), 0, 0, 0, 0, 0, self._context)
+            self._wait_sets[topics] = wait_set
+        wait_set.clear_entities()
+        for topic in topics:
+            wait_set.add_subscription(self._subscriptions[topic].handle)
+        wait_set.wait(int(timeout * 1e9))
+        return bool(wait_set.get_ready_entities("subscription"))
+
+    def publisher_count(self, topic: Topic) -> int:
+        """Return the number of matched publishers of a topic."""
+        return int(self._subscriptions[topic].get_publisher_count())
+
+
+class ExecutorReceiver:
+    """The same by rclpy's public executor; several times slower.
+
+    Parameters
+    ----------
+    node : Node
+        Node to which the subscriptions belong.
+    subscriptions : mapping
+        Requested quality of service by topic.
+    """
+
+    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
+        self._arrived: dict[Topic, deque[bytes]] = {topic: deque() for topic in subscriptions}
+        self._subscriptions: dict[Topic, Subscription] = {
+            topic: node.create_subscription(
+                ros_type(topic), topic.name, self._arrived[topic].append, profile(qos), raw=True
+            )
+            for topic, qos in subscriptions.items()
+        }
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+
+    def take(self, topic: Topic) -> bytes | None:
+        """Return the oldest message of a topic that has not been taken, None if there is none."""
+        arrived = self._arrived[topic]
+        return arrived.popleft() if arrived else None
+
+    def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
+        """Wait until a message has arrived; return False if none was in time (s)."""
+        try:
+            self._executor.spin_once(timeout_sec=timeout)
+        except ExternalShutdownException:
+            return False
+        return any(self._arrived[topic] for topic in topics)
+
+    def publisher_count(self, topic: Topic) -> int:
+        """Return the number of matched publishers of a topic."""
+        return self._subscriptions[topic].get_publisher_count()
+
+
+def receiver(node: Node, subscriptions: Mapping[Topic, Qos], waiting: Waiting) -> Receiver:
+    """Subscribe to topics in the way asked for."""
+    if waiting == "executor":
+        return ExecutorReceiver(node, subscriptions)
+    return WaitSetReceiver(node, subscriptions)
+
+
+def _never(_: object) -> None:
+    """Stand in for a callback where no executor runs."""

@@ -1,0 +1,151 @@
+"""The loop that drives a node behaviour in lockstep over DDS."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+
+from swarmabs_core.cdr import decode, encode
+from swarmabs_core.messages import TOPIC_OF
+from swarmabs_ros.repeat import WINDOW, Repeater
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.publisher import Publisher
+
+    from swarmabs_core.behaviours import Behaviour
+    from swarmabs_core.messages import Messages, Topic
+    from swarmabs_ros.endpoints import Receiver
+    from swarmabs_ros.status import StatusChannel
+
+SLICE = 0.1
+"""Longest time, s, for which a node does not look whether it shall stop."""
+
+
+class Lockstep:
+    """Takes what the behaviour awaits, publishes what it answers, repeats itself when nothing comes.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+        The node's state machine.
+    receiver : Receiver
+        Its subscriptions.
+    publishers : mapping
+        Its publishers by topic.
+    status : StatusChannel
+        Where stalls are reported.
+    stall_timeout : float
+        Silence, s, that counts as a stall; 0 for never.
+    on_stall : callable, optional
+        What the behaviour answers to a stall, such as dropping robots.
+    lingers : bool
+        Whether to go on repeating the last messages when the behaviour has finished.
+    """
+
+    def __init__(
+        self,
+        behaviour: Behaviour,
+        receiver: Receiver,
+        publishers: Mapping[Topic, Publisher],
+        status: StatusChannel,
+        *,
+        stall_timeout: float,
+        on_stall: Callable[[], Messages] | None = None,
+        lingers: bool = True,
+    ) -> None:
+        self._behaviour = behaviour
+        self._receiver = receiver
+        self._publishers = publishers
+        self._status = status
+        self._stall_timeout = stall_timeout
+        self._on_stall = on_stall
+        self._lingers = lingers
+        self._sent: deque[tuple[int, Publisher, bytes]] = deque()
+        self._stalled = False
+        self._stopping = False
+
+    def stop(self) -> None:
+        """Make `run` return soon."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """Drive the behaviour until `stop` is called, or until it has finished if it does not linger.
+
+        A lingering behaviour that has finished goes on repeating its last messages, in case somebody still lacks one.
+
+        Raises
+        ------
+        RunError
+            If the behaviour refuses to go on.
+        """
+        behaviour, receiver = self._behaviour, self._receiver
+        repeater = Repeater(time.monotonic())
+        self._publish(behaviour.start())
+        while not self._stopping:
+            topics = behaviour.awaits()
+            if not topics and not self._lingers:
+                return
+            if self._drain(topics, repeater):
+                continue
+            now = time.monotonic()
+            if topics:
+                if receiver.wait(topics, min(SLICE, repeater.wait(now))):
+                    continue
+                now = time.monotonic()
+                self._check_stall(repeater.silence(now))
+            else:
+                time.sleep(min(SLICE, repeater.wait(now)))
+                now = time.monotonic()
+            self._repeat(repeater.due(now))
+
+    def _drain(self, topics: tuple[Topic, ...], repeater: Repeater) -> bool:
+        """Handle what has arrived on these topics, as long as they are what is awaited; tell whether there was any."""
+        behaviour, take = self._behaviour, self._receiver.take
+        found = False
+        for topic in topics:
+            while (data := take(topic)) is not None:
+                found = True
+                answer = behaviour.handle(decode(topic.message, data))
+                if answer:
+                    self._publish(answer)
+                    repeater.progress(time.monotonic())
+                    self._recovered()
+                if behaviour.awaits() != topics:
+                    return True
+        return found
+
+    def _publish(self, messages: Messages) -> None:
+        for message in messages:
+            publisher = self._publishers[TOPIC_OF[type(message)]]
+            data = encode(message)
+            publisher.publish(data)
+            self._sent.append((message.step, publisher, data))
+        if self._sent:
+            oldest = self._sent[-1][0] - WINDOW
+            while self._sent[0][0] < oldest:
+                self._sent.popleft()
+
+    def _repeat(self, steps: int) -> None:
+        if not steps or not self._sent:
+            return
+        newest = self._sent[-1][0]
+        for step, publisher, data in self._sent:
+            if step > newest - steps:
+                publisher.publish(data)
+
+    def _check_stall(self, silence: float) -> None:
+        if self._stalled or not self._stall_timeout or silence < self._stall_timeout:
+            return
+        self._stalled = True
+        step, missing = self._behaviour.missing()
+        self._status.send("stalled", step=step, missing=missing[:20], count=len(missing), silence=round(silence, 1))
+        if self._on_stall is not None:
+            self._publish(self._on_stall())
+
+    def _recovered(self) -> None:
+        if self._stalled:
+            self._stalled = False
+            self._status.send("recovered")

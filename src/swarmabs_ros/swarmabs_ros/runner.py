@@ -1,0 +1,240 @@
+"""The frame of every node's ``main``: parameters, endpoints, start signal, loop, exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, cast
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.signals import SignalHandlerOptions
+
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.membership import Change
+from swarmabs_core.messages import TOPICS, Messages, Topic
+from swarmabs_core.parameters import Parameter
+from swarmabs_ros.endpoints import advertise, receiver
+from swarmabs_ros.lockstep import SLICE, Lockstep
+from swarmabs_ros.parameters import declare
+from swarmabs_ros.status import StatusChannel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.publisher import Publisher
+
+    from swarmabs_core.behaviours import Behaviour
+    from swarmabs_core.parameters import Value
+    from swarmabs_ros.endpoints import Receiver, Waiting
+    from swarmabs_ros.qos import Qos
+
+COMMON = (
+    Parameter("period_ns", 10_000_000, "control period, ns", minimum=1),
+    Parameter("last_step", -1, "step with which the run ends; -1: none", minimum=-1),
+    Parameter("receive", "wait_set", "how messages are waited for", choices=("wait_set", "executor")),
+    Parameter("stall_timeout", 5.0, "silence that is reported as a stall, s; 0: never", minimum=0.0),
+    Parameter("match", (), "endpoints to wait for before the start, each 'TOPIC NUMBER'; none: start at once"),
+)
+"""Parameters that every node has."""
+
+SCHEDULE = Parameter("schedule", (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'")
+MEMBERS = Parameter("members", (1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
+GRAVITY = Parameter("gravity", 9.81, "acceleration of gravity, m/s^2", above=0.0)
+
+
+class Settings:
+    """Checked parameter values, read by name and type."""
+
+    def __init__(self, values: Mapping[str, Value]) -> None:
+        self._values = values
+
+    def number(self, name: str) -> float:
+        """Return a number."""
+        return cast("float", self._values[name])
+
+    def integer(self, name: str) -> int:
+        """Return an integer."""
+        return cast("int", self._values[name])
+
+    def text(self, name: str) -> str:
+        """Return a text."""
+        return cast("str", self._values[name])
+
+    def flag(self, name: str) -> bool:
+        """Return a boolean."""
+        return cast("bool", self._values[name])
+
+    def numbers(self, name: str) -> tuple[float, ...]:
+        """Return numbers."""
+        return cast("tuple[float, ...]", self._values[name])
+
+    def integers(self, name: str) -> tuple[int, ...]:
+        """Return integers."""
+        return cast("tuple[int, ...]", self._values[name])
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Return texts."""
+        return cast("tuple[str, ...]", self._values[name])
+
+    def last_step(self) -> int | None:
+        """Return the step with which the run ends, None if it does not end by itself."""
+        step = self.integer("last_step")
+        return None if step < 0 else step
+
+    def schedule(self) -> tuple[Change, ...]:
+        """Return the scheduled changes of the membership."""
+        return tuple(sorted(Change.parse(text) for text in self.texts("schedule")))
+
+    def within(self, prefix: str) -> dict[str, Value]:
+        """Return the values whose names begin with a prefix, by the rest of their names."""
+        return {name[len(prefix) :]: value for name, value in self._values.items() if name.startswith(prefix)}
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSpec:
+    """What a node is made of.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+        Its state machine.
+    publications : tuple of Topic
+        What it publishes.
+    subscriptions : mapping
+        What it listens to, with the requested quality of service.
+    on_stall : callable, optional
+        What the behaviour answers to a stall.
+    on_exit : callable, optional
+        What to do at the end, whatever it is; the argument says what went wrong, if something did.
+    lingers : bool
+        Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
+    """
+
+    behaviour: Behaviour
+    publications: tuple[Topic, ...]
+    subscriptions: Mapping[Topic, Qos]
+    on_stall: Callable[[], Messages] | None = None
+    on_exit: Callable[[str | None], None] = field(default=lambda _: None)
+    lingers: bool = True
+
+
+class SwarmNode(Node):
+    """A node without those services and topics of its own that a lockstep run does not need."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            name,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[RosParameter("start_type_description_service", value=False)],
+        )
+
+
+def run_node(
+    name: str,
+    table: Callable[[Node], tuple[Parameter, ...]] | tuple[Parameter, ...],
+    make: Callable[[Settings, StatusChannel], NodeSpec],
+    args: list[str] | None = None,
+) -> int:
+    """Run a node until it is told to stop (SIGINT, SIGTERM).
+
+    Parameters
+    ----------
+    name : str
+        Its name, where none is remapped.
+    table : tuple of Parameter, or callable
+        Its parameters beyond the common ones; callable if they depend on others.
+    make : callable
+        Makes behaviour and endpoints from the parameters.
+    args : list of str, optional
+        Command line without the program's name.
+
+    Returns
+    -------
+    int
+        Exit code: 0 fine, 1 the run failed, 2 a parameter was refused.
+    """
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    node = SwarmNode(name)
+    status = StatusChannel(node.get_name())
+    try:
+        own = table(node) if callable(table) else table
+        settings = Settings(declare(node, (*COMMON, *own)))
+        spec = make(settings, status)
+        return _run(node, settings, spec, status)
+    except InputError as error:
+        return _fail(status, error, 2)
+    except RunError as error:
+        return _fail(status, error, 1)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _fail(status: StatusChannel, error: Exception, code: int) -> int:
+    status.send("failed", reason=str(error)[:2000])
+    sys.stderr.write(f"error: {error}\n")
+    return code
+
+
+def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> int:
+    publishers = {topic: advertise(node, topic) for topic in spec.publications}
+    inbox = receiver(node, spec.subscriptions, cast("Waiting", settings.text("receive")))
+    loop = Lockstep(
+        spec.behaviour,
+        inbox,
+        publishers,
+        status,
+        stall_timeout=settings.number("stall_timeout"),
+        on_stall=spec.on_stall,
+        lingers=spec.lingers,
+    )
+    stopped = False
+
+    def stop(*_: Any) -> None:  # noqa: ANN401 - a signal's number and frame
+        nonlocal stopped
+        stopped = True
+        loop.stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    problem: str | None = "the node failed"
+    try:
+        expected = _expected(settings)
+        while not stopped and not _matched(expected, publishers, inbox):
+            time.sleep(SLICE / 5.0)
+        status.send("ready")
+        while not stopped and not status.wait_for_start(SLICE):
+            pass
+        loop.run()
+        problem = None
+    except RunError as error:
+        problem = str(error)
+        raise
+    finally:
+        spec.on_exit(problem)
+    return 0
+
+
+def _expected(settings: Settings) -> dict[Topic, int]:
+    topics = {topic.name: topic for topic in TOPICS}
+    expected = {}
+    for text in settings.texts("match"):
+        try:
+            name, number = text.split()
+            expected[topics[name]] = int(number)
+        except (ValueError, KeyError):
+            raise InputError(f"parameter match: {text!r} is not 'TOPIC NUMBER' with a topic of the swarm") from None
+    return expected
+
+
+def _matched(expected: Mapping[Topic, int], publishers: Mapping[Topic, Publisher], inbox: Receiver) -> bool:
+    """Tell whether every endpoint has met as many counterparts as it must."""
+    return all(
+        (publishers[topic].get_subscription_count() if topic in publishers else inbox.publisher_count(topic)) >= number
+        for topic, number in expected.items()
+    )
