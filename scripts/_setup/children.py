@@ -12,6 +12,7 @@ from typing import Callable, Mapping, Optional, Sequence
 from _setup.report import SetupError
 
 LAST_LINES = 12
+LINE_WIDTH = 200  # pip writes lines of thousands of characters
 # (what a log says, what it means to the user)
 CAUSES = (
     (r"No space left on device|Disk quota exceeded", "the disk is full"),
@@ -84,7 +85,7 @@ def failure_text(status: int, log: str) -> str:
     step = os.path.splitext(os.path.basename(log))[0]
     known = (meaning for sign, meaning in CAUSES if re.search(sign, text))
     cause = next(known, f"{step} failed with exit code {status}")
-    last = [line.rstrip() for line in text.splitlines() if line.strip()][-LAST_LINES:]
+    last = [line.rstrip()[:LINE_WIDTH] for line in text.splitlines() if line.strip()][-LAST_LINES:]
     return "\n".join(
         [f"{cause}; start again to go on. Last lines of {log}:", *(f"    {line}" for line in last)]
     )

@@ -1,7 +1,8 @@
 """The closed loop in continuous time, written from the equations alone and solved by SciPy.
 
-It shares nothing with the package but the scenario's numbers: neither its functions nor its sampled form. Single
-integrators have their velocity at once, the command filter sees tau_raw continuously, and sgn(e2) is tanh(e2/smoothing).
+It shares nothing with the package but the scenario's numbers: neither its functions nor its sampled form.
+Single integrators have their velocity at once, the command filter sees tau_raw continuously, and sgn(e2) is
+tanh(e2/smoothing).
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class _Arise:
         self._c = c
         self._slopes = np.array([scenario.plane.friction[i] for i in (1, 2, 4)])
         self._gamma, self._lam0 = np.array(c.gamma), np.array(c.adaptive_initial)
-        y, dy, _ = self._regressor(0.0)
+        _, dy, _ = self._regressor(0.0)
         e2 = self._e2(0.0, scenario.plane.angle, scenario.plane.angular_velocity)
         self._e2_0, self._dye2_0 = e2, dy * e2
 
@@ -85,7 +86,9 @@ class _Arise:
         return tau, np.concatenate([[dmu1], (ddy - c.alpha2 * dy) * e2])
 
 
-def _closed_loop(scenario: Scenario) -> tuple[Callable[[float, Array], Array], Array, Callable[[Array], tuple[Array, Array]]]:
+def _closed_loop(
+    scenario: Scenario,
+) -> tuple[Callable[[float, Array], Array], Array, Callable[[Array], tuple[Array, Array]]]:
     """Return the right-hand side, the initial state and a function from states to (torque, inertia)."""
     plane, gains, curve = scenario.plane, scenario.swarm.gains, scenario.manifold
     g, (g1, g2, g3, g4, g5, g6) = plane.gravity, plane.friction

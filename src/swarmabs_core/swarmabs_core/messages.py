@@ -135,7 +135,7 @@ class DesiredAbstractState(NamedTuple):
 
 
 class SwarmEvent(NamedTuple):
-    """Something that happened: ``step`` is the first at which it holds, ``agent_id`` is 0 if it is no robot's."""
+    """Something that happened: ``step`` is the first at which it holds, ``agent_id`` 0 if no robot did it."""
 
     stamp: int
     step: int

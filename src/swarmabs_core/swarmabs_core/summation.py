@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def exact_sum(terms: Iterable[float]) -> float:
-    """Return the correctly rounded sum; NaN where there is none, because the terms are infinite or overflow."""
+    """Return the correctly rounded sum; NaN where there is none, as of infinite or overflowing terms."""
     try:
         return fsum(terms)
     except (OverflowError, ValueError):  # of terms near the largest double, and of +inf with -inf

@@ -101,5 +101,7 @@ def test_bag_in_a_namespace_has_its_topics_there(
     tmp_path: Path, write_bag: Callable[..., Path], run: list[Message]
 ) -> None:
     with Reader(write_bag(tmp_path / "bag", namespace="/lab/west")) as reader:
-        assert [connection.topic for connection in reader.connections] == [f"/lab/west{name}" for name in NAMES]
+        assert [connection.topic for connection in reader.connections] == [
+            f"/lab/west{name}" for name in NAMES
+        ]
         assert reader.message_count == len(run)

@@ -289,7 +289,7 @@ CASES = [
         listed(SI, DI.replace("-0.1", "0.1")),
         (
             "f:3: swarm.agents: the robots stand at one point (S3 = 0 kg^4 m^2), where torque and inertia "
-            "cannot be steered independently; give them different positions, e.g. alternating +0.125 and -0.125"
+            "cannot be steered independently; give them different positions, e.g. alternating +0.125 and"
         ),
     ),
     (listed(SI, DI.replace("-0.1", "0.1000001")), "f:3: swarm.agents: the robots stand at one point (S3 = "),
@@ -320,8 +320,8 @@ CASES = [
     (
         listed(SI, DI) + "manifold: {torque_max: 20, curvature: 0}",
         (
-            "f:6: manifold: no positions of the robots (1.3 kg in all) have the inertia curvature*tau^2 + offset "
-            "for |tau| > 1.76852 N m, and torque_max is 20.0; lower torque_max to 1.768, "
+            "f:6: manifold: no positions of the robots (1.3 kg in all) have the inertia curvature*tau^2 + "
+            "offset for |tau| > 1.76852 N m, and torque_max is 20.0; lower torque_max to 1.768, "
             "or use at least 166.3 kg of robots"
         ),
     ),

@@ -235,7 +235,10 @@ def test_the_papers_manifold_leaves_the_set_it_should_stay_in() -> None:
 
 
 def test_underdamped_swarm_with_a_large_inertia() -> None:
-    text = "schema: 1\nmanifold: {torque_max: 1}\nswarm: {gains: {kd: [5, KD]}, generate: {KIND: 200, position: 0.125}}"
+    text = (
+        "schema: 1\nmanifold: {torque_max: 1}\n"
+        "swarm: {gains: {kd: [5, KD]}, generate: {KIND: 200, position: 0.125}}"
+    )
     (warning,) = parse_scenario(text.replace("KD", "5").replace("KIND", "double_integrator")).warnings()
     assert warning.startswith("swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, 1.5")
     assert "use a kd of at least 6.325, or smaller positions" in warning

@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 PARTICIPANT_VARIABLE = "SWARMABS_PARTICIPANT"
 """Environment variable that holds a process's participant id."""
 
+FROM_ENVIRONMENT = f"<participantID>${{{PARTICIPANT_VARIABLE}}}</participantID>"
+"""One file serves all processes of a run: each finds its participant id in its environment."""
+FIRST_FREE = ""
+"""The process takes the first participant id that nobody has."""
+
 COORDINATORS = 8
 """Participant ids below belong to the coordinators (plane, observer, controller, recorder, spares)."""
 
@@ -44,7 +49,7 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
     </transport_descriptors>
     <participant profile_name="swarmabs" is_default_profile="true">
       <rtps>
-        <participantID>{participant}</participantID>
+        {participant}
         <port>
           <portBase>{port_base}</portBase>
           <domainIDGain>{domain_gain}</domainIDGain>
@@ -82,7 +87,7 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), participant: int | None = None) -> str:
+def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), participant: str = FROM_ENVIRONMENT) -> str:
     """Return the profile.
 
     Parameters
@@ -92,9 +97,8 @@ def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), part
     peers : iterable of int
         Ids of the participants to which this one announces itself. The coordinators suffice for a member of the swarm; a
         tool that wants to see everybody needs everybody.
-    participant : int, optional
-        This process's participant id; by default the environment variable `PARTICIPANT_VARIABLE` says it, so that
-        one file serves all processes of a run.
+    participant : str
+        How the participant id is found: `FROM_ENVIRONMENT` or `FIRST_FREE`.
     """
     locators = "\n".join(
         f"            <locator><udpv4><address>127.0.0.1</address><port>{metatraffic_port(domain, peer)}</port>"
@@ -103,7 +107,7 @@ def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), part
     )
     return _PROFILE.format(
         buffer=_BUFFER,
-        participant=f"${{{PARTICIPANT_VARIABLE}}}" if participant is None else participant,
+        participant=participant,
         port_base=PORT_BASE,
         domain_gain=DOMAIN_GAIN,
         participant_gain=PARTICIPANT_GAIN,

@@ -8,8 +8,7 @@ import signal
 import threading
 import time
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import psutil
 
@@ -22,7 +21,9 @@ from swarmabs_bringup.orchestration.domain import (
     claimed_domain,
 )
 from swarmabs_bringup.orchestration.launcher_client import LauncherClient
+from swarmabs_bringup.orchestration.looking_in import write_network
 from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan, agent_name, plan
+from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_core import configure
 from swarmabs_core.membership import ChangeKind
@@ -30,6 +31,7 @@ from swarmabs_core.membership import ChangeKind
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from swarmabs_bringup.orchestration.progress import Phase
     from swarmabs_bringup.run_folder import RunFolder
     from swarmabs_core.membership import Change
     from swarmabs_core.scenario import Scenario
@@ -43,57 +45,6 @@ CLOSING_SECONDS = 20.0
 POLL = 0.1
 
 _SIGNALS = {ChangeKind.KILL: signal.SIGKILL, ChangeKind.FREEZE: signal.SIGSTOP, ChangeKind.LEAVE: signal.SIGTERM}
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """What is to be told while a run goes on.
-
-    Parameters
-    ----------
-    phase : str
-        ``starting``, ``running`` or ``closing``.
-    ready, processes : int
-        How many processes are ready, and how many there are.
-    step, steps : int
-        Steps recorded, and steps in all.
-    step_rate : float
-        Steps per second of wall time since the start.
-    angle, error : float, optional
-        Of the latest step recorded, rad.
-    """
-
-    phase: Literal["starting", "running", "closing"]
-    ready: int
-    processes: int
-    step: int
-    steps: int
-    step_rate: float = 0.0
-    angle: float | None = None
-    error: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a run ended.
-
-    Parameters
-    ----------
-    status : str
-        ``ok``, ``failed`` or ``interrupted``.
-    reason : str, optional
-        What went wrong; may have several lines, the last ones of logs.
-    figures : dict
-        Digest and figures, as far as they were recorded.
-    start_seconds, stepping_seconds : float, optional
-        Wall time until the first step, and from it to the last, s.
-    """
-
-    status: Literal["ok", "failed", "interrupted"]
-    reason: str | None
-    figures: dict[str, Any]
-    start_seconds: float | None = None
-    stepping_seconds: float | None = None
 
 
 class LockstepRun:
@@ -156,9 +107,10 @@ class LockstepRun:
         with ExitStack() as stack:
             domain = stack.enter_context(claimed_domain(spacing))
             profile.write_text(profile_xml(domain), encoding="utf-8")
+            write_network(self._folder.logs, domain, participants)
             wake = stack.enter_context(self._interruptible())
-            log = self._folder.logs / "launcher.log"
-            launcher = stack.enter_context(LauncherClient(dds_environment(domain, str(profile)), log))
+            environment = dds_environment(domain, str(profile.resolve()))
+            launcher = stack.enter_context(LauncherClient(environment, self._folder.logs / "launcher.log"))
             failure = self._supervise(launcher, wake)
             return self._conclude(launcher, wake, failure)
 
@@ -295,7 +247,7 @@ class LockstepRun:
                 texts.append((name, (self._folder.logs / f"{name}.log").read_text(encoding="utf-8", errors="replace")))
         return "\n".join(part for part in (failure.reason, last_lines(texts)) if part)
 
-    def _tell(self, phase: Literal["starting", "running", "closing"]) -> None:
+    def _tell(self, phase: Phase) -> None:
         if self._on_progress is None:
             return
         state = self._supervision

@@ -1,0 +1,48 @@
+"""The command line ``swarm``. It parses, calls the library and prints; it decides nothing."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from swarmabs_bringup.cli.environment import doctor, env
+from swarmabs_bringup.cli.info import info
+from swarmabs_bringup.cli.run import run, simulate
+from swarmabs_bringup.cli.scenario import scenario
+from swarmabs_bringup.cli.test import test
+from swarmabs_core.errors import InputError, SwarmabsError
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+def swarm() -> None:
+    """Run swarms that balance a tilting plane, as one ROS 2 process per robot, and record them.
+
+    Exit codes: 0 fine, 1 started and failed, 2 refused before anything was started.
+    """
+
+
+for command in (run, simulate, info, scenario, env, doctor, test):
+    swarm.add_command(command)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit code."""
+    try:
+        code = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except click.exceptions.Abort:
+        click.echo("interrupted", err=True)
+        return 1
+    except InputError as error:
+        click.echo(f"error: {error}", err=True)
+        return 2
+    except SwarmabsError as error:
+        click.echo(f"error: {error}", err=True)
+        return 1
+    except BrokenPipeError:  # whoever read our output has gone, such as `head`
+        sys.stderr.close()
+        return 1
+    return int(code or 0)

@@ -1,0 +1,126 @@
+"""``swarm run`` and ``swarm simulate``."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swarmabs_bringup.cli.display import shown_progress
+from swarmabs_bringup.cli.output import json_option, print_json
+from swarmabs_core.errors import RunError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_bringup.orchestration.progress import Outcome, Progress
+    from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_core.scenario import Scenario
+
+    Execute = Callable[[Scenario, RunFolder, bool, Callable[[Progress], None]], Outcome]
+
+RUNS = Path("runs")
+
+
+def _options(function: Callable[..., Any]) -> Callable[..., Any]:
+    decorators = (
+        click.argument("scenario", default="pd_het_4", metavar="[SCENARIO|FILE.yaml|BAG]"),
+        click.option(
+            "-o", "--output", type=click.Path(path_type=Path), help="Folder of the results.  [default: runs/NAME-NNN]"
+        ),
+        click.option(
+            "--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value of the scenario; repeatable."
+        ),
+        click.option("--duration", metavar="SECONDS", help="Simulated time; the same as --set duration=SECONDS."),
+        click.option("--no-bag", is_flag=True, help="Write no bag; digest and figures are computed all the same."),
+        json_option,
+    )
+    for decorator in reversed(decorators):
+        function = decorator(function)
+    return function
+
+
+@click.command()
+@_options
+def run(**options: Any) -> int:
+    """Run a scenario as one process per robot over DDS, in lockstep.
+
+    SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
+    """
+
+    def execute(scenario: Scenario, folder: RunFolder, record: bool, show: Callable[[Progress], None]) -> Outcome:  # noqa: FBT001
+        from swarmabs_bringup.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
+
+        return LockstepRun(scenario, folder, record=record, on_progress=show).run()
+
+    return _carry_out(execute, **options)
+
+
+@click.command()
+@_options
+def simulate(**options: Any) -> int:
+    """Run a scenario in one process without DDS; it gives the same digest as `run`."""
+
+    def execute(scenario: Scenario, folder: RunFolder, record: bool, show: Callable[[Progress], None]) -> Outcome:  # noqa: FBT001
+        from swarmabs_bringup.simulate import simulate_run  # noqa: PLC0415 - as above
+
+        return simulate_run(scenario, folder, record=record, on_progress=show)
+
+    return _carry_out(execute, **options)
+
+
+def _carry_out(
+    execute: Execute,
+    *,
+    scenario: str,
+    output: Path | None,
+    overrides: tuple[str, ...],
+    duration: str | None,
+    no_bag: bool,
+    as_json: bool,
+) -> int:
+    """Load, run, sum up, print; return the exit code."""
+    from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bringup.scenarios import find_scenario  # noqa: PLC0415
+    from swarmabs_bringup.summary import summarise, summary_table  # noqa: PLC0415
+
+    if duration is not None:
+        overrides = (*overrides, f"duration={duration}")
+    loaded = find_scenario(scenario, overrides)
+    for warning in loaded.warnings():
+        click.echo(f"warning: {warning}", err=True)
+    loaded = loaded.resolved()
+    folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
+    try:
+        with shown_progress(loaded) as show:
+            outcome = execute(loaded, folder, not no_bag, show)
+        summary = summarise(
+            loaded,
+            outcome.figures,
+            status=outcome.status,
+            reason=outcome.reason,
+            wall_time=_since_start(),
+            stepping_seconds=outcome.stepping_seconds,
+        )
+        folder.write_summary(summary)
+    except OSError as error:
+        raise RunError(f"{folder.path}: {error.strerror or error}; free space or choose another folder with -o") from error
+    if as_json:
+        print_json(summary)
+    else:
+        from rich.console import Console  # noqa: PLC0415 - slow to import
+
+        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
+    if outcome.reason is not None:
+        click.echo(f"error: {outcome.reason}", err=True)
+    return 0 if outcome.status == "ok" else 1
+
+
+def _since_start() -> float:
+    """Return the wall time since this process was started, which is when the user's command was."""
+    import psutil  # noqa: PLC0415 - slow to import
+
+    return time.time() - psutil.Process(os.getpid()).create_time()

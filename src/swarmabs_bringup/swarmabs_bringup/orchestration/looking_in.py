@@ -1,0 +1,50 @@
+"""How stock ROS tools and late joiners get into a run's network, which the ordinary settings do not show them."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, cast
+
+from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_core.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+NETWORK_FILE = "network.json"
+TOOL_PROFILE = "fastdds_tool.xml"
+
+
+def write_network(logs: Path, domain: int, participants: int) -> None:
+    """Write down, beside the logs, in which domain a run lives, and a profile for those who want to look in."""
+    profile = logs / TOOL_PROFILE
+    # Without a participant id of its own a tool takes the first free one: a spare coordinator's.
+    profile.write_text(
+        profile_xml(domain, peers=range(participants), participant=FIRST_FREE), encoding="utf-8"
+    )
+    network = {"domain": domain, "participants": participants, "orchestrator": os.getpid()}
+    (logs / NETWORK_FILE).write_text(json.dumps(network) + "\n", encoding="utf-8")
+
+
+def environment_of_run(run: Path) -> dict[str, str]:
+    """Return the environment variables with which a tool sees the nodes of a run.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of a run that is going on.
+
+    Raises
+    ------
+    InputError
+        If this is no run's folder.
+    """
+    logs = run / "logs"
+    try:
+        network = json.loads((logs / NETWORK_FILE).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{run} is not the folder of a run in lockstep ({error.strerror}: {NETWORK_FILE})") from None
+    domain = cast("int", network["domain"])
+    return dds_environment(domain, str((logs / TOOL_PROFILE).resolve()))
+

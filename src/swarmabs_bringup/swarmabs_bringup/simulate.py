@@ -1,0 +1,89 @@
+"""A run in one process without DDS, with the same results folder as a run of many."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.orchestration.progress import Outcome, Progress
+from swarmabs_bringup.recorder.recording import Recording
+from swarmabs_core.errors import RunError
+from swarmabs_core.simulation import Simulation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from swarmabs_bringup.orchestration.progress import Phase
+    from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_core.scenario import Scenario
+
+_TELL_EVERY = 0.1
+
+
+def simulate_run(
+    scenario: Scenario,
+    folder: RunFolder,
+    *,
+    record: bool = True,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Outcome:
+    """Simulate a scenario and record it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; generated robots are listed.
+    folder : RunFolder
+        An empty folder for the results.
+    record : bool
+        Whether to write a bag.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    """
+    folder.fill(scenario)
+    recording = Recording(scenario, folder.bag if record else None, driver="simulate")
+    begun = told = time.monotonic()
+
+    def tell(phase: Phase, now: float) -> None:
+        latest = recording.latest
+        if on_progress is not None and latest is not None:
+            rate = latest.step / (now - begun) if now > begun else 0.0
+            on_progress(Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error))
+
+    try:
+        with _terminable():
+            for step in Simulation(scenario).steps():
+                recording.add(step)
+                now = time.monotonic()
+                if now - told >= _TELL_EVERY:
+                    told = now
+                    tell("running", now)
+            stepping = time.monotonic() - begun
+            tell("closing", begun + stepping)
+            figures = recording.close()
+    except RunError as error:
+        return Outcome("failed", str(error), recording.abort(str(error)))
+    except KeyboardInterrupt:
+        return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
+    return Outcome("ok", None, figures, 0.0, stepping)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Make SIGTERM interrupt as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -1,0 +1,90 @@
+"""``summary.json``: what a run came to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rich.table import Table
+
+    from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_core.scenario import Scenario
+
+FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
+
+
+def summarise(
+    scenario: Scenario,
+    figures: Mapping[str, Any],
+    *,
+    status: str,
+    reason: str | None,
+    wall_time: float,
+    stepping_seconds: float | None,
+) -> dict[str, Any]:
+    """Return the content of ``summary.json``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    figures : mapping
+        Digest and figures, as far as they were recorded.
+    status : str
+        ``ok``, ``failed`` or ``interrupted``.
+    reason : str, optional
+        What went wrong.
+    wall_time : float
+        Time of the whole command, s.
+    stepping_seconds : float, optional
+        Time from the first step to the last, s.
+    """
+    complete = status == "ok" and stepping_seconds
+    return {
+        "scenario": scenario.name,
+        "steps": scenario.steps,
+        "duration": scenario.duration_ns / 1e9,
+        "wall_time": round(wall_time, 3),
+        "real_time_factor": round(scenario.duration_ns / 1e9 / stepping_seconds, 3)
+        if complete and stepping_seconds
+        else None,
+        "agents": len(scenario.agents),
+        **{name: figures.get(name) for name in FIGURES},
+        "status": status,
+        "reason": reason,
+    }
+
+
+def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
+    """Return the summary as a table for people."""
+    from rich.table import Table  # noqa: PLC0415 - not needed with --json
+    from rich.text import Text  # noqa: PLC0415
+
+    def number(key: str, unit: str) -> str:
+        value = summary[key]
+        return "-" if value is None else f"{value:.4g} {unit}"
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    settled = summary["settled_at"]
+    rows = {
+        "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",
+        "status": summary["status"],
+        "wall time": f"{summary['wall_time']:.1f} s"
+        + (f", {summary['real_time_factor']:.1f} x real time" if summary["real_time_factor"] else ""),
+        "settled": "not within 0.01 rad" if settled is None else f"within 0.01 rad from t = {settled:g} s",
+        "final error": number("final_error", "rad"),
+        "rms error": number("rms_error", "rad"),
+        "max |position|": number("max_abs_position", "m"),
+        "messages": str(summary["messages"] or 0),
+        "digest": summary["digest"] or "-",
+        "folder": str(folder.path),
+    }
+    if (folder.bag / "metadata.yaml").exists():
+        rows["bag"] = str(folder.bag)
+    for name, value in rows.items():
+        table.add_row(name, Text(str(value)))
+    return table

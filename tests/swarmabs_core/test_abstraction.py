@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import combinations
+from math import nan
+
+import pytest
+from hypothesis import given, strategies as st
+
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, spread_sums
+
+masses = st.floats(0.05, 5.0)
+lengths = st.floats(-2.0, 2.0)
+weights = st.lists(st.builds(Weight, masses, lengths, lengths), min_size=1, max_size=12)
+Bodies = list[tuple[float, float]]
+
+
+def exactly(*terms: float) -> Fraction:
+    """Product in rational arithmetic."""
+    product = Fraction(1)
+    for term in terms:
+        product *= Fraction(term)
+    return product
+
+
+def pairwise_s3(robots: Bodies) -> Fraction:
+    return sum(
+        (
+            exactly(m, m, n, n) * (Fraction(p) - Fraction(q)) ** 2
+            for (m, p), (n, q) in combinations(robots, 2)
+        ),
+        Fraction(0),
+    )
+
+
+@given(weights)
+def test_abstract_state_against_rational_arithmetic(robots: list[Weight]) -> None:
+    found = abstraction(robots, 9.81)
+    scale = 1e-14 * sum(m * 20.0 for m, _, _ in robots)
+    g = Fraction(9.81)
+    assert found.torque == pytest.approx(float(g * sum(exactly(m, p) for m, p, _ in robots)), abs=scale)
+    assert found.inertia == pytest.approx(float(sum(exactly(m, p, p) for m, p, _ in robots)), rel=1e-15)
+    assert found.torque_rate == pytest.approx(float(g * sum(exactly(m, v) for m, _, v in robots)), abs=scale)
+    rate = float(2 * sum(exactly(m, p, v) for m, p, v in robots))
+    assert found.inertia_rate == pytest.approx(rate, abs=scale)
+    assert found.q == pytest.approx(float(sum(exactly(m, v, v) for m, _, v in robots)), rel=1e-15)
+
+
+def test_no_robots_weigh_nothing() -> None:
+    assert abstraction([], 9.81) == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert spread_sums([]) == (0.0, 0.0, 0.0, 0.0)
+    assert damping_sums([], 1.0) == (0.0, 0.0, 0.0)
+
+
+@given(weights.flatmap(lambda x: st.tuples(st.just(x), st.permutations(x))), st.floats(0.0, 5.0))
+def test_no_bit_depends_on_the_order(case: tuple[list[Weight], list[Weight]], ksd: float) -> None:
+    first, second = case
+    assert abstraction(first, 9.81) == abstraction(second, 9.81)
+    assert spread_sums((m, p) for m, p, _ in first) == spread_sums((m, p) for m, p, _ in second)
+    # A velocity serves as a damping here.
+    assert damping_sums(first, ksd) == damping_sums(second, ksd)
+
+
+@given(weights)
+def test_spread_sums_against_rational_arithmetic(robots: list[Weight]) -> None:
+    pairs = [(m, p) for m, p, _ in robots]
+    found = spread_sums(pairs)
+    s0, s1, s2 = (sum(exactly(m, m) * Fraction(p) ** k for m, p in pairs) for k in (0, 1, 2))
+    assert found.s0 == pytest.approx(float(s0), rel=1e-15)
+    assert found.s1 == pytest.approx(float(s1), abs=1e-15 * float(s0) * 4)
+    assert found.s2 == pytest.approx(float(s2), rel=2e-15)
+    assert s0 * s2 - s1 * s1 == pairwise_s3(pairs)
+    assert found.s3 == pytest.approx(float(pairwise_s3(pairs)), rel=1e-12, abs=1e-30 * float(s0 * s0))
+
+
+@given(st.lists(st.tuples(masses, lengths), max_size=12))
+def test_s3_is_never_negative(robots: Bodies) -> None:
+    assert spread_sums(robots).s3 >= 0.0
+
+
+@given(st.lists(st.tuples(masses, st.floats(1e-6, 2e-6)), min_size=2, max_size=8), st.floats(-1.0, 1.0))
+def test_s3_keeps_its_digits_when_the_robots_are_close(robots: Bodies, centre: float) -> None:
+    """S0 S2 - S1^2 would lose twelve of its digits here."""
+    close = [(m, centre + p) for m, p in robots]
+    exact = pairwise_s3(close)
+    s0 = spread_sums(close).s0
+    assert spread_sums(close).s3 == pytest.approx(float(exact), rel=1e-9, abs=1e-30 * s0 * s0)
+
+
+def test_s3_is_exactly_zero_at_one_point() -> None:
+    s0, _, _, s3 = spread_sums([(0.5, 0.25), (0.5, 0.25), (0.5, 0.25), (0.5, 0.25)])
+    assert s3 == 0.0
+    assert is_degenerate(s0, s3, 1.0)
+
+
+@given(st.lists(st.tuples(masses, lengths, st.floats(0.0, 5.0)), max_size=8), st.floats(0.0, 5.0))
+def test_damping_sums_against_rational_arithmetic(
+    robots: list[tuple[float, float, float]], ksd: float
+) -> None:
+    found = damping_sums(robots, ksd)
+    for k in range(3):
+        exact = [Fraction(m) * (Fraction(c) + Fraction(ksd)) * Fraction(p) ** k for m, p, c in robots]
+        assert found[k] == pytest.approx(float(sum(exact)), abs=1e-15 * float(sum(map(abs, exact))))
+
+
+@pytest.mark.parametrize("length", [0.1, 1.0, 30.0])
+@pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3])
+def test_degenerate_is_relative_to_plane_and_masses(length: float, mass: float) -> None:
+    """Two equal robots 2d apart have S3 = 4 m^4 d^2 and S0 = 2 m^2: the limit is d = 1e-6 L."""
+    for d, expected in ((0.99e-6, True), (1.01e-6, False)):
+        s0, _, _, s3 = spread_sums([(mass, d * length), (mass, -d * length)])
+        assert is_degenerate(s0, s3, length) is expected
+
+
+@pytest.mark.parametrize(("s0", "s3"), [(0.0, 0.0), (nan, 1.0), (1.0, nan)])
+def test_nothing_and_nan_are_degenerate(s0: float, s3: float) -> None:
+    assert is_degenerate(s0, s3, 1.0)
