@@ -96,9 +96,7 @@ def agent_state(
     """Return a robot's state; by default robots stand on alternating sides of the axis."""
     if position is None:
         position = 0.1 if agent_id % 2 else -0.1
-    return AgentState(
-        step * PERIOD_NS, step, step, agent_id, kind, status, mass, damping, position, velocity, 0.0
-    )
+    return AgentState(step * PERIOD_NS, step, step, agent_id, kind, status, mass, damping, position, velocity, 0.0)
 
 
 def broadcasts(

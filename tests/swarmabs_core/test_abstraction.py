@@ -25,10 +25,7 @@ def exactly(*terms: float) -> Fraction:
 
 def pairwise_s3(robots: Bodies) -> Fraction:
     return sum(
-        (
-            exactly(m, m, n, n) * (Fraction(p) - Fraction(q)) ** 2
-            for (m, p), (n, q) in combinations(robots, 2)
-        ),
+        (exactly(m, m, n, n) * (Fraction(p) - Fraction(q)) ** 2 for (m, p), (n, q) in combinations(robots, 2)),
         Fraction(0),
     )
 
@@ -94,9 +91,7 @@ def test_s3_is_exactly_zero_at_one_point() -> None:
 
 
 @given(st.lists(st.tuples(masses, lengths, st.floats(0.0, 5.0)), max_size=8), st.floats(0.0, 5.0))
-def test_damping_sums_against_rational_arithmetic(
-    robots: list[tuple[float, float, float]], ksd: float
-) -> None:
+def test_damping_sums_against_rational_arithmetic(robots: list[tuple[float, float, float]], ksd: float) -> None:
     found = damping_sums(robots, ksd)
     for k in range(3):
         exact = [Fraction(m) * (Fraction(c) + Fraction(ksd)) * Fraction(p) ** k for m, p, c in robots]

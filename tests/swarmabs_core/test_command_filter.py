@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -41,7 +43,7 @@ def test_step_response_rises_without_overshoot() -> None:
     for _ in range(500):
         x = command_filter.advance(*x, 1.0)
         response.append(x[0])
-    assert all(b >= a for a, b in zip(response, response[1:], strict=False))
+    assert all(b >= a for a, b in pairwise(response))
     t = 0.02
     assert response[20] == pytest.approx(1.0 - (1.0 + 50.0 * t) * np.exp(-50.0 * t), rel=1e-12)
     assert response[-1] == pytest.approx(1.0, abs=1e-9)

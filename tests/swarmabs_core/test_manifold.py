@@ -4,9 +4,9 @@ from math import cos, isnan, nan, sin
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.swarmabs_core.helpers import taylor
 
 from swarmabs_core.manifold import Manifold
-from tests.swarmabs_core.helpers import taylor
 
 CURVE = Manifold(0.0125, 0.025, 5.0)
 
@@ -33,9 +33,7 @@ def test_rates_by_finite_differences() -> None:
     assert second == pytest.approx((after - 2 * now + before) / h**2, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("torque", "expected"), [(-7.0, -5.0), (-5.0, -5.0), (-0.0, 0.0), (4.9, 4.9), (1e300, 5.0)]
-)
+@pytest.mark.parametrize(("torque", "expected"), [(-7.0, -5.0), (-5.0, -5.0), (-0.0, 0.0), (4.9, 4.9), (1e300, 5.0)])
 def test_clip(torque: float, expected: float) -> None:
     assert CURVE.clip(torque) == expected
 

@@ -9,11 +9,7 @@ from hypothesis import given, strategies as st
 from swarmabs_core.summation import exact_sum
 
 
-@given(
-    st.lists(st.floats(-1e100, 1e100), max_size=50).flatmap(
-        lambda x: st.tuples(st.just(x), st.permutations(x))
-    )
-)
+@given(st.lists(st.floats(-1e100, 1e100), max_size=50).flatmap(lambda x: st.tuples(st.just(x), st.permutations(x))))
 def test_correctly_rounded_in_any_order(case: tuple[list[float], list[float]]) -> None:
     terms, shuffled = case
     assert exact_sum(terms) == float(sum(map(Fraction, terms)))

@@ -1,4 +1,4 @@
-"""The laws against the Jacobian of the abstraction, Phi = [[g m_i], [2 m_i p_i]], in NumPy's linear algebra."""
+"""The laws against the Jacobian of the abstraction, Phi = [[g m_i], [2 m_i p_i]], by linear algebra."""
 
 from __future__ import annotations
 
@@ -58,9 +58,7 @@ class Swarm:
     def sums(self) -> AuxiliaryState:
         mm, d = self.m**2, np.where(self.di, self.m * (self.c + GAINS.ksd), 0.0)
         s = [float(mm @ self.p**k) for k in range(3)]
-        return AuxiliaryState(
-            0, 0, *s, s[0] * s[2] - s[1] ** 2, *(float(d @ self.p**k) for k in range(3)), self.q
-        )
+        return AuxiliaryState(0, 0, *s, s[0] * s[2] - s[1] ** 2, *(float(d @ self.p**k) for k in range(3)), self.q)
 
     def desired(self) -> DesiredAbstractState:
         fields = (*self.a_d, *self.da_d, *self.mean_da_d, *self.dda_d)
@@ -68,9 +66,7 @@ class Swarm:
 
     def si_commands(self) -> Array:
         shared = (GAINS, G, self.abstract(), self.sums(), self.desired())
-        return np.array(
-            [single_integrator_command(m, p, *shared) for m, p in zip(self.m, self.p, strict=True)]
-        )
+        return np.array([single_integrator_command(m, p, *shared) for m, p in zip(self.m, self.p, strict=True)])
 
     def di_commands(self) -> Array:
         shared = (GAINS, G, self.abstract(), self.sums(), self.desired())
@@ -163,7 +159,7 @@ def test_equal_damping_per_mass_cancels_for_any_velocities(swarm: Swarm) -> None
 
 
 def test_motion_in_the_null_space_leaves_a_residual(swarm: Swarm) -> None:
-    """What the proofs of the paper drop: - Phi diag((c_i + k_sd)/m_i) v_0 with v_0 in the null space of Phi."""
+    """- Phi diag((c_i + k_sd)/m_i) v_0, with v_0 in the null space of Phi; the paper's proofs drop it."""
     null = swarm.v - np.linalg.pinv(swarm.phi) @ swarm.phi @ swarm.v
     found, intended = closed_loop(swarm)
     residual = -swarm.phi @ ((swarm.c + GAINS.ksd) / swarm.m * null)

@@ -4,9 +4,9 @@ import cmath
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.swarmabs_core.helpers import taylor
 
 from swarmabs_core.trajectory import Constant, Sine
-from tests.swarmabs_core.helpers import taylor
 
 
 @given(st.floats(-1.5, 1.5), st.floats(-2.0, 2.0), st.floats(0.0, 100.0))

@@ -1,1 +1,5 @@
-"""Mathematics and node behaviours of swarmabs, without ROS."""
+"""Mathematics and node behaviour of swarmabs, without ROS."""
+
+from swarmabs_core.simulation import simulate
+
+__all__ = ["simulate"]

@@ -168,7 +168,7 @@ Messages = tuple[Message, ...]
 """What a node behaviour answers: the messages to publish, in this order."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # compared and hashed by identity, which is fast
 class Topic:
     """A topic: its name relative to the swarm's namespace, its message class and the ROS name of the type."""
 

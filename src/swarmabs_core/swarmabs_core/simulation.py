@@ -14,6 +14,7 @@ from swarmabs_core.messages import (
     AUXILIARY_STATE,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
+    MAIN_TOPICS,
     PLANE_STATE,
     TOPIC_OF,
 )
@@ -21,7 +22,9 @@ from swarmabs_core.recording import RunCollector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from os import PathLike
 
+    from swarmabs_core.arrays import RunArrays
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message, Messages, Topic
     from swarmabs_core.recording import RecordedStep
@@ -78,3 +81,43 @@ class Simulation:
         if not self._collector.finished:
             missing = ", ".join(self._collector.missing())
             raise RunError(f"the run stalls at step {self._collector.step}; missing: {missing}")
+
+
+def simulate(scenario: Scenario | str | PathLike[str]) -> RunArrays:
+    """Simulate a scenario in this process.
+
+    Parameters
+    ----------
+    scenario : Scenario, str or path
+        A scenario, or the YAML file of one.
+
+    Returns
+    -------
+    RunArrays
+        The messages of the run as arrays: angle, abstract, auxiliary and desired state by step, robots by step and id.
+
+    Raises
+    ------
+    InputError
+        If the file is not a valid scenario.
+    RunError
+        If the run fails, such as by a plane that turns over.
+
+    Examples
+    --------
+    >>> from swarmabs_core import simulate
+    >>> run = simulate("my_scenario.yaml")  # doctest: +SKIP
+    >>> run.angle[-1]  # doctest: +SKIP
+    """
+    # Robots import this package too, and need neither numpy nor pydantic.
+    from swarmabs_core.arrays import run_arrays, table  # noqa: PLC0415
+    from swarmabs_core.scenario import Scenario, load_scenario  # noqa: PLC0415
+
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    gathered = {topic: bytearray() for topic in MAIN_TOPICS}
+    for step in Simulation(scenario).steps():
+        for record in step.records:
+            if record.topic in gathered:
+                gathered[record.topic] += record.payload
+    return run_arrays({topic: table(topic, payloads) for topic, payloads in gathered.items()})

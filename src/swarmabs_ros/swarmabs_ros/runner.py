@@ -158,7 +158,11 @@ def run_node(
     int
         Exit code: 0 fine, 1 the run failed, 2 a parameter was refused.
     """
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
+        sys.stderr.write(f"error: command line of {name}: {' '.join(str(error).split())}\n")
+        return 2
     node = SwarmNode(name)
     status = StatusChannel(node.get_name())
     try:
@@ -171,7 +175,7 @@ def run_node(
     except RunError as error:
         return _fail(status, error, 1)
     finally:
-        node.destroy_node()
+        node.destroy_node()  # type: ignore[no-untyped-call]
         rclpy.try_shutdown()
 
 
@@ -207,6 +211,7 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         expected = _expected(settings)
         while not stopped and not _matched(expected, publishers, inbox):
             time.sleep(SLICE / 5.0)
+        node.get_logger().info(f"ready: {sum(expected.values())} counterparts of {len(expected)} endpoints met")
         status.send("ready")
         while not stopped and not status.wait_for_start(SLICE):
             pass

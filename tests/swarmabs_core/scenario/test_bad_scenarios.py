@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+import yaml
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.scenario import ScenarioError, load_scenario, parse_scenario, yaml_tree
@@ -431,7 +432,7 @@ def test_the_error_names_line_field_and_remedy(text: str, expected: str) -> None
 
 
 def test_python_parser_finds_the_same_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(yaml_tree, "_LOADER", yaml_tree.yaml.SafeLoader)
+    monkeypatch.setattr(yaml_tree, "_LOADER", yaml.SafeLoader)
     for text, expected in CASES:
         if "not valid YAML" not in expected:
             with pytest.raises(ScenarioError) as caught:
@@ -466,9 +467,7 @@ def test_the_remedies_for_an_empty_preimage_work(name: str, value: float) -> Non
 def test_yaml_bomb_is_refused_at_once() -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 20)]
-    with pytest.raises(
-        ScenarioError, match=r"f:7: a6\.\d+: more than 2000000 values after expansion of aliases"
-    ):
+    with pytest.raises(ScenarioError, match=r"f:7: a6\.\d+: more than 2000000 values after expansion of aliases"):
         parse_scenario("\n".join(lines), source="f")
 
 
@@ -518,9 +517,7 @@ def test_not_a_text_file(tmp_path: Path, data: bytes, expected: str) -> None:
 
 def test_missing_file_names_a_near_one(tmp_path: Path) -> None:
     write(tmp_path / "pd_het_4.yaml", b"")
-    with pytest.raises(
-        ScenarioError, match=r"pd_hte_4\.yaml: no such file; did you mean 'pd_het_4\.yaml'\?$"
-    ):
+    with pytest.raises(ScenarioError, match=r"pd_hte_4\.yaml: no such file; did you mean 'pd_het_4\.yaml'\?$"):
         load_scenario(tmp_path / "pd_hte_4.yaml")
     with pytest.raises(ScenarioError, match=r"no such file; check the path$"):
         load_scenario(tmp_path / "no" / "x.yaml")
@@ -534,13 +531,9 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         load_scenario(tmp_path / "pipe")
     with pytest.raises(ScenarioError, match=r"/dev/zero: not a regular file"):
         load_scenario("/dev/zero")
-    with pytest.raises(
-        ScenarioError, match=r"x\\x00: cannot be read: .*; check the path and its permissions$"
-    ):
+    with pytest.raises(ScenarioError, match=r"x\\x00: cannot be read: .*; check the path and its permissions$"):
         load_scenario("x\0")
-    with pytest.raises(
-        ScenarioError, match=r"\.\.\.: cannot be read: File name too long; check the path and"
-    ):
+    with pytest.raises(ScenarioError, match=r"\.\.\.: cannot be read: File name too long; check the path and"):
         load_scenario("x" * 5000)
 
 
@@ -550,9 +543,7 @@ def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
     path = write(tmp_path / "x.yaml", b"")
     monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(
-        ScenarioError, match=r"x\.yaml: cannot be read: Permission denied; check the path and its"
-    ):
+    with pytest.raises(ScenarioError, match=r"x\.yaml: cannot be read: Permission denied; check the path and its"):
         load_scenario(path)
 
 

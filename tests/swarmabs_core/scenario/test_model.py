@@ -102,9 +102,7 @@ def test_words_are_texts(word: str) -> None:
 
 
 def test_negative_zero_is_zero() -> None:
-    plane = parse_scenario(
-        HEAD + "plane: {angle: -0.0, angular_velocity: -0, friction: [-0.0, 1, 1, 1, 1, 1]}"
-    ).plane
+    plane = parse_scenario(HEAD + "plane: {angle: -0.0, angular_velocity: -0, friction: [-0.0, 1, 1, 1, 1, 1]}").plane
     for value in (plane.angle, plane.angular_velocity, plane.friction[0]):
         assert math.copysign(1.0, value) == 1.0
 
@@ -197,9 +195,7 @@ def test_resolved_lists_what_was_generated() -> None:
 
 
 def test_robots_that_join_later_are_not_there_at_the_start() -> None:
-    faults = (
-        "[{kind: join, at: 1, agent: 2}, {kind: join, at: 0.004, agent: 3}, {kind: kill, at: 0, agent: 3}]"
-    )
+    faults = "[{kind: join, at: 1, agent: 2}, {kind: join, at: 0.004, agent: 3}, {kind: kill, at: 0, agent: 3}]"
     scenario = parse_scenario(HEAD + f"faults: {faults}")
     assert [agent.id for agent in scenario.initial_agents] == [1, 3, 4]
     assert [agent.id for agent in scenario.agents] == [1, 2, 3, 4]
@@ -235,10 +231,7 @@ def test_the_papers_manifold_leaves_the_set_it_should_stay_in() -> None:
 
 
 def test_underdamped_swarm_with_a_large_inertia() -> None:
-    text = (
-        "schema: 1\nmanifold: {torque_max: 1}\n"
-        "swarm: {gains: {kd: [5, KD]}, generate: {KIND: 200, position: 0.125}}"
-    )
+    text = "schema: 1\nmanifold: {torque_max: 1}\nswarm: {gains: {kd: [5, KD]}, generate: {KIND: 200, position: 0.125}}"
     (warning,) = parse_scenario(text.replace("KD", "5").replace("KIND", "double_integrator")).warnings()
     assert warning.startswith("swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, 1.5")
     assert "use a kd of at least 6.325, or smaller positions" in warning
@@ -248,9 +241,7 @@ def test_underdamped_swarm_with_a_large_inertia() -> None:
 
 def test_feedback_of_the_wrong_sign() -> None:
     scenario = parse_scenario(HEAD + "manifold: {torque_max: 1}\ncontroller: {type: pd, gains: [-3, 1]}")
-    assert scenario.warnings() == (
-        "controller.gains: k1 = -3.0 does not level the plane; use a positive gain",
-    )
+    assert scenario.warnings() == ("controller.gains: k1 = -3.0 does not level the plane; use a positive gain",)
 
 
 def test_faults_that_leave_too_few_robots() -> None:
@@ -258,9 +249,7 @@ def test_faults_that_leave_too_few_robots() -> None:
         f"{{kind: {kind}, at: {n}, agent: {n}}}" for n, kind in enumerate(("kill", "leave", "freeze"), 1)
     )
     scenario = parse_scenario(HEAD + f"manifold: {{torque_max: 1}}\nfaults: [{faults}]")
-    assert scenario.warnings() == (
-        "faults: from step 301 on only 1 robots are active; torque and inertia need two",
-    )
+    assert scenario.warnings() == ("faults: from step 301 on only 1 robots are active; torque and inertia need two",)
 
 
 @pytest.mark.parametrize(
@@ -281,11 +270,13 @@ def test_faults_that_leave_too_little_weight(fault: str, step: int | None) -> No
 def test_models_are_immutable_and_strict() -> None:
     scenario = Scenario(schema=1, swarm=Swarm(agents=PAPER))
     with pytest.raises(ValidationError, match="frozen"):
-        scenario.seed = 2  # type: ignore[misc]
+        scenario.seed = 2
     with pytest.raises(ValidationError, match="valid number"):
         Plane(inertia="0.5")  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match="finite number"):
         Plane(inertia=math.nan)
+    with pytest.raises(ValidationError, match=r"expected a mapping, found an object of type Plane; write \{type: pd"):
+        Scenario(schema=1, swarm=Swarm(agents=PAPER), controller=Plane())  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match=r"listed twice; give every robot its own id, e\.g\. 2"):
         Scenario(schema=1, swarm=Swarm(agents=(PAPER[0], PAPER[0])))
 

@@ -7,6 +7,7 @@ import pytest
 from swarmabs_core.scenario import (
     AriseConfig,
     ConstantTrajectory,
+    Generate,
     LossFault,
     LqrConfig,
     PdConfig,
@@ -53,7 +54,8 @@ def test_a_value_that_the_file_leaves_out() -> None:
 def test_an_element_of_a_list_that_the_file_leaves_out() -> None:
     assert parse("plane.friction.5=2").plane.friction == (0.01, 1000.0, 700.0, 0.02, 1000.0, 2.0)
     assert parse("swarm.gains.kd.1=9").swarm.gains.kd == (5.0, 9.0)
-    assert parse("swarm.generate.mass.1=0.9", text=GENERATED).swarm.generate.mass == (0.25, 0.9)
+    generate = parse("swarm.generate.mass.1=0.9", text=GENERATED).swarm.generate
+    assert generate == Generate(single_integrator=4, mass=(0.25, 0.9))
     lqr = parse("controller.type=lqr", "controller.q.0=5").controller
     assert lqr == LqrConfig(q=(5.0, 1.0))
 
@@ -78,14 +80,13 @@ def test_another_controller_drops_the_keys_of_the_old_one() -> None:
     untyped = TEXT.replace("  type: pd\n", "")
     assert parse("controller.type=pd", text=untyped).controller == PdConfig(gains=(1.0, 2.0))
     assert parse("controller.type=lqr", text=untyped).controller == LqrConfig()
+    assert parse("controller.type=lqr", text=GENERATED).controller == LqrConfig()
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_keys_set_by_overrides_stay_in_either_order(order: int) -> None:
     overrides = ["controller.type=arise", "controller.beta=7", "controller.trajectory.amplitude=0.2"]
-    assert parse(*overrides[::order]).controller == AriseConfig(
-        beta=7.0, trajectory=SineTrajectory(amplitude=0.2)
-    )
+    assert parse(*overrides[::order]).controller == AriseConfig(beta=7.0, trajectory=SineTrajectory(amplitude=0.2))
 
 
 def test_another_trajectory_drops_the_keys_of_the_old_one() -> None:
@@ -164,7 +165,7 @@ def test_name_and_file(tmp_path: Path) -> None:
         ),
         (
             "swarm.agents.0.id=2",
-            "--set swarm.agents.0.id=2: swarm.agents.0.id: robot 2 is listed twice (see line 9); give every robot",
+            "--set swarm.agents.0.id=2: swarm.agents.0.id: robot 2 is listed twice (see line 9); give",
         ),
         (
             "swarm.agents.0.position=-0.1",
@@ -189,10 +190,14 @@ def test_generated_robots_cannot_be_set_one_by_one() -> None:
 
 
 def test_an_element_of_a_controller_that_is_not_known() -> None:
-    with pytest.raises(
-        ScenarioError, match=r"^--set controller\.q\.0=1: controller\.q: it is not a list; set one"
-    ):
+    with pytest.raises(ScenarioError, match=r"^--set controller\.q\.0=1: controller\.q: it is not a list; set one"):
         parse("controller.type=x", "controller.q.0=1")
+
+
+def test_a_type_for_what_is_no_mapping() -> None:
+    text = GENERATED + "controller: pd\n"
+    with pytest.raises(ScenarioError, match=r"controller: it is the text 'pd' and has no parts; set the whole value"):
+        parse("controller.type=lqr", text=text)
 
 
 def test_an_error_of_the_file_names_the_file() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import yaml
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 from pydantic import ValidationError
 
@@ -83,9 +84,9 @@ def robot(number: int, mass: float, position: float, damping: float | None, velo
     return DoubleIntegratorAgent(id=number, mass=mass, position=position, damping=damping, velocity=velocity)
 
 
-listed = st.lists(
-    st.tuples(st.integers(1, 65535), bodies), min_size=2, max_size=8, unique_by=lambda pair: pair[0]
-).map(lambda pairs: {"agents": tuple(robot(number, *body) for number, body in pairs)})
+listed = st.lists(st.tuples(st.integers(1, 65535), bodies), min_size=2, max_size=8, unique_by=lambda pair: pair[0]).map(
+    lambda pairs: {"agents": tuple(robot(number, *body) for number, body in pairs)}
+)
 generated = st.fixed_dictionaries(
     {
         "generate": st.builds(
@@ -105,9 +106,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     step_ns = draw(st.integers(1, 10**10))
     steps = draw(st.integers(1, min(10**7, (2**31 - 1) * 10**9 // step_ns)))
     swarm = Swarm(
-        gains=draw(
-            st.builds(SwarmGains, k=pairs(positive), kp=pairs(positive), kd=pairs(positive), ksd=not_negative)
-        ),
+        gains=draw(st.builds(SwarmGains, k=pairs(positive), kp=pairs(positive), kd=pairs(positive), ksd=not_negative)),
         **draw(listed | generated),
     )
     going = st.sampled_from([KillFault, LeaveFault, FreezeFault, JoinFault])
@@ -135,22 +134,16 @@ def scenarios(draw: st.DrawFn) -> Scenario:
                     robot_gravity=st.booleans(),
                 )
             ),
-            manifold=draw(
-                st.builds(Manifold, curvature=st.floats(0.0125, 1e12), offset=positive, torque_max=positive)
-            ),
+            manifold=draw(st.builds(Manifold, curvature=st.floats(0.0125, 1e12), offset=positive, torque_max=positive)),
             controller=draw(controllers),
             swarm=swarm,
             limits=draw(st.builds(Limits, velocity=st.none() | positive, force=st.none() | positive)),
-            lockstep=draw(
-                st.builds(Lockstep, on_stall=st.sampled_from(["fail", "drop"]), stall_timeout=positive)
-            ),
+            lockstep=draw(st.builds(Lockstep, on_stall=st.sampled_from(["fail", "drop"]), stall_timeout=positive)),
             faults=tuple(faults),
         )
     except ValidationError as exc:
         # Robots too close together, too few at the start, or decimals with more digits than a float has.
-        assume(
-            not any(text in str(exc) for text in ("at one point", "at step 0", "of the step", "nanoseconds"))
-        )
+        assume(not any(text in str(exc) for text in ("at one point", "at step 0", "of the step", "nanoseconds")))
         raise
 
 
@@ -168,9 +161,7 @@ def test_every_scenario_loads_back(scenario: Scenario) -> None:
 def test_every_time_that_a_float_can_tell_is_exact(nanoseconds: int) -> None:
     seconds = nanoseconds / 10**9
     assume(len(str(nanoseconds).rstrip("0")) <= 15)
-    text = (
-        f"schema: 1\nduration: {seconds!r}\nstep: {seconds!r}\nswarm: {{generate: {{single_integrator: 4}}}}"
-    )
+    text = f"schema: 1\nduration: {seconds!r}\nstep: {seconds!r}\nswarm: {{generate: {{single_integrator: 4}}}}"
     assert parse_scenario(text).duration_ns == nanoseconds
 
 
@@ -191,11 +182,11 @@ limits: {velocity: null}
 faults: [{kind: loss, probability: .2}, {at: 5.0, kind: kill, agent: 3}]
 """
 FRAGMENTS = [
-    "", " ", "\n", "\t", "-", "- ", ":", ": ", "{", "}", "[", "]", ",", "#", "&g ", "*g", "!", "!!", "!!float ",
-    "!!str ", "!!python/name:os.system ", "|\n", ">\n", "'", '"', "%", "@", "`", "---\n", "...\n", "? ", "<<: ",
-    "null", "~", "true", "yes", "0", "1", "-1", "-0", "007", "0x1F", "1e999", "1e-999", "9" * 500, ".nan", "-.inf",
-    "1:30", "\0", "\x1b", "\x7f", "\ufeff", "\u2028", "\x85", "\ud800", "\U0010ffff", "é", "\r", "agents",
-    "generate: {single_integrator: 9}",
+    "", " ", "\n", "\t", "-", "- ", ":", ": ", "{", "}", "[", "]", ",", "#", "&g ", "*g", "!", "!!",
+    "!!float ", "!!str ", "!!python/name:os.system ", "|\n", ">\n", "'", '"', "%", "@", "`", "---\n",
+    "...\n", "? ", "<<: ", "null", "~", "true", "yes", "0", "1", "-1", "-0", "007", "0x1F", "1e999", "1e-999",
+    "9" * 500, ".nan", "-.inf", "1:30", "\0", "\x1b", "\x7f", "\ufeff", "\u2028", "\x85", "\ud800",
+    "\U0010ffff", "é", "\r", "agents", "generate: {single_integrator: 9}",
 ]  # fmt: skip
 edits = st.lists(
     st.tuples(
@@ -261,9 +252,10 @@ values = st.recursive(
     max_leaves=5,
 )
 paths = st.sampled_from([
-    "schema", "name", "duration", "step", "seed", "plane", "plane.friction", "plane.friction.1", "plane.substep",
-    "plane.disturbance", "manifold", "manifold.offset", "controller", "controller.type", "controller.gamma",
-    "controller.gamma.0", "controller.trajectory", "controller.trajectory.type", "swarm", "swarm.gains.k.1",
+    "schema", "name", "duration", "step", "seed", "plane", "plane.friction", "plane.friction.1",
+    "plane.substep", "plane.disturbance", "manifold", "manifold.offset", "controller", "controller.type",
+    "controller.gamma", "controller.gamma.0", "controller.trajectory", "controller.trajectory.type",
+    "swarm", "swarm.gains.k.1",
     "swarm.agents", "swarm.agents.0", "swarm.agents.1.kind", "swarm.agents.2", "swarm.generate",
     "swarm.generate.position", "limits.force", "lockstep.on_stall", "faults", "faults.0", "faults.0.kind",
     "faults.1.at", "faults.2",
@@ -288,7 +280,7 @@ def test_both_yaml_parsers_agree_on_what_both_read(changes: list[tuple[int, int,
     text = edited(changes)
     fast = outcome(text)
     loader = yaml_tree._LOADER
-    yaml_tree._LOADER = yaml_tree.yaml.SafeLoader
+    yaml_tree._LOADER = yaml.SafeLoader
     try:
         slow = outcome(text)
     finally:

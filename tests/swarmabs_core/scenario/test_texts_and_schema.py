@@ -55,9 +55,7 @@ def test_four_robots(parent: str, swarm: str, singles: int) -> None:
     assert tuple(agent.mass for agent in agents) == MASSES
     assert tuple(agent.position for agent in agents) == (0.125, -0.125, 0.125, -0.125)
     assert all(agent.velocity == 0.0 for agent in agents)
-    assert [agent.kind for agent in agents] == ["single_integrator"] * singles + ["double_integrator"] * (
-        4 - singles
-    )
+    assert [agent.kind for agent in agents] == ["single_integrator"] * singles + ["double_integrator"] * (4 - singles)
     assert tuple(agent.damping for agent in agents) == (0.0,) * singles + DAMPINGS[singles:]
 
 
@@ -65,9 +63,7 @@ def test_four_robots(parent: str, swarm: str, singles: int) -> None:
 def test_larger_swarms(count: int, duration: float, inertia: float) -> None:
     scenario = built_in(f"arise_het_{count}")
     assert (
-        [agent.kind for agent in scenario.agents].count("single_integrator")
-        == count // 2
-        == len(scenario.agents) // 2
+        [agent.kind for agent in scenario.agents].count("single_integrator") == count // 2 == len(scenario.agents) // 2
     )
     assert scenario.duration == duration
     assert math.fsum(a.mass * a.position**2 for a in scenario.agents) == pytest.approx(inertia, rel=0.1)
@@ -151,8 +147,8 @@ faults:
 
 def test_every_default_is_filled_in() -> None:
     text = """
-        {schema: 1, name: "on", duration: 2, step: 1e-5, seed: 7, lockstep: {on_stall: drop}, limits: {force: 2},
-         controller: {type: arise, trajectory: {type: constant}},
+        {schema: 1, name: "on", duration: 2, step: 1e-5, seed: 7, lockstep: {on_stall: drop},
+         limits: {force: 2}, controller: {type: arise, trajectory: {type: constant}},
          swarm: {agents: [{kind: double_integrator, id: 2, mass: 1, position: 0, damping: 0},
                           {kind: single_integrator, id: 1, mass: 1, position: 0.1}]},
          faults: [{agent: 1, at: 1, kind: kill}, {steps: 2, kind: delay}]}"""
@@ -193,41 +189,57 @@ def test_the_largest_swarm_loads_back() -> None:
 # JSON Schema
 
 
+def in_range(value: float, schema: dict[str, Any]) -> bool:
+    low, high = schema.get("minimum", -math.inf), schema.get("maximum", math.inf)
+    above, below = schema.get("exclusiveMinimum", -math.inf), schema.get("exclusiveMaximum", math.inf)
+    return bool(low <= value <= high and above < value < below)
+
+
+def of_type(value: object, name: str | None) -> bool:
+    match name:
+        case "number":
+            return isinstance(value, int | float) and not isinstance(value, bool)
+        case "integer":
+            return isinstance(value, int) and not isinstance(value, bool)
+        case None:
+            return True
+    kinds: dict[str, type] = {
+        "object": dict,
+        "array": list,
+        "string": str,
+        "null": type(None),
+        "boolean": bool,
+    }
+    return isinstance(value, kinds[name])
+
+
 def fits(value: object, schema: dict[str, Any], root: dict[str, Any]) -> bool:
     """Say whether `value` fits, for the part of JSON Schema that is used here."""
-    if "$ref" in schema and not fits(value, root["$defs"][schema["$ref"].removeprefix("#/$defs/")], root):
+    choices = [fits(value, choice, root) for choice in schema.get("oneOf", ())]
+    checks = [
+        "$ref" not in schema or fits(value, root["$defs"][schema["$ref"].removeprefix("#/$defs/")], root),
+        value == schema.get("const", value),
+        value in schema.get("enum", [value]),
+        "oneOf" not in schema or choices.count(True) == 1,
+        "anyOf" not in schema or any(fits(value, choice, root) for choice in schema["anyOf"]),
+        of_type(value, schema.get("type")),
+    ]
+    if not all(checks):
         return False
-    if "const" in schema and value != schema["const"]:
-        return False
-    if "enum" in schema and value not in schema["enum"]:
-        return False
-    if "oneOf" in schema and sum(fits(value, choice, root) for choice in schema["oneOf"]) != 1:
-        return False
-    if "anyOf" in schema and not any(fits(value, choice, root) for choice in schema["anyOf"]):
-        return False
-    kinds = {"object": dict, "array": list, "string": str, "null": type(None), "boolean": bool}
-    match schema.get("type"):
-        case "number" | "integer" as kind:
-            kept = (int, float) if kind == "number" else (int,)
-            if not isinstance(value, kept) or isinstance(value, bool):
-                return False
-            return schema.get("minimum", -math.inf) <= value <= schema.get(
-                "maximum", math.inf
-            ) and schema.get("exclusiveMinimum", -math.inf) < value < schema.get("exclusiveMaximum", math.inf)
-        case str() as kind if not isinstance(value, kinds[kind]):
-            return False
+    if isinstance(value, int | float):
+        return in_range(value, schema)
     if isinstance(value, dict):
         properties = schema.get("properties", {})
-        if schema.get("additionalProperties") is False and value.keys() - properties.keys():
-            return False
-        return all(key in value for key in schema.get("required", ())) and all(
-            fits(value[key], properties[key], root) for key in value.keys() & properties.keys()
+        return (
+            (schema.get("additionalProperties", True) or value.keys() <= properties.keys())
+            and value.keys() >= set(schema.get("required", ()))
+            and all(fits(value[key], properties[key], root) for key in value.keys() & properties.keys())
         )
     if isinstance(value, list):
-        if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf):
-            return False
         items = schema.get("prefixItems", [schema.get("items", {})] * len(value))
-        return all(fits(item, part, root) for item, part in zip(value, items, strict=True))
+        return schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf) and all(
+            fits(item, part, root) for item, part in zip(value, items, strict=True)
+        )
     return True
 
 
@@ -269,8 +281,8 @@ HEAD = "schema: 1\nswarm: {generate: {single_integrator: 4}}\n"
         HEAD + "controller: {type: arise, trajectory: {amplitude: 0.2}}",
         HEAD.replace("4", "4, position: 0.2"),
         (
-            "schema: 1\nswarm: {agents: [{id: 1, kind: single_integrator, mass: 1, position: 0.1, velocity: 0},"
-            " {id: 2, kind: single_integrator, mass: 1, position: 0}]}"
+            "schema: 1\nswarm: {agents: [{id: 1, kind: single_integrator, mass: 1, position: 0.1, velocity: 0}"
+            ", {id: 2, kind: single_integrator, mass: 1, position: 0}]}"
         ),
     ],
 )

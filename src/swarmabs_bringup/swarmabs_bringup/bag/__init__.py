@@ -1,13 +1,6 @@
 """Bags: the MCAP file of a run, written so that ROS tools open it, and read with nothing taken on trust."""
 
-from swarmabs_bringup.bag.arrays import (
-    AbstractArrays,
-    AgentArrays,
-    AuxiliaryArrays,
-    DesiredArrays,
-    RunArrays,
-    load_arrays,
-)
+from swarmabs_bringup.bag.arrays import load_arrays
 from swarmabs_bringup.bag.errors import (
     BagFolderError,
     BagWriteError,
@@ -32,9 +25,6 @@ __all__ = [
     "BAG_FILE",
     "PROVENANCE_FILE",
     "SCENARIO_FILE",
-    "AbstractArrays",
-    "AgentArrays",
-    "AuxiliaryArrays",
     "BagChannel",
     "BagFolderError",
     "BagInfo",
@@ -42,10 +32,8 @@ __all__ = [
     "BagWriteError",
     "BagWriter",
     "DamagedBagError",
-    "DesiredArrays",
     "MessageSchema",
     "NotABagError",
-    "RunArrays",
     "ScenarioInfo",
     "TopicInfo",
     "UnknownTypeError",

@@ -280,6 +280,9 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     _check_summary_crc(stream, footer, size - end_size)
     index = FileIndex(header=parse(Header, read_record(stream, len(MAGIC), size)))
     index.data_end = footer.summary_start - len(_encoded(DataEnd(0)))
+    before = read_record(stream, index.data_end, size)
+    if before.opcode != Opcode.DATA_END or before.end != footer.summary_start:
+        raise RecordError(index.data_end, "no end of the data section is where the summary section begins")
     found = False
     for record in read_records(stream, footer.summary_start, size):
         if record.opcode == Opcode.STATISTICS:

@@ -53,8 +53,10 @@ def doctor(*, as_json: bool) -> int:
     from dataclasses import asdict  # noqa: PLC0415 - slow, not for --help
 
     from swarmabs_bringup.doctor import examine  # noqa: PLC0415
+    from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
 
-    findings = examine()
+    with tracing_files_removed():
+        findings = examine()
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:

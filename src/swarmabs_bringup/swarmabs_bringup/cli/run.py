@@ -45,7 +45,14 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @_options
-def run(**options: Any) -> int:
+@click.option(
+    "--agents-per-process",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Robots that share a process, for large simulations.",
+)
+def run(agents_per_process: int, **options: Any) -> int:
     """Run a scenario as one process per robot over DDS, in lockstep.
 
     SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
@@ -54,7 +61,9 @@ def run(**options: Any) -> int:
     def execute(scenario: Scenario, folder: RunFolder, record: bool, show: Callable[[Progress], None]) -> Outcome:  # noqa: FBT001
         from swarmabs_bringup.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
 
-        return LockstepRun(scenario, folder, record=record, on_progress=show).run()
+        return LockstepRun(
+            scenario, folder, record=record, on_progress=show, agents_per_process=agents_per_process
+        ).run()
 
     return _carry_out(execute, **options)
 

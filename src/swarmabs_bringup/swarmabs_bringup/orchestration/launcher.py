@@ -21,8 +21,8 @@ import warnings
 from typing import Any, NoReturn
 
 from swarmabs_bringup.orchestration.dds_profile import PARTICIPANT_VARIABLE
+from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_core.messages import TOPICS
-from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
 
 NODES = ("plane_sim.node", "abstraction_observer.node", "parent_controller.node", "agent_node.node")
@@ -131,14 +131,16 @@ def main() -> int:
     """Import everything once, then serve."""
     # The ROS tracing library keeps two idle listeners of its own, which a fork may leave behind.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
-    for module in NODES:
-        importlib.import_module(module)
-    for topic in TOPICS:
-        ros_type(topic).__class__.__import_type_support__()
-    gc.collect()
-    gc.freeze()  # memory that no collection touches stays shared with the children
-    launcher = Launcher(int(os.environ[REPORT_FD]))
-    launcher.run()
+    with tracing_files_removed():
+        for module in NODES:
+            importlib.import_module(module)
+        for topic in TOPICS:
+            package, _, name = topic.ros_type.split("/")
+            getattr(importlib.import_module(f"{package}.msg"), name).__class__.__import_type_support__()
+        gc.collect()
+        gc.freeze()  # memory that no collection touches stays shared with the children
+        launcher = Launcher(int(os.environ[REPORT_FD]))
+        launcher.run()
     return 0
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from swarmabs_bringup.orchestration.dds_profile import COORDINATORS, dds_environment, profile_xml
+from swarmabs_bringup.orchestration.dds_profile import dds_environment, profile_xml
 from swarmabs_bringup.orchestration.domain import (
     DATA_OFFSET,
     DOMAIN_GAIN,
@@ -25,6 +25,7 @@ from swarmabs_bringup.orchestration.looking_in import write_network
 from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan, agent_name, plan
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
+from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_core import configure
 from swarmabs_core.membership import ChangeKind
 
@@ -64,6 +65,8 @@ class LockstepRun:
         ROS namespace of the swarm.
     spawn_order : callable, optional
         Puts the robots' processes into another order before they are started.
+    agents_per_process : int
+        How many robots share a process.
     """
 
     def __init__(
@@ -75,15 +78,28 @@ class LockstepRun:
         on_progress: Callable[[Progress], None] | None = None,
         namespace: str = "/",
         spawn_order: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] | None = None,
+        agents_per_process: int = 1,
     ) -> None:
         self._scenario = scenario
         self._folder = folder
         self._namespace = namespace
         self._on_progress = on_progress
         bag = folder.bag if record else None
-        self._plan = plan(scenario, scenario_file=folder.scenario, bag=bag, logs=folder.logs)
+        self._plan = plan(
+            scenario,
+            scenario_file=folder.scenario,
+            bag=bag,
+            logs=folder.logs,
+            agents_per_process=agents_per_process,
+        )
         self._spawn_order = spawn_order
-        self._supervision = Supervision(tuple(process.name for process in self._plan))
+        hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
+        self._own_process = {agent_id for process in self._plan if len(process.agents) == 1 for agent_id in process.agents}
+        self._supervision = Supervision(
+            tuple(process.name for process in self._plan),
+            dispensable=frozenset(hosts.values()) if scenario.lockstep.on_stall == "drop" else frozenset(),
+            hosts=hosts,
+        )
         self._interrupted = False
         self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
         self._begun = time.monotonic()
@@ -99,13 +115,15 @@ class LockstepRun:
         RunError
             If the run cannot even be begun, such as when no ROS domain is free.
         """
-        participants = COORDINATORS + len(self._scenario.agents)
+        participants = 1 + max(process.participant for process in self._plan)
         ports = DATA_OFFSET + PARTICIPANT_GAIN * participants
         spacing = -(-ports // (DOMAIN_GAIN * SPACING)) * SPACING
         self._folder.fill(self._scenario)
         profile = self._folder.logs / "fastdds.xml"
         with ExitStack() as stack:
+            stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(spacing))
+            self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
             profile.write_text(profile_xml(domain), encoding="utf-8")
             write_network(self._folder.logs, domain, participants)
             wake = stack.enter_context(self._interruptible())
@@ -158,6 +176,7 @@ class LockstepRun:
                     known, news = len(state.ready), now
                 if state.all_ready():
                     self._started = now
+                    self._note("all processes have met their counterparts: start")
                     launcher.start_all()
                 elif now - news > START_SILENCE:
                     return self._not_started()
@@ -170,9 +189,10 @@ class LockstepRun:
         return None
 
     def _spawn(self, launcher: LauncherClient) -> None:
-        coordinators, agents = self._plan[: -len(self._scenario.agents)], self._plan[-len(self._scenario.agents) :]
+        coordinators = [process for process in self._plan if not process.agents]
+        agents: Sequence[ProcessPlan] = [process for process in self._plan if process.agents]
         if self._spawn_order is not None:
-            agents = tuple(self._spawn_order(agents))
+            agents = self._spawn_order(agents)
         for process in (*coordinators, *agents):
             launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
 
@@ -197,8 +217,11 @@ class LockstepRun:
         recorded = -1 if self._supervision.progress is None else self._supervision.progress["step"]
         while self._faults and self._faults[0].step <= recorded:
             fault = self._faults.pop(0)
+            if fault.agent_id not in self._own_process:  # its state machine is silent, its neighbours go on
+                continue
             name = agent_name(fault.agent_id)
             self._supervision.expect_end(name)
+            self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
             launcher.signal(name, _SIGNALS[fault.kind])
 
     def _check_stalls(self, now: float) -> Failure | None:
@@ -218,10 +241,10 @@ class LockstepRun:
         """Let the recorder complete the bag of a run that did not finish, and sum up."""
         state = self._supervision
         reason = self._describe(failure)
-        if reason is not None:
-            (self._folder.logs / "orchestrator.log").write_text(reason + "\n", encoding="utf-8")
-        elif self._interrupted:
+        if reason is None and self._interrupted:
             reason = "interrupted"
+        if reason is not None:
+            self._note(reason)
         if state.done is None and RECORDER in state.pids and RECORDER not in state.exited:
             launcher.signal(RECORDER, signal.SIGTERM)
             deadline = time.monotonic() + CLOSING_SECONDS
@@ -237,6 +260,11 @@ class LockstepRun:
             None if self._started is None else self._started - self._begun,
             None if self._started is None else (self._finished or time.monotonic()) - self._started,
         )
+
+    def _note(self, text: str) -> None:
+        """Write a line to the orchestrator's log, which becomes a part of the bag."""
+        with (self._folder.logs / "orchestrator.log").open("a", encoding="utf-8") as stream:
+            stream.write(f"[{time.monotonic() - self._begun:9.3f}] {text}\n")
 
     def _describe(self, failure: Failure | None) -> str | None:
         if failure is None:

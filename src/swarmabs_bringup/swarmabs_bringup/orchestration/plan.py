@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from dataclasses import dataclass
 from math import isinf
@@ -48,6 +49,8 @@ class ProcessPlan:
         Its ROS parameters.
     publications, subscriptions : tuple of Topic
         Its endpoints, from which follows whom each must have met before the run starts.
+    agents : tuple of int
+        Ids of the robots that live in it.
     """
 
     name: str
@@ -56,6 +59,7 @@ class ProcessPlan:
     parameters: dict[str, object]
     publications: tuple[Topic, ...]
     subscriptions: tuple[Topic, ...]
+    agents: tuple[int, ...] = ()
 
     def arguments(self, namespace: str) -> list[str]:
         """Return the node's command line."""
@@ -77,6 +81,8 @@ def _yaml(value: object) -> str:
         return "[" + ", ".join(_yaml(item) for item in value) + "]"
     if isinstance(value, str):
         return "'" + value.replace("'", "''") + "'"
+    if isinstance(value, float) and 0.0 < abs(value) < sys.float_info.min:
+        return value.hex()  # a decimal as small as this counts as a text
     return repr(value)
 
 
@@ -85,7 +91,14 @@ def agent_name(agent_id: int) -> str:
     return f"agent_{agent_id:03d}"
 
 
-def plan(scenario: Scenario, *, scenario_file: Path, bag: Path | None, logs: Path) -> tuple[ProcessPlan, ...]:
+def group_name(agent_ids: tuple[int, ...]) -> str:
+    """Return the node name of a process with several robots."""
+    return f"agents_{agent_ids[0]:03d}_to_{agent_ids[-1]:03d}"
+
+
+def plan(
+    scenario: Scenario, *, scenario_file: Path, bag: Path | None, logs: Path, agents_per_process: int = 1
+) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
     Parameters
@@ -98,6 +111,8 @@ def plan(scenario: Scenario, *, scenario_file: Path, bag: Path | None, logs: Pat
         Folder of the bag; none if nothing is to be recorded.
     logs : Path
         Folder of the processes' logs, for the recorder.
+    agents_per_process : int
+        How many robots share a process.
     """
     common: dict[str, object] = {
         "period_ns": scenario.step_ns,
@@ -164,22 +179,38 @@ def plan(scenario: Scenario, *, scenario_file: Path, bag: Path | None, logs: Pat
             (RECORDING_PROGRESS,),
             (*MAIN_TOPICS, EVENTS),
         ),
-        *(
-            ProcessPlan(
-                agent_name(config.agent_id),
-                "agent_node.node",
-                COORDINATORS + index,
-                common | _agent_parameters(config),
-                (EVENTS, AGENT_STATE),
-                (*BROADCASTS, PLANE_STATE)
-                if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR
-                else BROADCASTS,
-            )
-            for index, config in enumerate(configure.agent_configs(scenario))
-        ),
+        *_agent_processes(scenario, common, scenario_file, agents_per_process),
     ]
     _expect_counterparts(processes)
     return tuple(processes)
+
+
+def _agent_processes(
+    scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int
+) -> list[ProcessPlan]:
+    configs = configure.agent_configs(scenario)
+    processes = []
+    for index, first in enumerate(range(0, len(configs), per_process)):
+        hosted = configs[first : first + per_process]
+        ids = tuple(config.agent_id for config in hosted)
+        feels = any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted)
+        if per_process == 1:
+            name, module, parameters = agent_name(ids[0]), "agent_node.node", _agent_parameters(hosted[0])
+        else:
+            name, module = group_name(ids), "agent_node.group"
+            parameters = {"scenario_file": str(scenario_file), "agent_ids": ids}
+        processes.append(
+            ProcessPlan(
+                name,
+                module,
+                COORDINATORS + index,
+                common | parameters,
+                (EVENTS, AGENT_STATE),
+                (*BROADCASTS, PLANE_STATE) if feels else BROADCASTS,
+                ids,
+            )
+        )
+    return processes
 
 
 def _agent_parameters(config: AgentConfig) -> dict[str, object]:

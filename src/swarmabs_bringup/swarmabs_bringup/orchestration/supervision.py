@@ -44,9 +44,15 @@ class Supervision:
     ----------
     names : tuple of str
         Names of all processes.
+    dispensable : frozenset of str
+        Names of those whose end the run survives: the robots, where the scenario says that silent ones are dropped.
+    hosts : mapping
+        Process by robot, where it is not the robot's own.
     """
 
     names: tuple[str, ...]
+    dispensable: frozenset[str] = frozenset()
+    hosts: Mapping[int, str] = field(default_factory=dict)
     pids: dict[str, int] = field(default_factory=dict)
     ready: set[str] = field(default_factory=set)
     exited: dict[str, int] = field(default_factory=dict)
@@ -69,7 +75,7 @@ class Supervision:
             self.stalls[node] = Stall(report["step"], tuple(report["missing"]), report["silence"])
         elif event == "recovered":
             self.stalls.pop(node, None)
-        elif event == "failed":
+        elif event == "failed" and node not in self.dispensable:
             self._fail(Failure(f"{node}: {report['reason']}"))
         elif event == "progress":
             self.progress = report
@@ -91,7 +97,7 @@ class Supervision:
     def _exited(self, name: str, code: int) -> None:
         self.exited[name] = code
         finished = name == RECORDER and self.done is not None
-        if name in self.expected_ends or finished:
+        if name in self.expected_ends or name in self.dispensable or finished:
             return
         self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how_it_ended(code)}", (name,)))
 
@@ -124,15 +130,15 @@ class Supervision:
 
     def _silent(self) -> tuple[str, ...]:
         """Return those who are waited for and do not wait themselves."""
-        wanted = {_process_of(item) for stall in self.stalls.values() for item in stall.missing}
+        wanted = {self._process_of(item) for stall in self.stalls.values() for item in stall.missing}
         return tuple(name for name in self.names if name in wanted and name not in self.stalls)
 
-
-def _process_of(item: str) -> str:
-    """Return the process that a node means when it says what it misses."""
-    if item.startswith("agent "):
-        return agent_name(int(item.removeprefix("agent ")))
-    return PUBLISHER_OF.get(item, item)
+    def _process_of(self, item: str) -> str:
+        """Return the process that a node means when it says what it misses."""
+        if item.startswith("agent "):
+            agent_id = int(item.removeprefix("agent "))
+            return self.hosts.get(agent_id, agent_name(agent_id))
+        return PUBLISHER_OF.get(item, item)
 
 
 def how_it_ended(code: int) -> str:

@@ -3,12 +3,14 @@
 from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
+from swarmabs_core.behaviours.group import AgentGroup
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
 
 __all__ = [
     "Agent",
     "AgentConfig",
+    "AgentGroup",
     "Behaviour",
     "Controller",
     "ControllerConfig",

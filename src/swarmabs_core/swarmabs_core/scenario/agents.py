@@ -48,20 +48,13 @@ class SingleIntegratorAgent(Model):
     @classmethod
     def tolerates(cls, key: str, value: object) -> bool:
         """Tolerate an initial velocity of 0, so that robots of both kinds can be written alike."""
-        return (
-            key == "velocity"
-            and isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and value == 0
-        )
+        return key == "velocity" and isinstance(value, int | float) and not isinstance(value, bool) and value == 0
 
     @classmethod
     def unknown_key(cls, key: str) -> PydanticCustomError:
         """Explain which kind of robot has the key."""
         if key == "damping":
-            return problem(
-                "a single integrator has no damping", "remove it, or use 'kind: double_integrator'"
-            )
+            return problem("a single integrator has no damping", "remove it, or use 'kind: double_integrator'")
         if key == "velocity":
             return problem(
                 "a single integrator starts at velocity 0",
@@ -96,21 +89,15 @@ def _auto_or_number(value: object) -> object:
     if value == "auto":
         return value
     if isinstance(value, str):
-        raise problem(
-            f"expected a number or auto, found the text {show(value)}", "write 'auto', or a number in m"
-        )
+        raise problem(f"expected a number or auto, found the text {show(value)}", "write 'auto', or a number in m")
     return _POSITIVE.validate_python(value, strict=True)
 
 
 class Generate(Model):
     """A swarm drawn at random: ids from 1, single integrators first, positions +p, -p alternating."""
 
-    single_integrator: int = Field(
-        default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots"
-    )
-    double_integrator: int = Field(
-        default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots"
-    )
+    single_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots")
+    double_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots")
     mass: Annotated[tuple[Positive, Positive], AsPair] = Field(
         default=(0.25, 0.75), description="[smallest, largest] mass, uniformly distributed, kg"
     )
@@ -121,9 +108,7 @@ class Generate(Model):
     position: Annotated[
         float | Literal["auto"],
         BeforeValidator(_auto_or_number),
-        WithJsonSchema(
-            {"anyOf": [{"const": "auto"}, {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}]}
-        ),
+        WithJsonSchema({"anyOf": [{"const": "auto"}, {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}]}),
     ] = Field(
         default="auto",
         description="distance p of every robot from the axis, m; auto: sqrt(0.0288/M), M = total mass",
@@ -144,9 +129,7 @@ class Generate(Model):
         count = self.single_integrator + self.double_integrator
         if count > LARGEST_ID:
             findings.append(
-                Finding.of(
-                    (), f"{count} robots are more than there are ids", f"generate at most {LARGEST_ID} in all"
-                )
+                Finding.of((), f"{count} robots are more than there are ids", f"generate at most {LARGEST_ID} in all")
             )
         raise_findings("Generate", findings)
         return self

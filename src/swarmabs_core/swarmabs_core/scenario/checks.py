@@ -150,16 +150,13 @@ def _preimage(scenario: "Scenario") -> Iterator[Finding]:
         ("manifold",),
         f"no positions of the robots ({mass:.6g} kg in all) have the inertia curvature*tau^2 + offset "
         f"for |tau| > {failing:.6g} N m, and torque_max is {manifold.torque_max!r}",
-        f"lower torque_max to {_rounded_down(failing)!r}, "
-        f"or use at least {_rounded_up(1 / weight)!r} kg of robots",
+        f"lower torque_max to {_rounded_down(failing)!r}, or use at least {_rounded_up(1 / weight)!r} kg of robots",
     )
 
 
 def _empty_from(manifold: "Manifold", mass: float, gravity: float) -> float | None:
     """Return the torque (N m) above which the preimage of the manifold is empty, None if it never is."""
-    curvature, offset, largest = (
-        Fraction(x) for x in (manifold.curvature, manifold.offset, manifold.torque_max)
-    )
+    curvature, offset, largest = (Fraction(x) for x in (manifold.curvature, manifold.offset, manifold.torque_max))
     needed = 1 / (Fraction(gravity) ** 2 * Fraction(mass))
     if curvature * largest**2 + offset >= needed * largest**2:
         return None
@@ -184,16 +181,12 @@ def _faults(scenario: "Scenario") -> Iterator[Finding]:
         here: Location = ("faults", index)
         if isinstance(fault, LossFault | DelayFault):
             if type(fault) in single:
-                yield Finding.of(
-                    here, f"a second {fault.kind}", f"keep one {fault.kind}", see=single[type(fault)]
-                )
+                yield Finding.of(here, f"a second {fault.kind}", f"keep one {fault.kind}", see=single[type(fault)])
             single.setdefault(type(fault), here)
             continue
         if fault.agent not in ids:
             near = min(ids, key=partial(_distance, fault.agent), default=1)
-            yield Finding.of(
-                (*here, "agent"), f"there is no robot {fault.agent}", f"name an existing one, e.g. {near}"
-            )
+            yield Finding.of((*here, "agent"), f"there is no robot {fault.agent}", f"name an existing one, e.g. {near}")
             continue
         step = scenario.fault_step(fault.at)
         if step > last:
@@ -205,9 +198,7 @@ def _faults(scenario: "Scenario") -> Iterator[Finding]:
         kept = joined if isinstance(fault, JoinFault) else gone
         if fault.agent in kept:
             what = "joins twice" if isinstance(fault, JoinFault) else "is killed, frozen or leaves twice"
-            yield Finding.of(
-                here, f"robot {fault.agent} {what}", "keep one of them", see=kept[fault.agent][1]
-            )
+            yield Finding.of(here, f"robot {fault.agent} {what}", "keep one of them", see=kept[fault.agent][1])
         kept.setdefault(fault.agent, (step, here))
     for number in sorted(joined.keys() & gone.keys()):
         if 0 < joined[number][0] >= gone[number][0]:

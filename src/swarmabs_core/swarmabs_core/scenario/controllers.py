@@ -104,9 +104,7 @@ class LqrConfig(ControllerConfig):
 class AriseConfig(ControllerConfig):
     """Adaptive robust integral of the sign of the error, tracking a trajectory under a disturbance."""
 
-    type: Literal["arise"] = Field(
-        default="arise", description="adaptive robust integral of the sign of the error"
-    )
+    type: Literal["arise"] = Field(default="arise", description="adaptive robust integral of the sign of the error")
     ks: NonNegative = Field(default=1.0, description="gain of the filtered error, N m s/rad")
     alpha1: Positive = Field(default=1.0, description="gain of the angle error in e2, 1/s")
     alpha2: Positive = Field(default=2.0, description="gain of e2 in the integral, 1/s")
@@ -122,9 +120,9 @@ class AriseConfig(ControllerConfig):
         default=(0.4566, 0.009, 0.01, 0.9),
         description="initial estimates of the inertia in kg m^2, of g1 and g4 in N m, and of g6 in N m s/rad",
     )
-    trajectory: Annotated[
-        TrajectoryConfig, Tagged(TrajectoryConfig, "type", TRAJECTORY_CONFIGS, DEFAULT_TRAJECTORY)
-    ] = Field(default=SineTrajectory(), description="reference of the plane's angle")
+    trajectory: Annotated[TrajectoryConfig, Tagged("type", TRAJECTORY_CONFIGS, DEFAULT_TRAJECTORY)] = Field(
+        default=SineTrajectory(), description="reference of the plane's angle"
+    )
 
 
 DEFAULT_CONTROLLER = "pd"

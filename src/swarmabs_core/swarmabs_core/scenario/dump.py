@@ -44,9 +44,7 @@ def _flow(value: Plain) -> str:
         text = repr(value)
         return text if "." in text else text.replace("e", ".0e")  # YAML 1.1 takes 1e-05 for a text
     if isinstance(value, str):
-        return (
-            value if _PLAIN_TEXT.fullmatch(value) and value.lower() not in _WORDS_OF_YAML else _quoted(value)
-        )
+        return value if _PLAIN_TEXT.fullmatch(value) and value.lower() not in _WORDS_OF_YAML else _quoted(value)
     return json.dumps(value)
 
 

@@ -50,8 +50,7 @@ class ScenarioError(InputError):
     def __str__(self) -> str:
         """Return the one line."""
         source, field, problem, remedy = (
-            printable(shorten(text, _LONGEST_PART))
-            for text in (self.source, self.field, self.problem, self.remedy)
+            printable(shorten(text, _LONGEST_PART)) for text in (self.source, self.field, self.problem, self.remedy)
         )
         where = source if self.line is None else f"{source}:{self.line}"
         more = f" (+{self.more} more)" if self.more else ""

@@ -28,9 +28,7 @@ class KillFault(AgentFault):
 class FreezeFault(AgentFault):
     """The robot's process is stopped (SIGSTOP); the robot stands still where it is."""
 
-    kind: Literal["freeze"] = Field(
-        default="freeze", description="the process is stopped, the robot stands still"
-    )
+    kind: Literal["freeze"] = Field(default="freeze", description="the process is stopped, the robot stands still")
 
 
 class LeaveFault(AgentFault):
@@ -42,9 +40,7 @@ class LeaveFault(AgentFault):
 class JoinFault(AgentFault):
     """The robot, listed under ``swarm.agents``, is not there before the fault step."""
 
-    kind: Literal["join"] = Field(
-        default="join", description="the robot appears on the plane at its initial position"
-    )
+    kind: Literal["join"] = Field(default="join", description="the robot appears on the plane at its initial position")
 
 
 class LossFault(Model):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Annotated, ClassVar, TypeAlias
+from typing import Annotated, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -100,16 +100,11 @@ class Model(BaseModel):
         known = set(cls.key_names())
         unknown = [key for key, value in data.items() if key not in known and not cls.tolerates(key, value)]
         raise_findings(cls.__name__, [Finding((str(key),), cls.unknown_key(str(key))) for key in unknown])
-        required = {
-            field.alias or name: field for name, field in cls.model_fields.items() if field.is_required()
-        }
+        required = {field.alias or name: field for name, field in cls.model_fields.items() if field.is_required()}
         missing = {key: field.description for key, field in required.items() if key not in data}
         raise_findings(
             cls.__name__,
-            [
-                Finding.of((key,), f"'{key}' is missing", f"add '{key}: ...' ({what})")
-                for key, what in missing.items()
-            ],
+            [Finding.of((key,), f"'{key}' is missing", f"add '{key}: ...' ({what})") for key, what in missing.items()],
         )
         return {key: value for key, value in data.items() if key in known}
 
@@ -150,12 +145,6 @@ AsFour = BeforeValidator(_as_tuple(4))
 AsSix = BeforeValidator(_as_tuple(6))
 
 
-class TaggedModel(Model):
-    """A model that is chosen by the value of one of its keys, see `Tagged`."""
-
-    tag_name: ClassVar[str]
-
-
 @dataclass(frozen=True, eq=False)
 class Tagged:
     """Annotation of a field whose model is looked up in a registry by the value of its tag key.
@@ -164,24 +153,22 @@ class Tagged:
 
     Parameters
     ----------
-    base : type of Model
-        What every registered model derives from; instances are taken as they are.
     tag : str
         Name of the tag key.
     registry : mapping of str to type of Model
-        The model of each value of the tag.
+        The model of each value of the tag; instances of these models are taken as they are.
     default : str, optional
         Value of the tag when the key is left out; without it the key is required.
     """
 
-    base: type[Model]
     tag: str
     registry: Mapping[str, type[Model]]
     default: str | None = None
 
     def validate(self, value: object) -> Model:
         """Return the registered model that `value` describes."""
-        if isinstance(value, self.base):
+        models: tuple[type[Model], ...] = tuple(self.registry.values())
+        if isinstance(value, models):
             return value
         if not isinstance(value, Mapping):
             raise problem(
@@ -197,15 +184,13 @@ class Tagged:
         text = show(name) if isinstance(name, str) else f"({describe(name)})"
         remedy = nearest(name if isinstance(name, str) else "", known)
         error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
-        raise as_error(self.base.__name__, [error])
+        raise as_error(self.tag, [error])
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate by the registry and serialise by the model found."""
         return core_schema.no_info_before_validator_function(self.validate, core_schema.any_schema())
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Offer every registered model; the tag is required unless it is the default."""
         choices: list[JsonSchemaValue] = []
         for name, model in self.registry.items():

@@ -61,7 +61,7 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
 def parse_scenario(
     text: str, *, source: str = "<text>", default_name: str = "scenario", overrides: Sequence[str] = ()
 ) -> Scenario:
-    """Read a scenario from a text; parameters as of `load_scenario`.
+    """Read a scenario from a text.
 
     Parameters
     ----------
@@ -72,7 +72,12 @@ def parse_scenario(
     default_name : str
         The scenario's name if the text has none.
     overrides : sequence of str
-        Overrides ``a.b=v``.
+        Overrides ``a.b=v``, see `load_scenario`.
+
+    Returns
+    -------
+    Scenario
+        The checked scenario.
 
     Raises
     ------
@@ -109,9 +114,7 @@ def _read_bytes(path: Path, source: str) -> bytes:
         raise ScenarioError(source, "no such file", _remedy_missing(path)) from exc
     except (OSError, ValueError) as exc:  # ValueError: the path has a NUL
         reason = exc.strerror if isinstance(exc, OSError) and exc.strerror else str(exc)
-        raise ScenarioError(
-            source, f"cannot be read: {reason}", "check the path and its permissions"
-        ) from exc
+        raise ScenarioError(source, f"cannot be read: {reason}", "check the path and its permissions") from exc
     if len(data) > LARGEST_TEXT:
         raise ScenarioError(
             source, f"larger than {LARGEST_TEXT} bytes", "shorten it; 'swarm.generate' stands for many robots"
@@ -140,9 +143,7 @@ def _mapping(root: Node) -> Node:
     if root.value is None:
         raise root.mark.error("no scenario: there is nothing in it", _START)
     if not isinstance(root.value, Mapping):
-        raise root.mark.error(
-            f"expected a mapping, found {describe(root.value)}", f"{_START}, then 'key: value' lines"
-        )
+        raise root.mark.error(f"expected a mapping, found {describe(root.value)}", f"{_START}, then 'key: value' lines")
     return root
 
 
@@ -183,11 +184,7 @@ def _explain(detail: ErrorDetails) -> tuple[str, str]:
             return f"{show(value)} is out of range", f"give a number {sign} {text}"
     if kind == "literal_error":
         expected = str(context["expected"])
-        remedy = (
-            nearest(value, re.findall("'([^']*)'", expected))
-            if isinstance(value, str)
-            else f"write {expected}"
-        )
+        remedy = nearest(value, re.findall("'([^']*)'", expected)) if isinstance(value, str) else f"write {expected}"
         return f"expected {expected}, found {describe(value)}", remedy
     expected, remedy = _EXPECTED.get(kind, ("something else", detail["msg"]))
     if isinstance(value, str) and _NUMERIC.fullmatch(value) and "number" in expected:

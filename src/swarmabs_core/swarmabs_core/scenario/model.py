@@ -41,12 +41,12 @@ class Plane(Model):
     inertia: Positive = Field(default=0.5, description="moment of inertia J without robots, kg m^2")
     length: Positive = Field(default=1.0, description="length L; robots stay within L/2 of the axis, m")
     gravity: Positive = Field(default=9.81, description="acceleration g of gravity, m/s^2")
-    friction: Annotated[
-        tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative], AsSix
-    ] = Field(
-        default=(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
-        description="[g1, ..., g6] of g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w: "
-        "g1, g4 in N m, g2, g3, g5 in s/rad, g6 in N m s/rad",
+    friction: Annotated[tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative], AsSix] = (
+        Field(
+            default=(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
+            description="[g1, ..., g6] of g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w: "
+            "g1, g4 in N m, g2, g3, g5 in s/rad, g6 in N m s/rad",
+        )
     )
     substep: Duration = Field(default=0.001, description="longest step of the plane's integrator, s")
     angle: Angle = Field(default=0.1, description="initial angle, rad")
@@ -84,13 +84,11 @@ class SwarmGains(Model):
 class Swarm(Model):
     """The robots and their gains: exactly one of `agents` and `generate` is given."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]}
-    )
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]})
 
     gains: SwarmGains = Field(default=SwarmGains(), description="gains of the robots' control laws")
-    agents: Annotated[tuple[Annotated[Agent, Tagged(Model, "kind", AGENT_KINDS)], ...], AsTuple] | None = (
-        Field(default=None, description="the robots, one by one")
+    agents: Annotated[tuple[Annotated[Agent, Tagged("kind", AGENT_KINDS)], ...], AsTuple] | None = Field(
+        default=None, description="the robots, one by one"
     )
     generate: Generate | None = Field(default=None, description="a swarm drawn at random instead")
 
@@ -102,9 +100,7 @@ class Swarm(Model):
                 "keep one of them; '--set swarm.agents=null' removes one",
             )
         if self.agents is None and self.generate is None:
-            raise problem(
-                "no robots: neither 'agents' nor 'generate' is given", "list 'agents', or use 'generate'"
-            )
+            raise problem("no robots: neither 'agents' nor 'generate' is given", "list 'agents', or use 'generate'")
         return self
 
     @cached_property
@@ -134,9 +130,7 @@ class Lockstep(Model):
 
 def _known_version(value: object) -> object:
     if type(value) is not int or value != SCHEMA_VERSION:
-        raise problem(
-            f"expected {SCHEMA_VERSION}, found {describe(value)}", f"write 'schema: {SCHEMA_VERSION}'"
-        )
+        raise problem(f"expected {SCHEMA_VERSION}, found {describe(value)}", f"write 'schema: {SCHEMA_VERSION}'")
     return value
 
 
@@ -160,13 +154,13 @@ class Scenario(Model):
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of everything random in the run")
     plane: Plane = Field(default=Plane(), description="the tilting plane")
     manifold: Manifold = Field(default=Manifold(), description="the curve Js(tau) on which the swarm is held")
-    controller: Annotated[
-        ControllerConfig, Tagged(ControllerConfig, "type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)
-    ] = Field(default=PdConfig(), description="the parent controller")
+    controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
+        default=PdConfig(), description="the parent controller"
+    )
     swarm: Swarm = Field(description="the robots and their gains")
     limits: Limits = Field(default=Limits(), description="limits of the robots' drives")
     lockstep: Lockstep = Field(default=Lockstep(), description="what happens when a robot does not answer")
-    faults: Annotated[tuple[Annotated[Fault, Tagged(Model, "kind", FAULT_KINDS)], ...], AsTuple] = Field(
+    faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )
 
@@ -213,11 +207,7 @@ class Scenario(Model):
     @property
     def initial_agents(self) -> tuple[Agent, ...]:
         """The robots that are there at step 0: all but those that join later."""
-        later = {
-            fault.agent
-            for fault in self.faults
-            if isinstance(fault, JoinFault) and self.fault_step(fault.at) > 0
-        }
+        later = {fault.agent for fault in self.faults if isinstance(fault, JoinFault) and self.fault_step(fault.at) > 0}
         return tuple(agent for agent in self.agents if agent.id not in later)
 
     def fault_step(self, at: float) -> int:

@@ -1,12 +1,13 @@
 """Overrides from the command line, ``a.b=v``, applied to the tree of a scenario before it is checked."""
 
+import json
 from collections.abc import Mapping, Sequence
 
 from .controllers import DEFAULT_CONTROLLER, DEFAULT_TRAJECTORY
 from .errors import describe, shorten
 from .fields import Location
 from .model import Scenario
-from .yaml_tree import Entry, Mark, Node, Plain, read_tree
+from .yaml_tree import Entry, Mark, Node, read_tree
 
 _LONGEST_SHOWN = 100
 _TYPED = {("controller",): DEFAULT_CONTROLLER, ("controller", "trajectory"): DEFAULT_TRAJECTORY}
@@ -85,11 +86,9 @@ def _missing(root: Node, done: Location, rest: Sequence[str], mark: Mark) -> Nod
         return Node({}, mark)
     default = _default(root, done)
     if isinstance(default, list):
-        return _as_node(default, mark)
+        return read_tree(json.dumps(default), mark.source, numbered=False)
     if done == ("swarm", "agents"):
-        raise mark.error(
-            "the robots are not listed one by one", "list them, or set parts of swarm.generate", done
-        )
+        raise mark.error("the robots are not listed one by one", "list them, or set parts of swarm.generate", done)
     raise mark.error("it is not a list", "set one of its keys, or the whole value", done)
 
 
@@ -107,14 +106,6 @@ def _default(root: Node, location: Location) -> object:
     for part in location:
         default = default.get(str(part)) if isinstance(default, dict) else None
     return default
-
-
-def _as_node(value: Plain, mark: Mark) -> Node:
-    if isinstance(value, list):
-        return Node(tuple(_as_node(item, mark) for item in value), mark)
-    if isinstance(value, dict):
-        return Node({key: Entry(mark, _as_node(item, mark)) for key, item in value.items()}, mark)
-    return Node(value, mark)
 
 
 def _drop_other_type(root: Node, path: Sequence[str], default: str, new: Node) -> Node:

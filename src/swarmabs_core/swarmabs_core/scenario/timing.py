@@ -1,6 +1,5 @@
 """Time as exact integers: the decimals of a scenario in nanoseconds, and fault times in steps."""
 
-from decimal import Decimal
 from fractions import Fraction
 from typing import Annotated, TypeAlias
 
@@ -21,16 +20,15 @@ def to_nanoseconds(seconds: float) -> int:
     ValueError
         If the decimal is not a whole number of nanoseconds.
     """
-    exact = Decimal(repr(seconds)) * NANOSECONDS
-    whole = int(exact)
-    if whole != exact:
+    exact = Fraction(repr(seconds)) * NANOSECONDS
+    if exact.denominator != 1:
         raise ValueError(f"{seconds!r} s is not a whole number of nanoseconds")
-    return whole
+    return exact.numerator
 
 
 def nearest_step(at: float, step_ns: int) -> int:
     """Return round(at/step): `at` in s, `step_ns` in ns, the ratio taken exactly, ties to the even step."""
-    return round(Fraction(Decimal(repr(at))) * NANOSECONDS / step_ns)
+    return round(Fraction(repr(at)) * NANOSECONDS / step_ns)
 
 
 def _whole_nanoseconds(seconds: float) -> float:

@@ -157,21 +157,19 @@ class _Reader:
             )
         if bad := _UNPRINTABLE.search(self._text):
             line = self._text.count("\n", 0, bad.start())
-            raise self._mark(line).error(
-                f"the character {bad.group()!a} is not text", "remove it; a scenario is text"
-            )
+            raise self._mark(line).error(f"the character {bad.group()!a} is not text", "remove it; a scenario is text")
         self._events = yaml.parse(self._text, Loader=_LOADER)
         try:
             return self._document()
-        except yaml.MarkedYAMLError as exc:
-            mark = exc.problem_mark or exc.context_mark
-            text = ", ".join(part for part in (exc.context, exc.problem) if part)
+        except yaml.YAMLError as exc:
+            text, mark = str(exc), None
+            if isinstance(exc, yaml.MarkedYAMLError):
+                text = ", ".join(part for part in (exc.context, exc.problem) if part)
+                mark = exc.problem_mark or exc.context_mark
             column = f" near column {mark.column + 1}" if mark else ""
             raise self._mark(mark.line if mark else None).error(
                 f"not valid YAML: {text}", f"check indentation, brackets and quotes{column}"
             ) from exc
-        except yaml.YAMLError as exc:
-            raise self._mark(None).error(f"not valid YAML: {exc}", "write it as UTF-8 text") from exc
 
     def _document(self) -> Node:
         root = Node(None, self._mark(0))
@@ -180,9 +178,7 @@ class _Reader:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    raise self._at(event).error(
-                        "a second YAML document", "keep one scenario per file, without '---'"
-                    )
+                    raise self._at(event).error("a second YAML document", "keep one scenario per file, without '---'")
                 root = self._node(next(self._events), 0)
         return root
 
@@ -205,9 +201,7 @@ class _Reader:
     def _alias(self, event: yaml.AliasEvent, depth: int) -> Node:
         node = self._anchors.get(event.anchor or "")
         if node is None:
-            self._fail(
-                event, f"the alias {show(event.anchor)} has no anchor before it", "write the value itself"
-            )
+            self._fail(event, f"the alias {show(event.anchor)} has no anchor before it", "write the value itself")
         self._count(event, node.size)
         if depth + node.height > DEEPEST:
             self._fail(event, f"nested more than {DEEPEST} deep", "a scenario needs no such nesting")
@@ -246,9 +240,7 @@ class _Reader:
             self._fail(event, "a key that is not a name", "write 'key: value' with a name as key")
         key = self._scalar(event)
         if not isinstance(key, str):
-            self._fail(
-                event, f"a key that is not a name: {describe(key)}", "write 'key: value' with a name as key"
-            )
+            self._fail(event, f"a key that is not a name: {describe(key)}", "write 'key: value' with a name as key")
         return key
 
     def _scalar(self, event: yaml.ScalarEvent) -> Scalar:

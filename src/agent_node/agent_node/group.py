@@ -1,0 +1,48 @@
+"""Node ``agents_...``: several robots in one process, for large simulations."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from swarmabs_core import configure
+from swarmabs_core.behaviours import AgentGroup
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import AGENT_STATE, EVENTS
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.scenario import load_scenario
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+
+PARAMETERS = (
+    Parameter("scenario_file", "", "file of the resolved scenario"),
+    Parameter("agent_ids", (1,), "ids of the robots in this process", minimum=1, maximum=65535),
+)
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints.
+
+    Raises
+    ------
+    InputError
+        If there is no scenario, or it has no such robot.
+    """
+    if not settings.text("scenario_file"):
+        raise InputError("parameter scenario_file: give the file of the resolved scenario")
+    configs = {c.agent_id: c for c in configure.agent_configs(load_scenario(Path(settings.text("scenario_file"))))}
+    missing = [agent_id for agent_id in settings.integers("agent_ids") if agent_id not in configs]
+    if missing:
+        raise InputError(f"parameter agent_ids: the scenario has no robot {missing[0]}")
+    group = AgentGroup([configs[agent_id] for agent_id in settings.integers("agent_ids")])
+    return NodeSpec(group, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in group.needs})
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("agent_group", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

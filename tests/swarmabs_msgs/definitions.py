@@ -1,0 +1,81 @@
+"""The .msg files, read by their text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+FOLDER = Path(__file__).parents[2] / "src" / "swarmabs_msgs" / "msg"
+FILES = tuple(sorted(FOLDER.glob("*.msg")))
+
+_LINE = re.compile(
+    r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$"
+)
+
+SIZES = {"uint8": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field or, with a value, a constant."""
+
+    type: str
+    name: str
+    value: int | None
+    comment: str
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A message definition."""
+
+    name: str
+    fields: tuple[Field, ...]
+    constants: tuple[Field, ...]
+
+
+def read_definition(path: Path) -> Definition:
+    """Read a definition; what stands behind an entry, or in the line above it, is its comment."""
+    entries = []
+    above = ""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        text = line.strip()
+        if not text or text.startswith("#"):
+            above = text.removeprefix("#").strip()
+            continue
+        found = _LINE.match(text)
+        assert found is not None, f"{path.name}: {line!r}"
+        value = None if found["value"] is None else int(found["value"])
+        entries.append(Field(found["type"], found["name"], value, found["comment"] or above))
+        above = ""
+    return Definition(
+        path.stem,
+        tuple(entry for entry in entries if entry.value is None),
+        tuple(entry for entry in entries if entry.value is not None),
+    )
+
+
+DEFINITIONS = {path.stem: read_definition(path) for path in FILES}
+
+
+def significant_bytes(definition: Definition, detail: bytes) -> list[bool]:
+    """Tell of every byte of a message in CDR whether it carries content, by the rules of CDR alone.
+
+    Parameters
+    ----------
+    definition : Definition
+        The message.
+    detail : bytes
+        Content of its string, where it has one.
+    """
+    # Seconds, nanoseconds, length and characters of the frame id; encapsulation apart, alignment counts from here.
+    content = [True] * (4 + 4 + 4 + len("plane") + 1)
+    for field in definition.fields[1:]:
+        if field.type == "string":
+            content += [False] * (-len(content) % 4) + [True] * (4 + len(detail) + 1)
+        else:
+            size = SIZES[field.type]
+            content += [False] * (-len(content) % size) + [True] * size
+    # Of the encapsulation's two option bytes the last may say how much padding follows.
+    return [True, True, True, False, *content]

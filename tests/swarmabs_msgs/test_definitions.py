@@ -1,0 +1,90 @@
+"""The message definitions against their twins in the core, and against what a reader of them needs."""
+
+from __future__ import annotations
+
+import re
+from enum import IntEnum
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Status
+from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
+
+MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
+PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str}
+CONSTANTS: dict[str, tuple[type[IntEnum], ...]] = {
+    "AgentState": (Kind, Status),
+    "DesiredAbstractState": (Mode,),
+    "SwarmEvent": (EventKind,),
+}
+CONTRACT = {
+    "PlaneState": ["angle", "angular_velocity"],
+    "AgentState": [
+        *("broadcast_step", "agent_id", "kind", "status"),
+        *("mass", "damping", "position", "velocity", "command"),
+    ],
+    "AbstractState": ["agent_count", "torque", "inertia", "torque_rate", "inertia_rate"],
+    "AuxiliaryState": ["s0", "s1", "s2", "s3", "d0", "d1", "d2", "q"],
+    "DesiredAbstractState": [
+        *("mode", "torque", "inertia", "torque_rate", "inertia_rate"),
+        *("mean_torque_rate", "mean_inertia_rate", "torque_acceleration", "inertia_acceleration"),
+    ],
+    "SwarmEvent": ["agent_id", "kind", "value", "detail"],
+    "RecordingProgress": ["written_step"],
+}
+UNIT = re.compile(r"^(kg|m|rad|N|s|1)\b[\w^/() ]*(,| along|$)|\bkg\^?\d?\b|\bm/s\b|\bN\b|\bin the unit\b")
+
+definitions = pytest.mark.parametrize("definition", DEFINITIONS.values(), ids=DEFINITIONS)
+fields = pytest.mark.parametrize(
+    ("message", "field"),
+    [(d.name, f) for d in DEFINITIONS.values() for f in (*d.fields, *d.constants)],
+    ids=lambda value: value.name if isinstance(value, Field) else value,
+)
+
+
+def test_there_is_a_definition_for_every_message_and_no_other() -> None:
+    assert DEFINITIONS.keys() == MESSAGES.keys()
+
+
+def test_every_definition_is_built() -> None:
+    text = (FOLDER.parent / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert re.findall(r'"msg/(\w+\.msg)"', text) == [path.name for path in FILES]
+
+
+@definitions
+def test_fields_are_those_of_the_contract(definition: Definition) -> None:
+    head = [(field.type, field.name) for field in definition.fields[:2]]
+    assert head == [("std_msgs/Header", "header"), ("uint64", "step")]
+    assert [field.name for field in definition.fields[2:]] == CONTRACT[definition.name]
+
+
+@definitions
+def test_fields_and_their_order_are_those_of_the_core(definition: Definition) -> None:
+    hints = get_type_hints(MESSAGES[definition.name])
+    assert hints.pop("stamp") is int
+    assert {field.name: PYTHON_TYPE[field.type] for field in definition.fields[1:]} == hints
+    assert [field.name for field in definition.fields[1:]] == list(hints)
+
+
+@definitions
+def test_constants_are_those_of_the_core(definition: Definition) -> None:
+    expected = {
+        member.name: int(member) for enum in CONSTANTS.get(definition.name, ()) for member in enum
+    }
+    if definition.name == "AgentState":
+        expected["NO_BROADCAST"] = NEVER
+    assert {constant.name: constant.value for constant in definition.constants} == expected
+
+
+@fields
+def test_everything_is_explained_and_has_a_unit(message: str, field: Field) -> None:
+    assert field.comment, f"{message}.{field.name} has no comment"
+    if field.type == "float64":
+        assert UNIT.search(field.comment), f"{message}.{field.name} has no unit: {field.comment}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_definition_begins_with_what_it_is_for(path: Path) -> None:
+    assert path.read_text(encoding="utf-8").startswith("# ")

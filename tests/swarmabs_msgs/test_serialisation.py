@@ -1,0 +1,86 @@
+"""The core's own serialisation against that of ROS 2."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import pytest
+from hypothesis import given, settings, strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+
+from swarmabs_core.cdr import decode, encode
+from swarmabs_core.messages import TOPICS, Message, Topic
+from swarmabs_ros.endpoints import ros_type
+from tests.swarmabs_msgs.definitions import DEFINITIONS, SIZES, significant_bytes
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
+stamps = st.integers(0, (2**31 - 1) * 10**9 + 999_999_999)
+
+topics = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.message.__name__)
+
+
+def messages(topic: Topic) -> st.SearchStrategy[Message]:
+    """Return all messages of a topic."""
+    values: dict[str, st.SearchStrategy[Any]] = {"stamp": stamps}
+    for field in DEFINITIONS[topic.message.__name__].fields[1:]:
+        if field.type == "float64":
+            values[field.name] = numbers
+        elif field.type == "string":
+            values[field.name] = texts
+        else:
+            values[field.name] = st.integers(0, 2 ** (8 * SIZES[field.type]) - 1)
+    return st.builds(topic.message, **values)
+
+
+def to_ros(message: Message, topic: Topic) -> Any:  # noqa: ANN401 - rclpy's message classes have no common base
+    """Return rclpy's form of a message."""
+    ros = ros_type(topic)()
+    ros.header.stamp.sec, ros.header.stamp.nanosec = divmod(message.stamp, 10**9)
+    ros.header.frame_id = "plane"
+    for name, value in message._asdict().items():
+        if name != "stamp":
+            setattr(ros, name, value)
+    return ros
+
+
+def bits(message: Message) -> list[object]:
+    """Return the fields such that a NaN equals itself and 0 differs from -0."""
+    return [struct.pack("<d", value) if isinstance(value, float) else value for value in message]
+
+
+@topics
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_bytes_are_those_of_ros(topic: Topic, data: st.DataObject) -> None:
+    message = data.draw(messages(topic))
+    ours, theirs = encode(message), serialize_message(to_ros(message, topic))
+    content = significant_bytes(
+        DEFINITIONS[topic.message.__name__], str(getattr(message, "detail", "")).encode()
+    )
+    assert len(ours) == len(theirs) == len(content)
+    assert [a for a, c in zip(ours, content, strict=True) if c] == [b for b, c in zip(theirs, content, strict=True) if c]
+    assert not any(a for a, c in zip(ours, content, strict=True) if not c), "padding must be zero"
+
+
+@topics
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_what_ros_writes_is_read(topic: Topic, data: st.DataObject) -> None:
+    message = data.draw(messages(topic))
+    again = decode(topic.message, serialize_message(to_ros(message, topic)))
+    assert bits(again) == bits(message)
+    assert type(again) is topic.message
+
+
+@topics
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_what_is_written_is_read_by_ros(topic: Topic, data: st.DataObject) -> None:
+    message = data.draw(messages(topic))
+    ros = deserialize_message(encode(message), ros_type(topic))
+    assert ros.header.frame_id == "plane"
+    stamp = ros.header.stamp.sec * 10**9 + ros.header.stamp.nanosec
+    fields = [getattr(ros, name) for name in topic.message._fields if name != "stamp"]
+    assert bits(topic.message(stamp, *fields)) == bits(message)
