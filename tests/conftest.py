@@ -12,11 +12,11 @@ from pathlib import Path
 
 import psutil
 import pytest
+import rclpy
 
-from swarmabs_bringup.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE
-
-MARK = "SWARMABS_TEST_MARK"
-"""Environment variable that every process which a test starts inherits."""
+from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_bringup.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
+from tests.processes import MARK, marked_processes
 
 _GONE_WITHIN = 5.0
 """Time, s, that the kernel may take to end a process which was killed, on a machine under full load."""
@@ -36,21 +36,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.get_closest_marker("full") is not None:
             item.add_marker(skip)
-
-
-def marked_processes(mark: str) -> dict[int, str]:
-    """Return the names of the living processes that carry a mark in their environment, by process id."""
-    needle = f"{MARK}={mark}".encode()
-    found = {}
-    for folder in Path("/proc").iterdir():
-        if not folder.name.isdigit() or int(folder.name) == os.getpid():
-            continue
-        try:
-            if needle in (folder / "environ").read_bytes().split(b"\0"):
-                found[int(folder.name)] = (folder / "comm").read_text().strip()
-        except OSError:  # it has ended, or is another user's
-            continue
-    return found
 
 
 def _own_ports() -> set[tuple[str, int]]:
@@ -117,3 +102,22 @@ def _left(before: dict[str, object], mark: str) -> dict[str, object]:
     left: dict[str, object] = {name: (before[name], value) for name, value in after.items() if value != before[name]}
     processes = marked_processes(mark)
     return {**left, "processes": processes} if processes else left
+
+
+@pytest.fixture(scope="session")
+def ros_network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """Claim a ROS domain on loopback, and give the environment of those who take part in it."""
+    with claimed_domain() as domain:
+        profile = tmp_path_factory.mktemp("network") / "fastdds.xml"
+        profile.write_text(profile_xml(domain, participant=FIRST_FREE), encoding="utf-8")
+        yield dds_environment(domain, str(profile))
+
+
+@pytest.fixture
+def ros(ros_network: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let this process take part in ROS; the test calls `rclpy.init` with what it needs."""
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+    for name, text in ros_network.items():
+        monkeypatch.setenv(name, text)
+    yield
+    rclpy.try_shutdown()

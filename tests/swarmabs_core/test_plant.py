@@ -182,6 +182,13 @@ def test_period_is_divided_into_the_fewest_equal_substeps(substep: float, same_a
 
 
 def test_a_multiple_of_the_substep_gains_none_by_rounding() -> None:
+    assert 0.07 / 0.01 > 7.0
+    load = load_of_movers(0.07)
+    hundredths, sevenths = (dynamics(0.07, h, SMOOTH).advance(0.2, 0.3, 0.0, load) for h in (0.01, 0.011))
+    assert hundredths == sevenths
+
+
+def test_substeps_are_not_longer_than_asked_for() -> None:
     load = load_of_movers(0.3)
     tenths, eleventh = (dynamics(0.3, h, SMOOTH).advance(0.2, 0.3, 0.0, load) for h in (0.1, 0.0999))
     thirds = dynamics(0.3, 0.12, SMOOTH).advance(0.2, 0.3, 0.0, load)

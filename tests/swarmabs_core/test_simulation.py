@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 from tests.swarmabs_core.helpers import Run, builtin, digest
 
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     MAIN_TOPICS,
+    PLANE_STATE,
     AbstractState,
-    AgentState,
     AuxiliaryState,
     DesiredAbstractState,
     PlaneState,
@@ -114,12 +117,22 @@ def test_swarm_of_which_nobody_is_left_fails_the_run() -> None:
         Run(builtin("pd_si_4", SHORT, f"faults=[{faults}]"))
 
 
+def test_run_that_stalls_fails() -> None:
+    simulation = Simulation(builtin("pd_si_4", SHORT))
+    simulation._subscribers[PLANE_STATE] = ()
+    with pytest.raises(RunError, match="stalls at step 0; missing: swarm/desired_abstract_state"):
+        list(simulation.steps())
+
+
 @pytest.mark.parametrize("name", ["pd_di_4", "arise_si_4"])
 def test_gravity_along_the_plane_matters_to_double_integrators_only(name: str) -> None:
     without, with_gravity = Run(builtin(name, SHORT)), Run(builtin(name, SHORT, "plane.robot_gravity=true"))
     assert (without.digest() == with_gravity.digest()) is (name == "arise_si_4")
 
 
-def test_agent_states_are_messages_of_their_class() -> None:
-    run = Run(builtin("pd_het_4", SHORT))
-    assert len(run.of(AgentState)) == 4 * 201
+def test_robots_need_neither_numpy_nor_pydantic() -> None:
+    """Each robot is a process of its own: what it imports, a swarm imports a hundred times."""
+    heavy = "{'numpy', 'pydantic', 'yaml', 'scipy'}"
+    code = f"import sys, swarmabs_core.behaviours, swarmabs_core.controllers; sys.exit(str({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == "set()"

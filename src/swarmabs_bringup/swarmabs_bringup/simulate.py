@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.recorder.recording import Recording
 from swarmabs_core.errors import RunError
-from swarmabs_core.simulation import Simulation
+from swarmabs_core.simulation import simulated_steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -54,8 +54,8 @@ def simulate_run(
             on_progress(Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error))
 
     try:
-        with _terminable():
-            for step in Simulation(scenario).steps():
+        with terminable():
+            for step in simulated_steps(scenario):
                 recording.add(step)
                 now = time.monotonic()
                 if now - told >= _TELL_EVERY:
@@ -72,7 +72,7 @@ def simulate_run(
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
+def terminable() -> Iterator[None]:
     """Make SIGTERM interrupt as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield

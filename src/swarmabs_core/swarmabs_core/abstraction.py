@@ -57,7 +57,7 @@ class DampingSums(NamedTuple):
 
 
 def abstraction(robots: Sequence[Weight], gravity: float) -> Abstraction:
-    """Sum over all robots whose weight is on the plane, moving or not.
+    """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState).
 
     Parameters
     ----------
@@ -76,10 +76,15 @@ def abstraction(robots: Sequence[Weight], gravity: float) -> Abstraction:
 
 
 def spread_sums(robots: Iterable[tuple[float, float]]) -> SpreadSums:
-    """Return S0..S3 over (mass, position) pairs.
+    """Return S0..S3 of the robots that follow the law (eq. pinv).
 
     S3 is summed around the centre S1/S0, which keeps its digits when the robots are close together; it is
     never negative. No robots give zeros.
+
+    Parameters
+    ----------
+    robots : iterable of tuple
+        Mass (kg) and position (m) of each.
     """
     pairs = [(m * m, p) for m, p in robots]
     s0 = exact_sum(mm for mm, _ in pairs)
@@ -94,7 +99,15 @@ def spread_sums(robots: Iterable[tuple[float, float]]) -> SpreadSums:
 
 
 def damping_sums(robots: Iterable[tuple[float, float, float]], ksd: float) -> DampingSums:
-    """Return D0..D2 over (mass, position, damping) triples of double integrators; `ksd` in N s/m."""
+    """Return D0..D2 of the double integrators that follow the law (in eq. nodeControlLaw_double).
+
+    Parameters
+    ----------
+    robots : iterable of tuple
+        Mass (kg), position (m) and damping (N s/m) of each.
+    ksd : float
+        Damping that the law adds, N s/m.
+    """
     terms = [(m * (c + ksd), p) for m, p, c in robots]
     return DampingSums(
         exact_sum(mc for mc, _ in terms),

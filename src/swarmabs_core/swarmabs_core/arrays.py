@@ -80,6 +80,8 @@ LAYOUT: dict[Topic, np.dtype[np.void]] = {
         ]
     ),
 }
+
+
 @dataclass(frozen=True, slots=True)
 class AbstractArrays:
     """Abstract state, each (n+1,): number of robots, torque (N m), inertia (kg m^2), and their rates.

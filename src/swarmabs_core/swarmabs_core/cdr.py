@@ -61,9 +61,7 @@ def encode(message: Message) -> bytes:
         return _encode_event(message)
     seconds, nanoseconds = divmod(message[0], _SECOND)
     try:
-        return _LAYOUT[type(message)].pack(
-            _ENCAPSULATION, seconds, nanoseconds, len(_FRAME), _FRAME, *message[1:]
-        )
+        return _LAYOUT[type(message)].pack(_ENCAPSULATION, seconds, nanoseconds, len(_FRAME), _FRAME, *message[1:])
     except struct.error as error:
         raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
 
@@ -119,9 +117,7 @@ def decode(message_type: type[Message], data: bytes) -> Message:
 def _decode_event(data: bytes) -> SwarmEvent:
     if len(data) < _EVENT.size:
         raise MalformedMessageError("SwarmEvent", f"{len(data)} bytes, expected at least {_EVENT.size}")
-    encapsulation, seconds, nanoseconds, length, frame, step, agent_id, kind, value, count = (
-        _EVENT.unpack_from(data)
-    )
+    encapsulation, seconds, nanoseconds, length, frame, step, agent_id, kind, value, count = _EVENT.unpack_from(data)
     _check_head(SwarmEvent, encapsulation, length, frame)
     text = data[_EVENT.size : _EVENT.size + count]
     if count < 1 or len(text) != count or text[-1:] != b"\x00":

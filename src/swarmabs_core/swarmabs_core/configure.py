@@ -19,7 +19,6 @@ from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.plant import Disturbance
-from swarmabs_core.scenario import AgentFault
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
         sorted(
             Change(scenario.fault_step(fault.at), fault.agent, ChangeKind(fault.kind))
             for fault in scenario.faults
-            if isinstance(fault, AgentFault)
+            if fault.kind != "loss" and fault.kind != "delay"  # noqa: PLR1714 - so that mypy knows the type
         )
     )
 

@@ -93,9 +93,7 @@ class Membership:
             if change.kind is ChangeKind.JOIN:
                 span.first = change.step
             else:
-                self._end(
-                    span, change.step, stays=change.kind is not ChangeKind.LEAVE, reason=change.kind.value
-                )
+                self._end(span, change.step, stays=change.kind is not ChangeKind.LEAVE, reason=change.kind.value)
         self._cached: tuple[int, tuple[int, ...]] = (-1, ())
 
     def _end(self, span: _Span, last: int, *, stays: bool, reason: str) -> None:

@@ -154,13 +154,7 @@ class RecordingProgress(NamedTuple):
 
 
 Message = (
-    PlaneState
-    | AgentState
-    | AbstractState
-    | AuxiliaryState
-    | DesiredAbstractState
-    | SwarmEvent
-    | RecordingProgress
+    PlaneState | AgentState | AbstractState | AuxiliaryState | DesiredAbstractState | SwarmEvent | RecordingProgress
 )
 """Any message of the swarm."""
 

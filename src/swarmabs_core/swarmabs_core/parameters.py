@@ -96,9 +96,7 @@ class Parameter:
             raise self._refusal(value, f"at most {self.maximum:g}")
 
     def _refusal(self, value: object, allowed: str) -> InputError:
-        return InputError(
-            f"parameter {self.name}: {value!r} is not allowed; give {allowed} ({self.description})"
-        )
+        return InputError(f"parameter {self.name}: {value!r} is not allowed; give {allowed} ({self.description})")
 
 
 def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dict[str, Value]:

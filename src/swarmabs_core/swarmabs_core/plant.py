@@ -153,9 +153,7 @@ class PlaneDynamics:
         # A period that is a multiple of the substep must not gain one more by rounding.
         self._count = max(1, ceil(period / substep * (1.0 - 1e-12)))
 
-    def advance(
-        self, angle: float, angular_velocity: float, time: float, load: SwarmLoad
-    ) -> tuple[float, float]:
+    def advance(self, angle: float, angular_velocity: float, time: float, load: SwarmLoad) -> tuple[float, float]:
         """Return angle (rad) and angular velocity (rad/s) one period after `time` (s).
 
         Raises
@@ -192,9 +190,7 @@ class PlaneDynamics:
             raise RunError(f"the plane's motion is not finite at t = {time:g} s")
         return th, w
 
-    def _sample(
-        self, time: float, load: SwarmLoad
-    ) -> tuple[list[float], list[float], list[float], list[float]]:
+    def _sample(self, time: float, load: SwarmLoad) -> tuple[list[float], list[float], list[float], list[float]]:
         """Evaluate torque, inertia, inertia rate, disturbance at the ends and middles of the substeps."""
         t0, t1, t2, t3 = load.torque
         j0, j1, j2, j3, j4, j5, j6 = load.inertia

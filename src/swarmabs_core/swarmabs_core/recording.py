@@ -7,7 +7,8 @@ they are identical and refused if they are not.
 from __future__ import annotations
 
 from hashlib import sha256
-from typing import TYPE_CHECKING, NamedTuple
+from math import isfinite
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from swarmabs_core.behaviours.base import ConflictError, UnknownAgentError
 from swarmabs_core.cdr import encode
@@ -25,7 +26,7 @@ from swarmabs_core.messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from swarmabs_core.membership import Change
 
@@ -44,11 +45,74 @@ class Record(NamedTuple):
     payload: bytes
 
 
+class Step(Protocol):
+    """A complete step of a run, however its messages are kept."""
+
+    @property
+    def step(self) -> int:
+        """Number of the step."""
+        ...
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        ...
+
+    @property
+    def plane(self) -> PlaneState | None:
+        """State of the plane; None of a step that only adds an event to one recorded before."""
+        ...
+
+    @property
+    def max_abs_position(self) -> float | None:
+        """Largest distance of a robot from the axis, m."""
+        ...
+
+    def digest_text(self) -> bytes:
+        """Return what the step contributes to the digest of a run."""
+        ...
+
+    def stored(self) -> Iterable[tuple[Topic, int, bytes]]:
+        """Return topic, time (ns) and bytes of every message, in the order of a bag."""
+        ...
+
+
+def digest_head(topic: Topic, size: int) -> bytes:
+    """Return what stands before a payload of this size in the digest: topic, zero, length."""
+    return b"%b\x00%b" % (topic.name.encode(), size.to_bytes(4, "little"))
+
+
 class RecordedStep(NamedTuple):
     """All records of a step, in the order in which a bag holds them."""
 
     step: int
     records: tuple[Record, ...]
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return len(self.records)
+
+    @property
+    def plane(self) -> PlaneState | None:
+        """State of the plane; None of a step that only adds an event to one recorded before."""
+        return next((r.message for r in self.records if isinstance(r.message, PlaneState)), None)
+
+    @property
+    def max_abs_position(self) -> float | None:
+        """Largest distance of a robot from the axis, m."""
+        positions = [abs(r.message.position) for r in self.records if isinstance(r.message, AgentState)]
+        return max(positions, default=None)
+
+    def digest_text(self) -> bytes:
+        """Return what the step contributes to the digest of a run."""
+        main = [r for r in self.records if r.topic is not EVENTS]
+        main.sort(key=lambda r: (r.topic.name, r.agent_id))
+        return b"".join(digest_head(r.topic, len(r.payload)) + r.payload for r in main)
+
+    def stored(self) -> Iterator[tuple[Topic, int, bytes]]:
+        """Return topic, time (ns) and bytes of every message, in the order of a bag."""
+        return ((r.topic, r.message.stamp, r.payload) for r in self.records)
 
 
 class Digest:
@@ -61,14 +125,9 @@ class Digest:
     def __init__(self) -> None:
         self._hash = sha256()
 
-    def update(self, step: RecordedStep) -> None:
+    def update(self, step: Step) -> None:
         """Add the next step."""
-        main = [r for r in step.records if r.topic is not EVENTS]
-        for record in sorted(main, key=lambda r: (r.topic.name, r.agent_id)):
-            self._hash.update(
-                b"%b\x00%b" % (record.topic.name.encode(), len(record.payload).to_bytes(4, "little"))
-            )
-            self._hash.update(record.payload)
+        self._hash.update(step.digest_text())
 
     def hexdigest(self) -> str:
         """Return the digest of the steps so far."""
@@ -176,6 +235,8 @@ class RunCollector:
 
     def missing(self) -> tuple[str, ...]:
         """Return what is missing for the current step, for people."""
+        if self.finished:
+            return ()
         slot = self._slots.get(self._step, _Slot())
         agents = [i for i in self._membership.publishing(self._step) if i not in slot.agents]
         topics = [topic.name for topic in _COORDINATED if topic not in slot.main]
@@ -183,6 +244,8 @@ class RunCollector:
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state of the current step is missing."""
+        if self.finished:
+            return ()
         slot = self._slots.get(self._step, _Slot())
         return tuple(i for i in self._membership.publishing(self._step) if i not in slot.agents)
 
@@ -237,20 +300,20 @@ class Metrics:
         self._messages = 0
         self.latest: Latest | None = None
 
-    def update(self, step: RecordedStep) -> None:
+    def update(self, step: Step) -> None:
         """Add the next step."""
-        self._messages += len(step.records)
-        for record in step.records:
-            message = record.message
-            if isinstance(message, AgentState):
-                self._max_abs_position = max(self._max_abs_position or 0.0, abs(message.position))
-            elif isinstance(message, PlaneState):
-                self._plane(message)
+        self._messages += step.messages
+        reach = step.max_abs_position
+        if reach is not None and (self._max_abs_position is None or not reach <= self._max_abs_position):
+            self._max_abs_position = reach  # also if it is NaN
+        plane = step.plane
+        if plane is not None:
+            self._plane(plane)
 
     def _plane(self, plane: PlaneState) -> None:
         time = plane.stamp / 1e9
         error = self._reference(time) - plane.angle
-        if abs(error) >= self._tolerance:
+        if not abs(error) < self._tolerance:  # NaN is no small error
             self._settled_at = None
         elif self._settled_at is None:
             self._settled_at = time
@@ -260,11 +323,16 @@ class Metrics:
         self.latest = Latest(plane.step, plane.angle, error)
 
     def summary(self) -> dict[str, float | int | None]:
-        """Return the figures under their names in ``summary.json``."""
+        """Return the figures under their names in ``summary.json``; None where there is no finite one."""
+        rms_error = (self._squares / self._steps) ** 0.5 if self._steps else None
         return {
             "settled_at": self._settled_at,
-            "final_error": self._error,
-            "rms_error": (self._squares / self._steps) ** 0.5 if self._steps else None,
-            "max_abs_position": self._max_abs_position,
+            "final_error": _finite(self._error),
+            "rms_error": _finite(rms_error),
+            "max_abs_position": _finite(self._max_abs_position),
             "messages": self._messages,
         }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None

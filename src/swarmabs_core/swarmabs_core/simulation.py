@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from swarmabs_core import configure
@@ -27,8 +28,12 @@ if TYPE_CHECKING:
     from swarmabs_core.arrays import RunArrays
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message, Messages, Topic
-    from swarmabs_core.recording import RecordedStep
+    from swarmabs_core.recording import RecordedStep, Step
     from swarmabs_core.scenario import Scenario
+
+
+ARRAYS_FROM = 6
+"""Number of robots from which on simulating on arrays is faster."""
 
 
 class Simulation:
@@ -83,6 +88,45 @@ class Simulation:
             raise RunError(f"the run stalls at step {self._collector.step}; missing: {missing}")
 
 
+def simulated_steps(scenario: Scenario) -> Iterator[Step]:
+    """Simulate a scenario, on arrays where there are many robots that all do the same; the bits do not depend on it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to simulate.
+
+    Yields
+    ------
+    Step
+        Every step of the run, in order.
+
+    Raises
+    ------
+    RunError
+        If the run fails, such as by a plane that turns over.
+    """
+    done = 0
+    if len(scenario.agents) >= ARRAYS_FROM:
+        # Small swarms are faster without, and do not wait for numpy.
+        from swarmabs_core.vector_simulation import (  # noqa: PLC0415
+            NotVectorisableError,
+            VectorSimulation,
+            vectorisable,
+        )
+
+        if vectorisable(scenario):
+            try:
+                for step in VectorSimulation(scenario).steps():
+                    yield step
+                    done += 1
+            except NotVectorisableError:
+                pass
+            else:
+                return
+    yield from islice(Simulation(scenario).steps(), done, None)
+
+
 def simulate(scenario: Scenario | str | PathLike[str]) -> RunArrays:
     """Simulate a scenario in this process.
 
@@ -116,8 +160,8 @@ def simulate(scenario: Scenario | str | PathLike[str]) -> RunArrays:
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
-    for step in Simulation(scenario).steps():
-        for record in step.records:
-            if record.topic in gathered:
-                gathered[record.topic] += record.payload
+    for step in simulated_steps(scenario):
+        for topic, _, payload in step.stored():
+            if topic in gathered:
+                gathered[topic] += payload
     return run_arrays({topic: table(topic, payloads) for topic, payloads in gathered.items()})

@@ -53,7 +53,22 @@ def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float)
 
 
 def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, float, float]:
-    """Return C_a row by row: how damping acts on the rate of the abstract state, 1/s on the diagonal."""
+    """Return C_a, by which damping acts on the rate of the abstract state (in eq. nodeControlLaw_double, corrected).
+
+    It is Phi diag((c_i + k_sd)/m_i) Phi+, the diagonal being that of the double integrators.
+
+    Parameters
+    ----------
+    sums : AuxiliaryState
+        Broadcast sums; S3 must not vanish.
+    gravity : float
+        m/s^2.
+
+    Returns
+    -------
+    tuple of float
+        The 2 x 2 matrix row by row: 1/s on the diagonal, (N m)/(kg m^2 s) above and kg m^2/(N m s) below it.
+    """
     s0, s1, s2, s3 = sums.s0, sums.s1, sums.s2, sums.s3
     d0, d1, d2 = sums.d0, sums.d1, sums.d2
     return (
@@ -93,7 +108,24 @@ def single_integrator_command(
     sums: AuxiliaryState,
     desired: DesiredAbstractState,
 ) -> float:
-    """Return the velocity command of a single integrator, m/s (eq. nodeControlLaw)."""
+    """Return the velocity command of a single integrator (eq. nodeControlLaw).
+
+    Parameters
+    ----------
+    mass, position : float
+        Of the robot, kg and m.
+    gains : SwarmGains
+        Only `k` is used.
+    gravity : float
+        m/s^2.
+    abstract, sums, desired : AbstractState, AuxiliaryState, DesiredAbstractState
+        The broadcasts of one step; S3 must not vanish.
+
+    Returns
+    -------
+    float
+        m/s.
+    """
     r0, r1 = pinv_row(mass, position, sums, gravity)
     k0, k1 = gains.k
     return r0 * (k0 * (desired.torque - abstract.torque) + desired.mean_torque_rate) + r1 * (
@@ -112,7 +144,24 @@ def double_integrator_command(
     sums: AuxiliaryState,
     desired: DesiredAbstractState,
 ) -> float:
-    """Return the force command of a double integrator, N (eq. nodeControlLaw_double, corrected)."""
+    """Return the force command of a double integrator (eq. nodeControlLaw_double, corrected).
+
+    Parameters
+    ----------
+    mass, damping, position, velocity : float
+        Of the robot, kg, N s/m, m and m/s.
+    gains : SwarmGains
+        All but `k` are used.
+    gravity : float
+        m/s^2.
+    abstract, sums, desired : AbstractState, AuxiliaryState, DesiredAbstractState
+        The broadcasts of one step; S3 must not vanish.
+
+    Returns
+    -------
+    float
+        N.
+    """
     r0, r1 = pinv_row(mass, position, sums, gravity)
     c00, c01, c10, c11 = damping_matrix(sums, gravity)
     e0 = desired.torque - abstract.torque
@@ -120,8 +169,6 @@ def double_integrator_command(
     de0 = desired.torque_rate - abstract.torque_rate
     de1 = desired.inertia_rate - abstract.inertia_rate
     y0 = gains.kp[0] * e0 + (gains.kd[0] - c00) * de0 - c01 * de1 + desired.torque_acceleration
-    y1 = (
-        gains.kp[1] * e1 - c10 * de0 + (gains.kd[1] - c11) * de1 - 2.0 * sums.q + desired.inertia_acceleration
-    )
+    y1 = gains.kp[1] * e1 - c10 * de0 + (gains.kd[1] - c11) * de1 - 2.0 * sums.q + desired.inertia_acceleration
     feed_forward = r0 * desired.torque_rate + r1 * desired.inertia_rate
     return mass * (r0 * y0 + r1 * y1) + (damping + gains.ksd) * feed_forward - gains.ksd * velocity

@@ -125,7 +125,7 @@ def test_the_two_laws_differ() -> None:
     assert abs(commands[0] - commands[1]) > 1e-3
 
 
-@pytest.mark.parametrize("order", permutations(range(3)))
+@pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_acts_on_the_complete_set_in_any_order(order: tuple[int, ...]) -> None:
     node, other = agent(), agent()
     node.start(), other.start()
@@ -273,10 +273,8 @@ def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
     losses = [lost(0.5, 4, step, 3) for step in range(40)]
     assert 10 < sum(losses) < 30
     for step, gone in enumerate(losses):
-        if gone:
-            expected = (before.command, before.broadcast_step)
-        else:
-            expected = (law(before, desired=0.1 * step), step)
+        new = (law(before, desired=0.1 * step), step)
+        expected = (before.command, before.broadcast_step) if gone else new
         assert (states[step].command, states[step].broadcast_step) == expected
         before = states[step]
 

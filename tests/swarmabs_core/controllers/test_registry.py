@@ -26,7 +26,7 @@ def test_pd() -> None:
 
 
 def test_lqr_is_linearised_with_the_swarm_at_rest() -> None:
-    """Inertia 0.5 + 0.025, viscous friction g6 = 1: the gains that equations.md names."""
+    """Inertia 0.5 + 0.025, viscous friction g6 = 1: the corrected gains of the paper."""
     law = make_controller("lqr", {}, CONTEXT)
     assert isinstance(law, StateFeedback)
     assert (law.k1, law.k2) == pytest.approx((3.1623, 1.3066), abs=5e-5)

@@ -67,18 +67,23 @@ class Recorder:
             configure.members(scenario), configure.schedule(scenario), scenario.steps
         )
         self._credited = -1
+        self._newest = -1
 
     def start(self) -> Messages:
         """Say that nothing is written yet."""
-        return (RecordingProgress(0, 0, NEVER),)
+        return (self._credit(),)
 
     def handle(self, message: Message) -> Messages:
-        """Take a message of the run; now and then answer with the progress."""
+        """Take a message of the run; now and then answer with the progress.
+
+        A recorder that lacks a message while the run goes on says so again and again: it has not stalled. What it
+        lacks is repeated at the latest when the run stands still because the recorder's credit is used up.
+        """
         if isinstance(message, RecordingProgress):
             raise UnexpectedMessageError("recorder", message)
         steps = self._collector.add(message)
         if not steps:
-            return ()
+            return self._still_here(message.step)
         for step in steps:
             self._recording.add(step)
         written = self._collector.step - 1
@@ -86,7 +91,17 @@ class Recorder:
         if written - self._credited < CREDIT_EVERY and not self._collector.finished:
             return ()
         self._credited = written
-        return (RecordingProgress(written * self._period_ns, written, written),)
+        return (self._credit(),)
+
+    def _still_here(self, step: int) -> Messages:
+        newer, self._newest = step > self._newest, max(step, self._newest)
+        return (self._credit(),) if newer and step - self._collector.step >= CREDIT_EVERY else ()
+
+    def _credit(self) -> RecordingProgress:
+        written = self._credited
+        if written < 0:
+            return RecordingProgress(0, 0, NEVER)
+        return RecordingProgress(written * self._period_ns, written, written)
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for everything until the run is complete."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from swarmabs_core.recording import Latest, RecordedStep
+    from swarmabs_core.recording import Latest, Step
     from swarmabs_core.scenario import Scenario
 
 Figures = dict[str, float | int | str | None]
@@ -58,7 +58,7 @@ class Recording:
         """What the run looks like now."""
         return self._metrics.latest
 
-    def add(self, step: RecordedStep) -> None:
+    def add(self, step: Step) -> None:
         """Record a step.
 
         Raises
@@ -69,8 +69,8 @@ class Recording:
         self._digest.update(step)
         self._metrics.update(step)
         if self._writer is not None:
-            for record in step.records:
-                self._writer.write(record.topic, record.message.stamp, record.payload)
+            for topic, stamp, payload in step.stored():
+                self._writer.write(topic, stamp, payload)
 
     def poll(self) -> None:
         """Hand what is old enough to the operating system."""

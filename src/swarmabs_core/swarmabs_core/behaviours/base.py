@@ -39,27 +39,21 @@ class StepAheadError(ProtocolError):
     """A message of a step that cannot have begun yet."""
 
     def __init__(self, source: str, *, got: int, expected: int) -> None:
-        super().__init__(
-            f"{source}: step {expected} expected, {got} received; is a second swarm in this namespace?"
-        )
+        super().__init__(f"{source}: step {expected} expected, {got} received; is a second swarm in this namespace?")
 
 
 class UnknownAgentError(ProtocolError):
     """A state from a robot that does not belong to this swarm."""
 
     def __init__(self, agent_id: int) -> None:
-        super().__init__(
-            f"robot {agent_id} is not a member of this swarm; is a second swarm in this namespace?"
-        )
+        super().__init__(f"robot {agent_id} is not a member of this swarm; is a second swarm in this namespace?")
 
 
 class ConflictError(ProtocolError):
     """Two different messages where there can be one only."""
 
     def __init__(self, source: str, step: int) -> None:
-        super().__init__(
-            f"{source}: two different messages of step {step}; is a second swarm in this namespace?"
-        )
+        super().__init__(f"{source}: two different messages of step {step}; is a second swarm in this namespace?")
 
 
 def refuse_conflict(known: Message, message: Message, source: str) -> None:

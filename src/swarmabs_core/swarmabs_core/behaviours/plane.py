@@ -155,10 +155,9 @@ class Plane:
     def _keep(self, states: list[AgentState]) -> None:
         """Note who is on the plane now: those heard, and those who stand for good."""
         still = {
-            agent_id: load._replace(velocity=0.0)
+            agent_id: load
             for agent_id, load in self._loads.items()
-            if not self._membership.publishes(agent_id, self._gathering.step - 1)
-            and self._membership.stays(agent_id)
+            if not self._membership.publishes(agent_id, self._gathering.step - 1) and self._membership.stays(agent_id)
         }
         self._loads = {s.agent_id: _Load(s.kind, s.mass, s.position, s.velocity) for s in states} | still
 

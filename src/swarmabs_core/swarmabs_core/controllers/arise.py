@@ -174,9 +174,7 @@ ARISE = ControllerType(
             "initial estimates of J (kg m^2), g1, g4 (N m), g6 (N m s/rad)",
             length=4,
         ),
-        Parameter(
-            "trajectory.type", "sine", "reference trajectory of the angle", choices=("sine", "constant")
-        ),
+        Parameter("trajectory.type", "sine", "reference trajectory of the angle", choices=("sine", "constant")),
         Parameter("trajectory.amplitude", 0.7, "amplitude of the sine, rad", minimum=-1.5, maximum=1.5),
         Parameter("trajectory.angular_frequency", 0.0471238898038469, "angular frequency of the sine, rad/s"),
         Parameter("trajectory.angle", 0.0, "the constant reference, rad", minimum=-1.5, maximum=1.5),

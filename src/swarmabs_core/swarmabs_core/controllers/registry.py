@@ -26,9 +26,7 @@ def controller_type(name: str) -> ControllerType:
     try:
         return CONTROLLERS[name]
     except KeyError:
-        raise InputError(
-            f"no parent controller {name!r}; there are {', '.join(sorted(CONTROLLERS))}"
-        ) from None
+        raise InputError(f"no parent controller {name!r}; there are {', '.join(sorted(CONTROLLERS))}") from None
 
 
 def make_controller(name: str, settings: Settings, context: ParentContext) -> ParentController:

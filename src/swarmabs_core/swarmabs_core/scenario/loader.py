@@ -1,22 +1,28 @@
-"""Reading scenarios: text to a checked `Scenario`, every error with its file, line, field and remedy."""
+"""Reading scenarios: text to a checked `Scenario`, every error with its file, line, field and remedy.
+
+Other files in YAML that are checked as strictly, such as sweeps, are read with the same pieces.
+"""
 
 import os
 import re
 import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from .errors import ScenarioError, describe, show
-from .fields import Location, nearest
+from .fields import Location, Model, nearest
 from .model import LONGEST_NAME, Scenario
 from .overrides import apply_overrides
-from .yaml_tree import LARGEST_TEXT, Node, dotted, read_tree
+from .yaml_tree import LARGEST_TEXT, Node, Plain, dotted, read_tree
 
 _NUMERIC = re.compile(r"\s*[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\s*")
 _START = "begin with 'schema: 1'"
+
+AnyModel = TypeVar("AnyModel", bound=Model)
 
 
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
@@ -40,22 +46,8 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
         If the file cannot be read or the scenario is invalid.
     """
     path = Path(path)
-    source = str(path)
-    data = _read_bytes(path, source)
-    if (nul := data.find(b"\0")) >= 0:
-        raise ScenarioError(
-            source, "not a text file: it has a NUL byte", "give a scenario in YAML", line=_line(data, nul)
-        )
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as exc:
-        raise ScenarioError(
-            source,
-            f"not UTF-8: byte 0x{data[exc.start]:02x} at offset {exc.start}",
-            "save the file as UTF-8",
-            line=_line(data, exc.start),
-        ) from exc
-    return parse_scenario(text, source=source, default_name=default_name(path.stem), overrides=overrides)
+    text = read_text(path)
+    return parse_scenario(text, source=str(path), default_name=default_name(path.stem), overrides=overrides)
 
 
 def parse_scenario(
@@ -84,12 +76,64 @@ def parse_scenario(
     ScenarioError
         If the scenario is invalid.
     """
-    root = apply_overrides(_mapping(read_tree(text, source)), overrides)
+    root = apply_overrides(read_mapping(text, source), overrides)
     data = root.plain()
     if isinstance(data, dict):
         data.setdefault("name", default_name)
+    return validated(Scenario, data, root)
+
+
+def read_text(path: Path, kind: str = "scenario") -> str:
+    """Return the text of a file that a user has named as one of a kind.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be read, or is no text in UTF-8, or larger than `LARGEST_TEXT`.
+    """
+    source = str(path)
+    data = _read_bytes(path, source, kind)
+    if (nul := data.find(b"\0")) >= 0:
+        raise ScenarioError(
+            source, "not a text file: it has a NUL byte", f"give a {kind} in YAML", line=_line(data, nul)
+        )
     try:
-        return Scenario.model_validate(data)
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise ScenarioError(
+            source,
+            f"not UTF-8: byte 0x{data[exc.start]:02x} at offset {exc.start}",
+            "save the file as UTF-8",
+            line=_line(data, exc.start),
+        ) from exc
+
+
+def read_mapping(text: str, source: str, kind: str = "scenario") -> Node:
+    """Return the tree of a text in YAML that holds a mapping.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not YAML, not plain data, too large, or no mapping.
+    """
+    root = read_tree(text, source)
+    if root.value is None:
+        raise root.mark.error(f"no {kind}: there is nothing in it", _START)
+    if not isinstance(root.value, Mapping):
+        raise root.mark.error(f"expected a mapping, found {describe(root.value)}", f"{_START}, then 'key: value' lines")
+    return root
+
+
+def validated(model: type[AnyModel], data: Plain, root: Node) -> AnyModel:
+    """Return the model of `data`, which was read as `root`.
+
+    Raises
+    ------
+    ScenarioError
+        If it is invalid; the first error in order of the file.
+    """
+    try:
+        return model.model_validate(data)
     except ValidationError as exc:
         raise _first_error(exc, root) from exc
 
@@ -102,14 +146,14 @@ def default_name(stem: str) -> str:
     return name[:LONGEST_NAME].rstrip(" ")
 
 
-def _read_bytes(path: Path, source: str) -> bytes:
+def _read_bytes(path: Path, source: str, kind: str) -> bytes:
     try:
         with open(path, "rb", opener=_open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise ScenarioError(source, "not a regular file", "give a scenario file in YAML")
+                raise ScenarioError(source, "not a regular file", f"give a {kind} file in YAML")
             data = file.read(LARGEST_TEXT + 1)
     except IsADirectoryError as exc:
-        raise ScenarioError(source, "is a directory", "give a scenario file in YAML") from exc
+        raise ScenarioError(source, "is a directory", f"give a {kind} file in YAML") from exc
     except FileNotFoundError as exc:
         raise ScenarioError(source, "no such file", _remedy_missing(path)) from exc
     except (OSError, ValueError) as exc:  # ValueError: the path has a NUL
@@ -137,14 +181,6 @@ def _remedy_missing(path: Path) -> str:
 
 def _line(data: bytes, offset: int) -> int:
     return data.count(b"\n", 0, offset) + 1
-
-
-def _mapping(root: Node) -> Node:
-    if root.value is None:
-        raise root.mark.error("no scenario: there is nothing in it", _START)
-    if not isinstance(root.value, Mapping):
-        raise root.mark.error(f"expected a mapping, found {describe(root.value)}", f"{_START}, then 'key: value' lines")
-    return root
 
 
 def _first_error(exc: ValidationError, root: Node) -> ScenarioError:

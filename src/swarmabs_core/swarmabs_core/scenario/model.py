@@ -114,7 +114,7 @@ class Swarm(Model):
 class Limits(Model):
     """What a robot's drive can do; null means no limit."""
 
-    velocity: Positive | None = Field(default=None, description="largest speed of a single integrator, m/s")
+    velocity: Positive | None = Field(default=None, description="largest speed of a robot, m/s")
     force: Positive | None = Field(default=None, description="largest force of a double integrator, N")
 
 
