@@ -46,7 +46,7 @@ swarm:
     - {id: 2, kind: single_integrator, mass: 0.5, position: -0.1}
     - {id: 7, kind: double_integrator, mass: 0.6, damping: 0.7, position: 0.2}
 """
-PROVENANCE = b'{"versions": {"swarmabs": "1.2.3"}, "fingerprint": "abc123"}'
+PROVENANCE = b'{"versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123"}'
 
 
 def make_run(steps: int = STEPS, agents: Sequence[int] = AGENTS) -> list[Message]:

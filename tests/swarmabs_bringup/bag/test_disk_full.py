@@ -147,7 +147,7 @@ def test_disk_that_takes_nothing_any_more_leaves_whole_records(
     tmp_path: Path, run: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer, disk = full_writer(tmp_path / "bag", monkeypatch, 9000, reserve=0)
-    monkeypatch.setattr(disk, "truncate", lambda size: disk.raw.truncate(size))
+    monkeypatch.setattr(disk, "truncate", disk.raw.truncate)
     with pytest.raises(BagWriteError):
         write_all(writer, run * 3)
     assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag_0.mcap"]
@@ -157,14 +157,14 @@ def test_disk_that_takes_nothing_any_more_leaves_whole_records(
     assert found == [encode(message) for message in run[: len(found)]]
 
 
-def test_error_is_remembered_until_abort(
-    tmp_path: Path, run: list[Message], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    writer, _ = full_writer(tmp_path / "bag", monkeypatch, 0)
+def test_error_is_remembered_until_abort(tmp_path: Path, run: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    writer, _ = full_writer(tmp_path / "bag", monkeypatch, 50)
     topic, payload = TOPIC_OF[type(run[0])], encode(run[0])
     with pytest.raises(BagWriteError) as first:  # noqa: PT012 - whichever write it is
         while True:
             writer.write(topic, 0, payload)
+    # Killed now, the writer leaves nothing behind its last whole record.
+    assert writer.path.stat().st_size == writer._file.committed == open_bag(writer.path, damaged=True).index.data_end
     for again in (writer.poll, writer.close, lambda: writer.write(topic, 0, payload)):
         with pytest.raises(BagWriteError) as later:
             again()
@@ -260,7 +260,7 @@ def in_child(folder: Path, *prefix: str, limit: int | None = None) -> subprocess
         check=False,
         timeout=18,
         env=ENVIRONMENT,
-        preexec_fn=set_limit,  # noqa: PLW1509 - this process has one thread
+        preexec_fn=set_limit,
     )
 
 

@@ -53,7 +53,9 @@ def test_killed_writer_loses_no_more_than_its_last_chunk(seed: int, tmp_path: Pa
 
 def test_killed_bag_says_what_can_be_read(tmp_path: Path) -> None:
     killed_writer(tmp_path / "bag", 0.2)
-    with pytest.raises(DamagedBagError, match=r"bag_0\.mcap is incomplete: .* messages before it, up to .* s, can be read"):
+    with pytest.raises(
+        DamagedBagError, match=r"bag_0\.mcap is incomplete: .* messages before it, up to .* s, can be read"
+    ):
         open_bag(tmp_path / "bag")
     info = bag_info(tmp_path / "bag")
     assert not info.complete

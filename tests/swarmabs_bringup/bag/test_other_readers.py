@@ -35,7 +35,7 @@ def fields_read(message: object, names: tuple[str, ...]) -> Fields:
         header.stamp.sec,
         header.stamp.nanosec,
         header.frame_id,
-        *(getattr(message, name) for name in names if name not in {"stamp"}),
+        *(getattr(message, name) for name in names if name != "stamp"),
     )
 
 
@@ -101,7 +101,5 @@ def test_bag_in_a_namespace_has_its_topics_there(
     tmp_path: Path, write_bag: Callable[..., Path], run: list[Message]
 ) -> None:
     with Reader(write_bag(tmp_path / "bag", namespace="/lab/west")) as reader:
-        assert [connection.topic for connection in reader.connections] == [
-            f"/lab/west{name}" for name in NAMES
-        ]
+        assert [connection.topic for connection in reader.connections] == [f"/lab/west{name}" for name in NAMES]
         assert reader.message_count == len(run)

@@ -10,8 +10,9 @@ import struct
 import sys
 import zlib
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 import zstandard
@@ -19,9 +20,13 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType, Writer
 
 from swarmabs_bringup.bag import DamagedBagError, NotABagError, find_bag, open_bag
+from swarmabs_bringup.bag.index import scan_index, tail
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, TOPIC_OF, Message
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -44,7 +49,7 @@ def copy(tmp_path: Path, bag: Path) -> Path:
     return Path(shutil.copy(bag / "bag_0.mcap", tmp_path / "copy.mcap"))
 
 
-def top_level(data: bytes) -> Iterator[tuple[int, int, int]]:
+def top_level(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, begin and end of each record of a file."""
     position = len(MAGIC)
     while position < len(data) - len(MAGIC):
@@ -183,7 +188,9 @@ def test_error_says_what_can_still_be_read(copy: Path) -> None:
     data = copy.read_bytes()
     second = [end for opcode, _, end in top_level(data) if opcode == Opcode.CHUNK][1]
     copy.write_bytes(data[: second + 5])
-    with pytest.raises(DamagedBagError, match=r"copy\.mcap is incomplete: at byte \d+: .* \d+ messages before it, up to 0"):
+    with pytest.raises(
+        DamagedBagError, match=r"copy\.mcap is incomplete: at byte \d+: .* \d+ messages before it, up to 0"
+    ):
         open_bag(copy)
 
 
@@ -241,9 +248,33 @@ def test_flipped_bit_is_named_with_its_place_after_all_before_it(copy: Path, run
     read = []
     with pytest.raises(DamagedBagError, match=rf"at byte {begin}: .*, up to 0\.\d+ s, can be read"):  # noqa: PT012
         for _, _, payload in open_bag(copy).messages():
-            read.append(payload)  # noqa: PERF402 - those before the error count
+            read.append(payload)
     assert read
     assert read == [encode(message) for message in run[: len(read)]]
+
+
+def test_changed_attachment_is_found_without_reading_the_rest(copy: Path) -> None:
+    data = copy.read_bytes()
+    copy.write_bytes(data.replace(b"all went well", b"all went Well"))
+    reader = open_bag(copy)
+    with pytest.raises(DamagedBagError, match=r"CRC of the attachment 'run\.log' does not match"):
+        reader.attachment("run.log")
+    assert reader.attachment("scenario.yaml") is not None
+
+
+@pytest.mark.parametrize("number", ["message_count", "message_start_time", "message_end_time", "chunk_count"])
+def test_summary_that_miscounts_is_found(number: str, copy: Path) -> None:
+    data = copy.read_bytes()
+    index = scan_index(BytesIO(data), len(data))
+    setattr(index.statistics, number, 7)
+    copy.write_bytes(data[: index.data_end] + b"".join(tail(index)))
+    assert f"the summary says {number} = 7, but it is" in str(damaged(copy))
+
+
+def test_tail_made_from_a_scan_is_that_of_the_library(copy: Path) -> None:
+    data = copy.read_bytes()
+    index = scan_index(BytesIO(data), len(data))
+    assert data[index.data_end :] == b"".join(tail(index))
 
 
 # What other writers, or people with bad intentions, put into a file
@@ -264,7 +295,7 @@ class Recorded:
     def message(self, channel: int, data: bytes, time: int = 0) -> None:
         self.writer.add_message(channel, time, data, time)
 
-    def __enter__(self) -> Recorded:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -344,7 +375,8 @@ def test_message_that_is_none_of_ours_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["[" * 100_000, "!!python/object/apply:os.system ['exit 1']", "a: [", "2000-99-99", "x" * 2**21, "\0", "- 1"]
+    "text",
+    ["[" * 100_000, "!!python/object/apply:os.system ['exit 1']", "a: [", "2000-99-99", "x" * 2**21, "\0", "- 1"],
 )
 def test_hostile_yaml_is_no_description(text: str, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
@@ -384,10 +416,14 @@ def text(value: bytes) -> bytes:
     return struct.pack("<I", len(value)) + value
 
 
-def chunk(data: bytes, *, size: int | None = None, crc: int | None = None, name: bytes = b"zstd", length: int | None = None) -> bytes:
+def chunk(
+    data: bytes, *, size: int | None = None, crc: int | None = None, name: bytes = b"zstd", length: int | None = None
+) -> bytes:
     packed = zstandard.compress(data) if name == b"zstd" else data
     content = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data) if crc is None else crc)
-    return record(Opcode.CHUNK, content + text(name) + struct.pack("<Q", len(packed) if length is None else length) + packed)
+    return record(
+        Opcode.CHUNK, content + text(name) + struct.pack("<Q", len(packed) if length is None else length) + packed
+    )
 
 
 HEADER = record(Opcode.HEADER, text(b"ros2") + text(b""))

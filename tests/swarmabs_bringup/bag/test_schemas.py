@@ -29,7 +29,12 @@ def install(prefix: Path, ros_type: str, text: str, nested: tuple[str, ...] = ()
 
 
 def test_text_is_the_definition_and_behind_it_every_nested_one(tmp_path: Path) -> None:
-    install(tmp_path, "a_msgs/msg/Outer", "b_msgs/Inner inner  # größe\nDeep deep\n", ("b_msgs/msg/Inner", "a_msgs/msg/Deep"))
+    install(
+        tmp_path,
+        "a_msgs/msg/Outer",
+        "b_msgs/Inner inner  # größe\nDeep deep\n",
+        ("b_msgs/msg/Inner", "a_msgs/msg/Deep"),
+    )
     install(tmp_path, "a_msgs/msg/Deep", "uint8 x\n")
     install(tmp_path, "b_msgs/msg/Inner", "a_msgs/Deep[] deeps\n", ("a_msgs/msg/Deep",))
     schema = message_schema("a_msgs/msg/Outer", prefixes=[tmp_path])
@@ -65,7 +70,7 @@ def test_missing_package_is_named(tmp_path: Path) -> None:
 
 def test_missing_nested_type_is_named(tmp_path: Path) -> None:
     install(tmp_path, "a_msgs/msg/Outer", "b_msgs/Inner inner\n", ("b_msgs/msg/Inner",))
-    with pytest.raises(UnknownTypeError, match="message type b_msgs/msg/Inner: .* the package b_msgs"):
+    with pytest.raises(UnknownTypeError, match=r"message type b_msgs/msg/Inner: .* the package b_msgs"):
         message_schema("a_msgs/msg/Outer", prefixes=[tmp_path])
 
 

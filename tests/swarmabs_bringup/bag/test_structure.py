@@ -62,9 +62,7 @@ def test_file_says_what_it_is_and_who_wrote_it(file: Path) -> None:
 
 def test_schemas_are_complete_and_complete_in_the_data_section_too(file: Path) -> None:
     schemas = summary_of(file).schemas
-    assert {schema.name for schema in schemas.values()} == {
-        topic.ros_type for topic in (*MAIN_TOPICS, EVENTS)
-    }
+    assert {schema.name for schema in schemas.values()} == {topic.ros_type for topic in (*MAIN_TOPICS, EVENTS)}
     for schema in schemas.values():
         assert schema.encoding == "ros2msg"
         head, *nested = schema.data.decode().split("=" * 80 + "\n")
@@ -73,9 +71,7 @@ def test_schemas_are_complete_and_complete_in_the_data_section_too(file: Path) -
             "MSG: builtin_interfaces/Time",
             "MSG: std_msgs/Header",
         ]
-    inside = {
-        record.id: record for record in records_of(file, emit_chunks=False) if isinstance(record, Schema)
-    }
+    inside = {record.id: record for record in records_of(file, emit_chunks=False) if isinstance(record, Schema)}
     assert inside == schemas
 
 
@@ -150,9 +146,7 @@ def test_messages_stand_in_the_order_they_were_written(file: Path, run: list[Mes
     with file.open("rb") as stream:
         found = [
             (channel.topic, message.log_time, message.publish_time, message.data)
-            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(
-                log_time_order=False
-            )
+            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False)
         ]
     assert found == [
         (f"/{TOPIC_OF[type(message)].name}", message.stamp, message.stamp, encode(message)) for message in run
@@ -249,9 +243,7 @@ def test_folder_holds_nothing_else(bag: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("mcap") is None, reason="the mcap command-line tool is not installed")
 def test_mcap_doctor_has_no_complaint(file: Path) -> None:
-    found = subprocess.run(
-        ["mcap", "doctor", str(file)], capture_output=True, text=True, check=False, timeout=15
-    )
+    found = subprocess.run(["mcap", "doctor", str(file)], capture_output=True, text=True, check=False, timeout=15)
     assert found.returncode == 0, found.stderr
 
 

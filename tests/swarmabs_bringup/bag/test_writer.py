@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -35,14 +37,10 @@ def plane(step: int) -> tuple[Topic, int, bytes]:
 
 def on_disk(file: Path) -> list[int]:
     """Return the log times of all messages that a process finds that reads the file from its start now."""
-    found = []
-    with file.open("rb") as stream:
-        try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, StoredMessage):
-                    found.append(record.log_time)
-        except EndOfFile:
-            pass
+    found: list[int] = []
+    with file.open("rb") as stream, suppress(EndOfFile):
+        records = StreamReader(stream, validate_crcs=True).records
+        found.extend(record.log_time for record in records if isinstance(record, StoredMessage))
     return found
 
 
@@ -60,10 +58,10 @@ def writer(tmp_path: Path, clock: Clock) -> Iterator[BagWriter]:
 
 
 def test_attachments_of_the_start_are_on_disk_at_once(writer: BagWriter) -> None:
-    with writer.path.open("rb") as stream, pytest.raises(EndOfFile):
-        for record in StreamReader(stream).records:
-            if isinstance(record, Attachment):
-                assert (record.name, record.data) == ("scenario.yaml", b"name: x\n")
+    with writer.path.open("rb") as stream:
+        _, attached = islice(StreamReader(stream).records, 2)
+    assert isinstance(attached, Attachment)
+    assert (attached.name, attached.data) == ("scenario.yaml", b"name: x\n")
     assert not (writer.folder / "metadata.yaml").exists()
 
 
@@ -94,9 +92,7 @@ def test_age_of_a_chunk_counts_from_its_first_message(writer: BagWriter, clock: 
 
 
 def test_chunk_reaches_the_disk_when_it_is_large_enough(tmp_path: Path, clock: Clock) -> None:
-    with BagWriter(
-        tmp_path / "bag", topics=TOPICS, attachments={}, chunk_bytes=20_000, monotonic=clock
-    ) as writer:
+    with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}, chunk_bytes=20_000, monotonic=clock) as writer:
         step = 0
         while not on_disk(writer.path):
             writer.write(*plane(step))
@@ -165,12 +161,13 @@ def test_close_attaches_and_ends_everything(writer: BagWriter) -> None:
 
 
 def test_exception_in_the_block_aborts_and_the_bag_says_why(tmp_path: Path) -> None:
-    with (
-        pytest.raises(RuntimeError, match="agent 7"),
-        BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}) as writer,
-    ):
-        writer.write(*plane(0))
-        raise RuntimeError("agent 7 has not answered")
+    def record() -> None:
+        with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}) as writer:
+            writer.write(*plane(0))
+            raise RuntimeError("agent 7 has not answered")
+
+    with pytest.raises(RuntimeError, match="agent 7"):
+        record()
     reader = open_bag(tmp_path)
     reader.check()
     assert reader.aborted() == "agent 7 has not answered"
@@ -245,9 +242,7 @@ def test_type_that_is_not_installed_leaves_nothing_behind(tmp_path: Path) -> Non
 
 def test_bag_of_standard_messages(tmp_path: Path) -> None:
     joints = Topic("plane/joint_states", PlaneState, "sensor_msgs/msg/JointState")
-    with BagWriter(
-        tmp_path / "bag", topics=[joints], attachments={}, qos={joints: Qos("reliable", 1)}
-    ) as writer:
+    with BagWriter(tmp_path / "bag", topics=[joints], attachments={}, qos={joints: Qos("reliable", 1)}) as writer:
         writer.write(joints, 0, b"\x00\x01\x00\x00" + bytes(24))
     ((channel, message),) = open_bag(tmp_path).stored_messages()
     assert (channel.name, channel.ros_type, channel.topic) == ("/plane/joint_states", joints.ros_type, None)

@@ -274,9 +274,7 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     if footer.summary_start == 0:
         raise RecordError(size, "the file has no summary section")
     if not len(MAGIC) <= footer.summary_start <= size - end_size:
-        raise RecordError(
-            size - end_size, f"the summary section is said to begin at byte {footer.summary_start}"
-        )
+        raise RecordError(size - end_size, f"the summary section is said to begin at byte {footer.summary_start}")
     _check_summary_crc(stream, footer, size - end_size)
     index = FileIndex(header=parse(Header, read_record(stream, len(MAGIC), size)))
     index.data_end = footer.summary_start - len(_encoded(DataEnd(0)))

@@ -142,7 +142,7 @@ def bag_info(path: Path | str) -> BagInfo:
         except DamagedBagError as error:
             problem = str(error)
     provenance = _provenance(_attachment(bag, PROVENANCE_FILE))
-    versions, fingerprint = provenance.get("versions"), provenance.get("fingerprint")
+    versions, fingerprint = provenance.get("versions"), provenance.get("libm_fingerprint")
     return BagInfo(
         file=str(bag.path),
         size=bag.size,
@@ -167,9 +167,7 @@ def bag_info(path: Path | str) -> BagInfo:
         uncompressed_size=sum(chunk.uncompressed_size for chunk in bag.index.chunks),
         attachments={attachment.name: attachment.data_size for attachment in bag.index.attachments},
         scenario=_scenario(_attachment(bag, SCENARIO_FILE)),
-        versions={str(name): str(value) for name, value in versions.items()}
-        if isinstance(versions, dict)
-        else {},
+        versions={str(name): str(value) for name, value in versions.items()} if isinstance(versions, dict) else {},
         fingerprint=str(fingerprint) if fingerprint is not None else None,
         complete=problem is None,
         problem=problem,
@@ -239,9 +237,7 @@ def _scenario(data: bytes) -> ScenarioInfo | None:
         scenario = parse_scenario(data.decode(), source=SCENARIO_FILE)
     except (ScenarioError, UnicodeDecodeError):
         return None
-    return ScenarioInfo(
-        scenario.name, scenario.seed, len(scenario.agents), scenario.duration_ns / 1e9, scenario.period
-    )
+    return ScenarioInfo(scenario.name, scenario.seed, len(scenario.agents), scenario.duration_ns / 1e9, scenario.period)
 
 
 def _provenance(data: bytes) -> dict[str, Any]:

@@ -170,9 +170,7 @@ class BagReader:
             try:
                 message = decode(topic.message, payload)
             except MalformedMessageError as error:
-                raise DamagedBagError(
-                    f"{self.path}: /{topic.name} at {log_time / 1e9:.9g} s: {error}"
-                ) from error
+                raise DamagedBagError(f"{self.path}: /{topic.name} at {log_time / 1e9:.9g} s: {error}") from error
             yield topic, log_time, message
 
     def attachment_names(self) -> tuple[str, ...]:
@@ -204,9 +202,7 @@ class BagReader:
         for entry in reversed(self.index.metadata):  # rosbag2 writes one at opening, too
             if entry.name == RECORD_NAME:
                 with self._opened() as stream:
-                    record: MetadataRecord = parse(
-                        MetadataRecord, read_record(stream, entry.offset, self.size)
-                    )
+                    record: MetadataRecord = parse(MetadataRecord, read_record(stream, entry.offset, self.size))
                 found = load_yaml(record.metadata.get(RECORD_KEY, ""))
                 return found if isinstance(found, dict) else {}
         return {}
@@ -238,9 +234,7 @@ class BagReader:
         counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
         for name, number in counted.items():
             if said[name] != number:
-                raise DamagedBagError(
-                    f"{self.path}: the summary says {name} = {said[name]}, but it is {number}"
-                )
+                raise DamagedBagError(f"{self.path}: the summary says {name} = {said[name]}, but it is {number}")
 
     @contextmanager
     def _opened(self) -> Iterator[BinaryIO]:
@@ -322,9 +316,7 @@ def find_bag(path: Path) -> Path:
         if stat.S_ISREG(mode):
             return path
         if not stat.S_ISDIR(mode):
-            raise NotABagError(
-                f"{path} is neither a folder nor a file: name a run folder, its bag/, or an .mcap file"
-            )
+            raise NotABagError(f"{path} is neither a folder nor a file: name a run folder, its bag/, or an .mcap file")
         for folder in (path / "bag", path):
             files = sorted(folder.glob(f"*{_SUFFIX}"))
             if len(files) > 1:
@@ -333,9 +325,7 @@ def find_bag(path: Path) -> Path:
                 return files[0]
     except (OSError, ValueError) as error:  # ValueError: the path has a NUL
         reason = error.strerror if isinstance(error, OSError) else error
-        raise NotABagError(
-            f"cannot read {path}: {reason}; name a run folder, its bag/, or an .mcap file"
-        ) from error
+        raise NotABagError(f"cannot read {path}: {reason}; name a run folder, its bag/, or an .mcap file") from error
     raise NotABagError(f"{path} holds no bag: name a run folder, its bag/, or an .mcap file")
 
 
@@ -363,9 +353,7 @@ def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileInd
 def _readable(index: FileIndex) -> str:
     count, end = index.statistics.message_count, index.statistics.message_end_time
     return (
-        f"; {count} messages before it, up to {end / 1e9:.9g} s, can be read"
-        if count
-        else "; no message can be read"
+        f"; {count} messages before it, up to {end / 1e9:.9g} s, can be read" if count else "; no message can be read"
     )
 
 
@@ -430,9 +418,7 @@ def _prefix(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None:
     for topic in TOPICS:
         if channel.topic.endswith(f"/{topic.name}") and channel.message_encoding == "cdr":
             return (
-                (channel.topic.removesuffix(topic.name), topic)
-                if _type_of(channel, index) == topic.ros_type
-                else None
+                (channel.topic.removesuffix(topic.name), topic) if _type_of(channel, index) == topic.ros_type else None
             )
     return None
 

@@ -90,9 +90,7 @@ def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
         raise RecordError(offset, "the file ends within the head of a record")
     opcode, length = _HEAD.unpack(head)
     if length > size - offset - HEAD_SIZE:
-        raise RecordError(
-            offset, f"a record of {length} bytes begins, but {size - offset - HEAD_SIZE} bytes are left"
-        )
+        raise RecordError(offset, f"a record of {length} bytes begins, but {size - offset - HEAD_SIZE} bytes are left")
     if length > MAX_SIZE:
         raise RecordError(offset, f"a record of {length} bytes, more than {MAX_SIZE}")
     content = stream.read(length)
@@ -187,9 +185,7 @@ def uncompress(record: Record) -> bytes:
     if len(data) != size:
         raise RecordError(record.offset, f"the chunk holds {len(data)} bytes, but says {size}")
     if head.crc and zlib.crc32(data) != head.crc:
-        raise RecordError(
-            record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but says {head.crc:#010x}"
-        )
+        raise RecordError(record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but says {head.crc:#010x}")
     return data
 
 

@@ -75,15 +75,12 @@ def message_schema(ros_type: str, *, prefixes: Sequence[Path] | None = None) -> 
     description = _description(ros_type, places)
     try:
         nested = sorted(
-            entry["type_name"]
-            for entry in description["type_description_msg"]["referenced_type_descriptions"]
+            entry["type_name"] for entry in description["type_description_msg"]["referenced_type_descriptions"]
         )
         hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
         type_hash = str(hashes[ros_type])
     except (KeyError, TypeError) as error:
-        raise UnknownTypeError(
-            _not_found(ros_type, f"its type description is not as expected: {error!r}")
-        ) from error
+        raise UnknownTypeError(_not_found(ros_type, f"its type description is not as expected: {error!r}")) from error
     parts = [_read(ros_type, "msg", places)]
     for name in nested:
         package, short = _split(name)
@@ -108,23 +105,17 @@ def _read(ros_type: str, suffix: str, prefixes: Sequence[Path]) -> str:
         if path.is_file():
             return path.read_text(encoding="utf-8")
     raise UnknownTypeError(
-        _not_found(
-            ros_type, f"no share/{package}/msg/{short}.{suffix} under {os.pathsep.join(map(str, prefixes))}"
-        )
+        _not_found(ros_type, f"no share/{package}/msg/{short}.{suffix} under {os.pathsep.join(map(str, prefixes))}")
     )
 
 
 def _split(ros_type: str) -> tuple[str, str]:
     match = _TYPE_NAME.fullmatch(ros_type)
     if match is None:
-        raise UnknownTypeError(
-            f"{ros_type!r} is not the full name of a message type, such as std_msgs/msg/Header"
-        )
+        raise UnknownTypeError(f"{ros_type!r} is not the full name of a message type, such as std_msgs/msg/Header")
     return match[1], match[2]
 
 
 def _not_found(ros_type: str, problem: str) -> str:
     package = ros_type.partition("/")[0]
-    return (
-        f"message type {ros_type}: {problem}; build or install the package {package} and source its workspace"
-    )
+    return f"message type {ros_type}: {problem}; build or install the package {package} and source its workspace"

@@ -141,7 +141,7 @@ class BagWriter:
             self._writer.start(profile=_PROFILE, library=_library())
             self._attach(attachments)
             self._file.commit()
-            # The file must be gone before its folder can be, and both stay from here on.
+            # From here on all of it stays.
             undo.pop_all()
         channels = self._register(schemas)
         self._channels = {topic.name: channel for topic, channel in zip(topics, channels, strict=True)}
@@ -265,14 +265,7 @@ class BagWriter:
         if self._error is None:
             with suppress(BagWriteError):
                 self._finish(attachments or {}, aborted=reason)
-        if self._closed:
-            return
-        self._closed = True
-        self._reserve.release()
-        with suppress(OSError, RecordError):
-            self._salvage(reason)
-        with suppress(OSError):
-            self._file.close()
+        self._finish_after_error(reason)
 
     def _check_open(self) -> None:
         if self._error is not None:
@@ -321,6 +314,16 @@ class BagWriter:
             self._file.close()
             write_metadata(self.folder, description)
 
+    def _finish_after_error(self, reason: str) -> None:
+        if self._closed:  # the file was complete before the error
+            return
+        self._closed = True
+        self._reserve.release()
+        with suppress(OSError, RecordError):
+            self._salvage(reason)
+        with suppress(OSError):
+            self._file.close()
+
     def _salvage(self, reason: str) -> None:
         for _ in range(_MAX_CHUNKS_GIVEN_UP):
             with self.path.open("rb") as stream:
@@ -348,9 +351,7 @@ class BagWriter:
                 write_metadata(self.folder, description)
                 return
 
-    def _description(
-        self, counts: Mapping[int, int], span: tuple[int, int], aborted: str | None
-    ) -> dict[str, Any]:
+    def _description(self, counts: Mapping[int, int], span: tuple[int, int], aborted: str | None) -> dict[str, Any]:
         start, end = span
         return bag_metadata(
             [(topic, counts.get(channel, 0)) for channel, topic in enumerate(self._topics, start=1)],
@@ -382,9 +383,7 @@ def _new_folder(folder: Path, file: Path) -> Iterator[ExitStack]:
                 errno.ENFILE,
             }:
                 raise BagWriteError(file, error) from error
-            raise BagFolderError(
-                f"cannot create {file}: {error.strerror}; name another folder for the bag"
-            ) from error
+            raise BagFolderError(f"cannot create {file}: {error.strerror}; name another folder for the bag") from error
 
 
 def _library() -> str:
