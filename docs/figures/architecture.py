@@ -1,3 +1,4 @@
+# ruff: noqa: INP001 - a script of the documentation, in no package
 """Draw the architecture and the data of one step: python docs/figures/architecture.py [PICTURE]."""
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Box(NamedTuple):
 
 
 BOXES = (
-    Box(0.0, 1.5, 2.5, 2.2, "agent_001 ... agent_NNN", "one process per robot:\nlaw, drive, own state", VERMILION),
+    Box(-0.15, 1.5, 2.8, 2.2, "agent_001 ... agent_NNN", "one process per robot:\nlaw, drive, own state", VERMILION),
     Box(4.7, 4.0, 2.5, 1.2, "abstraction_observer", "sums over the swarm,\nmembership"),
     Box(4.7, 0.0, 2.5, 1.2, "plane_sim", "the plane (an encoder\non hardware)"),
     Box(9.4, 0.0, 2.5, 1.2, "parent_controller", "PD, LQR or ARISE,\nfilter, manifold"),
@@ -62,11 +63,18 @@ def arrow(axes: Axes, points: list[tuple[float, float]], colour: str, dashed: bo
     style = (0, (4, 2)) if dashed else "-"
     if len(points) > 2:
         axes.plot(*zip(*points[:-1], strict=True), color=colour, linewidth=1.6, linestyle=style, solid_capstyle="round")
-    head = FancyArrowPatch(
-        points[-2], points[-1], arrowstyle="-|>", mutation_scale=13, color=colour, linewidth=1.6, linestyle=style
+    axes.add_patch(
+        FancyArrowPatch(
+            *points[-2:],
+            arrowstyle="-|>",
+            mutation_scale=13,
+            shrinkA=0.0,
+            shrinkB=0.0,
+            color=colour,
+            linewidth=1.6,
+            linestyle=style,
+        )
     )
-    head.set(shrinkA=0.0, shrinkB=0.0)
-    axes.add_patch(head)
 
 
 def note(axes: Axes, x: float, y: float, text: str, colour: str, align: str = "center") -> None:
@@ -78,7 +86,7 @@ def draw() -> Figure:
     """Return the picture."""
     figure = Figure(figsize=(10.2, 5.6))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(-0.25, 12.15), ylim=(-0.95, 5.95), aspect="equal")
+    axes.set(xlim=(-0.3, 12.1), ylim=(-0.95, 5.95), aspect="equal")
     axes.axis("off")
     for shape in BOXES:
         box(axes, shape)
@@ -104,7 +112,7 @@ def draw() -> Figure:
         axes,
         5.95,
         -0.6,
-        "4  With the three blue broadcasts of step k each robot computes u(k), moves until k+1 and sends AgentState(k+1).",
+        "4  With the three blue broadcasts of step k a robot computes u(k), moves until k+1, sends AgentState(k+1).",
         BLACK,
     )
     return figure
@@ -115,7 +123,9 @@ def main(arguments: list[str]) -> int:
     picture = Path(arguments[0]) if arguments else PICTURE
     # The same picture gives the same file: no date in it, and no random names.
     with mpl.rc_context({"svg.hashsalt": "swarmabs", "svg.fonttype": "path"}):
-        draw().savefig(picture, facecolor="white", dpi=110, metadata={"Date": None} if picture.suffix == ".svg" else None)
+        draw().savefig(
+            picture, facecolor="white", dpi=110, metadata={"Date": None} if picture.suffix == ".svg" else None
+        )
     return 0
 
 

@@ -1,3 +1,4 @@
+# ruff: noqa: INP001 - a script of the documentation, in no package
 """Draw the README's picture of a run from its bag: python docs/figures/run.py RUN_FOLDER [PICTURE]."""
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from swarmabs_core.messages import Kind
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from swarmabs_bringup.bag import RunArrays
+    from swarmabs_core.arrays import RunArrays
 
 PICTURE = Path(__file__).parents[1] / "images" / "run.png"
 SNAPSHOTS = (0.0, 0.5, 2.0, 8.0)
@@ -38,7 +39,9 @@ def sketch(axes: Axes, run: RunArrays, time: float) -> None:
     corners = [-0.5 * along, 0.5 * along, 0.5 * along + 4 * lane, -0.5 * along + 4 * lane]
     axes.fill(*np.transpose(corners), facecolor="#f4f4f4", edgecolor=BLACK, linewidth=1.2, joinstyle="round")
     for number in range(1, 4):
-        axes.plot(*np.transpose([corners[0] + number * lane, corners[1] + number * lane]), color="#cccccc", linewidth=0.8)
+        axes.plot(
+            *np.transpose([corners[0] + number * lane, corners[1] + number * lane]), color="#cccccc", linewidth=0.8
+        )
     axes.plot(*np.transpose([np.zeros(2), 4 * lane]), color=BLACK, linewidth=0.8, linestyle=(0, (3, 2)))
     for column in reversed(range(4)):  # those behind first
         radius = 0.045 * np.cbrt(run.agents.mass[row, column] / 0.5)
@@ -47,8 +50,8 @@ def sketch(axes: Axes, run: RunArrays, time: float) -> None:
         turn = np.linspace(0.0, 2.0 * np.pi, 60)
         outline = centre[:, None] + radius * np.array([np.cos(turn), np.sin(turn)])
         axes.fill(*outline, facecolor=ROBOTS[column][0], edgecolor=BLACK, linewidth=0.8)
-        number = str(run.agents.ids[column])
-        axes.text(*centre, number, fontsize=7, ha="center", va="center_baseline", color=BLACK)
+        name = str(run.agents.ids[column])
+        axes.text(centre[0], centre[1], name, fontsize=7, ha="center", va="center_baseline", color=BLACK)
     axes.set(xlim=(-0.53, 0.6), ylim=(-0.12, 0.27), aspect="equal")
     axes.axis("off")
     axes.set_title(f"t = {time:g} s, {1000.0 * angle:+.0f} mrad", fontsize=9)
@@ -57,9 +60,9 @@ def sketch(axes: Axes, run: RunArrays, time: float) -> None:
 def draw(run: RunArrays) -> Figure:
     """Return the picture."""
     figure = Figure(figsize=(8.4, 6.3), dpi=160, layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1.0, 4.8))
-    for axes, time in zip(top.subplots(1, len(SNAPSHOTS)), SNAPSHOTS, strict=True):
-        sketch(axes, run, time)
+    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.0, 4.8))[:, 0]
+    for axes, moment in zip(top.subplots(1, len(SNAPSHOTS), squeeze=False)[0], SNAPSHOTS, strict=True):
+        sketch(axes, run, moment)
     angle, positions, error = bottom.subplots(3, 1, sharex=True)
     shown = run.time <= SHOWN
     time = run.time[shown]
@@ -85,7 +88,7 @@ def draw(run: RunArrays) -> Figure:
     limit = 1.15 * np.abs(torque[shown]).max()
     error.set(ylim=(-limit, limit), ylabel="error of the\ntorque, N m", xlabel="time, s", xlim=(-0.05, SHOWN))
     limit = 1.15e3 * np.abs(inertia[shown]).max()
-    other.set(ylim=(-limit, limit), ylabel="error of the\ninertia, 10⁻³ kg m²")  # noqa: RUF001 - superscripts
+    other.set(ylim=(-limit, limit), ylabel="error of the\ninertia, 10⁻³ kg m²")
     error.legend(handles=[first, second], loc="upper right", frameon=False)
     for axes in (angle, positions, error):
         axes.grid(color="#eeeeee")

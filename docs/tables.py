@@ -1,0 +1,226 @@
+# ruff: noqa: INP001 - a script of the documentation, in no package
+"""Write the tables of docs/*.md from the code that they describe: python docs/tables.py.
+
+A table stands between the lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what is between them is replaced. A test
+fails when a table is not what this script would write.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args, get_type_hints
+
+from pydantic import BaseModel
+
+import abstraction_observer.node
+import agent_node.group
+import agent_node.node
+import parent_controller.node
+import plane_sim.node
+from swarmabs_bringup.orchestration.plan import plan
+from swarmabs_bringup.recorder import node as recorder
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.messages import TOPICS
+from swarmabs_core.scenario import (
+    AGENT_KINDS,
+    CONTROLLER_CONFIGS,
+    FAULT_KINDS,
+    TRAJECTORY_CONFIGS,
+    Scenario,
+)
+from swarmabs_ros.qos import OFFERED
+from swarmabs_ros.runner import COMMON
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from swarmabs_core.parameters import Parameter
+
+DOCS = Path(__file__).parent
+MESSAGES = DOCS.parent / "src" / "swarmabs_msgs" / "msg"
+_TABLE = re.compile(r"(<!-- table: ([a-z_ ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def table(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [list(headings)]
+    lines += [["---"] * len(lines[0]), *([cell.replace("|", r"\|") for cell in row] for row in rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def code(text: object) -> str:
+    """Return a text set as code."""
+    return f"`{text}`"
+
+
+def value(given: object) -> str:
+    """Return a default as one would write it in YAML."""
+    if given is None:
+        return code("null")
+    if isinstance(given, bool):
+        return code(str(given).lower())
+    if isinstance(given, (tuple, list)):
+        return code("[" + ", ".join(f"{item:g}" if isinstance(item, float) else str(item) for item in given) + "]")
+    if given == "":
+        return code("''")
+    return code(repr(given) if isinstance(given, float) else given)
+
+
+def bounds(parameter: Parameter) -> str:
+    """Say which values of a parameter are allowed."""
+    found = []
+    if parameter.length is not None:
+        found.append(f"{parameter.length} numbers")
+    if parameter.above is not None:
+        found.append(f"> {parameter.above:g}")
+    if parameter.minimum is not None:
+        found.append(f">= {parameter.minimum:g}")
+    if parameter.maximum is not None:
+        found.append(f"<= {parameter.maximum:g}")
+    if parameter.choices is not None:
+        found.append(", ".join(map(code, parameter.choices)))
+    return "; ".join(found)
+
+
+def parameters(declared: Iterable[Parameter], prefix: str = "") -> str:
+    """Return the table of a node's parameters."""
+    return table(
+        ("parameter", "default", "allowed", "meaning"),
+        ((code(prefix + p.name), value(p.default), bounds(p), p.description) for p in declared),
+    )
+
+
+def topics() -> str:
+    """Return the table of topics: type, QoS offered, who publishes and who subscribes."""
+    processes = plan(
+        find_scenario("pd_het_4").resolved(), scenario_file=Path("scenario.yaml"), bag=Path("bag"), logs=Path("logs")
+    )
+
+    def names(relation: str, topic: object) -> str:
+        found = (p.module.split(".")[-2] for p in processes if topic in getattr(p, relation))
+        return ", ".join(dict.fromkeys(found))
+
+    return table(
+        ("topic", "type", "QoS offered", "published by", "read by"),
+        (
+            (
+                code(topic.name),
+                topic.ros_type.split("/")[-1],
+                f"{OFFERED[topic].reliability}, {OFFERED[topic].durability}, {OFFERED[topic].depth}",
+                names("publications", topic),
+                names("subscriptions", topic),
+            )
+            for topic in TOPICS
+        ),
+    )
+
+
+def message_fields() -> str:
+    """Return the table of the fields of all messages, from the comments of their definitions."""
+    rows = []
+    for topic in TOPICS:
+        name = topic.message.__name__
+        text = (MESSAGES / f"{name}.msg").read_text(encoding="utf-8")
+        for kind, field, comment in re.findall(r"^(\w+) ([a-z]\w*) +# (.*)$", text, re.MULTILINE):
+            if field != "step":
+                rows.append((name, code(f"{kind} {field}"), comment))
+                name = ""
+    return table(("message", "field", "meaning"), rows)
+
+
+def events() -> str:
+    """Return the table of the kinds of events."""
+    text = (MESSAGES / "SwarmEvent.msg").read_text(encoding="utf-8")
+    found = re.findall(r"^uint8 ([A-Z_]+)=(\d+) +# (.*)$", text, re.MULTILINE)
+    return table(("kind", "value", "meaning"), ((code(name), number, comment) for name, number, comment in found))
+
+
+def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str, str]]:
+    """Return path, default and meaning of every field of a part of a scenario."""
+    hints = get_type_hints(model)
+    for name, field in model.model_fields.items():
+        path = f"{prefix}{field.alias or name}"
+        described = field.description or ""
+        candidates = [hints[name], *get_args(hints[name])]
+        inner = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+        if path in {"controller", "swarm.agents", "faults"} or path.endswith("trajectory"):
+            yield path, {"controller": "`{type: pd}`", "faults": "`[]`"}.get(path, "see below"), described
+        elif inner is not None:
+            yield from leaves(inner, f"{path}.")
+        else:
+            yield path, "required" if field.is_required() else value(field.get_default()), described
+
+
+def fields(rows: Iterable[tuple[str, str, str]]) -> str:
+    """Return a table of fields of a scenario."""
+    return table(("field", "default", "meaning"), ((code(path), default, text) for path, default, text in rows))
+
+
+def variants(models: Mapping[str, type[BaseModel]], key: str) -> str:
+    """Return a table of fields that depend on a key such as ``kind``."""
+    rows = []
+    for name, model in models.items():
+        shown = f"{key}: {name}"
+        for path, default, text in leaves(model):
+            if path != key:
+                rows.append((code(shown) if shown else "", code(path), default, text))
+                shown = ""
+        if shown:
+            rows.append((code(shown), "", "", ""))
+    return table(("where", "field", "default", "meaning"), rows)
+
+
+def controller_parameters() -> str:
+    """Return the table of the parameters that each control law adds to the parent controller's."""
+    rows = [
+        (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.description)
+        for name, entry in CONTROLLERS.items()
+        for p in entry.settings
+    ]
+    return table(("law", "parameter", "default", "allowed", "meaning"), rows)
+
+
+def all_tables() -> dict[str, str]:
+    """Return every table by its name."""
+    return {
+        "topics": topics(),
+        "message fields": message_fields(),
+        "events": events(),
+        "scenario": fields(leaves(Scenario)),
+        "robots": variants(AGENT_KINDS, "kind"),
+        "controllers": variants(CONTROLLER_CONFIGS, "type"),
+        "trajectories": variants(TRAJECTORY_CONFIGS, "type"),
+        "faults": variants(FAULT_KINDS, "kind"),
+        "common": parameters(COMMON),
+        "plane_sim": parameters(plane_sim.node.PARAMETERS),
+        "abstraction_observer": parameters(abstraction_observer.node.PARAMETERS),
+        "parent_controller": parameters((parent_controller.node.LAW, *parent_controller.node.PARAMETERS)),
+        "controller parameters": controller_parameters(),
+        "agent_node": parameters(agent_node.node.PARAMETERS),
+        "agent_group": parameters(agent_node.group.PARAMETERS),
+        "recorder": parameters(recorder.PARAMETERS),
+    }
+
+
+def renewed(text: str, tables: dict[str, str]) -> str:
+    """Return a page with its tables written anew."""
+    return _TABLE.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
+
+
+def main() -> int:
+    """Renew the tables of all pages."""
+    tables = all_tables()
+    for page in sorted(DOCS.glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        new = renewed(text, tables)
+        if new != text:
+            page.write_text(new, encoding="utf-8")
+            sys.stderr.write(f"{page}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

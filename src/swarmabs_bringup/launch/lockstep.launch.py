@@ -1,0 +1,69 @@
+"""Start all nodes of a scenario in lockstep with `ros2 launch`, for those who have a complete ROS 2 installation.
+
+The nodes and their parameters are those of ``swarm run``, since they come from the same plan; each node waits until
+it has met its counterparts, then begins. The recorder ends when the run is complete, and that ends the launch. What
+only ``swarm run`` does: a ROS domain and a network of its own, the search for who is silent, ending the processes of
+robots that a scenario kills or freezes (they fall silent here, too), and ``summary.json``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from launch import LaunchDescription
+from swarmabs_bringup.orchestration.plan import plan
+from swarmabs_bringup.run_folder import new_run_folder, next_run_folder
+from swarmabs_bringup.scenarios import DEFAULT, find_scenario
+
+if TYPE_CHECKING:
+    from swarmabs_bringup.orchestration.plan import ProcessPlan
+
+ARGUMENTS = {
+    "scenario": (DEFAULT, "a built-in scenario, a YAML file, or a bag"),
+    "out": ("", "folder of the results; empty: runs/NAME-NNN"),
+    "namespace": ("/", "ROS namespace of the swarm"),
+}
+"""Default and meaning of every launch argument."""
+
+
+def executable(process: ProcessPlan) -> tuple[str, str]:
+    """Return package and executable of a process: ``recorder`` of ``swarmabs_bringup.recorder.node``, for example."""
+    *_, name, _node = process.module.split(".")
+    return process.module.partition(".")[0], name
+
+
+def actions(context: Any) -> list[Any]:
+    """Return a node for every process of the scenario that was asked for, and what there is to say about it."""
+    asked = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    scenario = find_scenario(asked["scenario"])
+    warnings = [LogInfo(msg=f"warning: {text}") for text in scenario.warnings()]
+    scenario = scenario.resolved()
+    folder = new_run_folder(Path(asked["out"])) if asked["out"] else next_run_folder(Path("runs"), scenario.name)
+    folder.fill(scenario)
+    nodes = []
+    for process in plan(scenario, scenario_file=folder.scenario, bag=folder.bag, logs=folder.logs):
+        package, name = executable(process)
+        nodes.append(
+            Node(
+                package=package,
+                executable=name,
+                arguments=process.arguments(asked["namespace"]),
+                output="both",
+                on_exit=Shutdown(reason=f"{process.name} has ended"),
+            )
+        )
+    return [*warnings, LogInfo(msg=f"results: {folder.path}"), *nodes]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and the nodes."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=actions)])

@@ -1,0 +1,41 @@
+"""The scripts of the pictures work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.docs.pages import ROOT
+
+from swarmabs_bringup.run_folder import new_run_folder
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.simulate import simulate_run
+
+FIGURES = ROOT / "docs" / "figures"
+
+
+def draw(script: str, *arguments: Path) -> None:
+    command = [sys.executable, FIGURES / script, *arguments]
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
+    assert process.returncode == 0, process.stderr
+
+
+@pytest.mark.timeout(60)
+def test_picture_of_a_run(tmp_path: Path) -> None:
+    folder = new_run_folder(tmp_path / "run")
+    simulate_run(find_scenario("pd_het_4", ["duration=9.0"]).resolved(), folder)
+    draw("run.py", folder.path, tmp_path / "run.png")
+    assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.timeout(60)
+def test_picture_of_the_architecture(tmp_path: Path) -> None:
+    draw("architecture.py", tmp_path / "architecture.svg")
+    assert "<svg" in (tmp_path / "architecture.svg").read_text(encoding="utf-8")
+
+
+def test_pictures_are_there() -> None:
+    for name in ("run.png", "architecture.svg"):
+        assert (ROOT / "docs" / "images" / name).is_file()
