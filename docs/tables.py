@@ -1,4 +1,3 @@
-# ruff: noqa: INP001 - a script of the documentation, in no package
 """Write the tables of docs/*.md from the code that they describe: python docs/tables.py.
 
 A table stands between the lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what is between them is replaced. A test

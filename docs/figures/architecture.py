@@ -1,4 +1,3 @@
-# ruff: noqa: INP001 - a script of the documentation, in no package
 """Draw the architecture and the data of one step: python docs/figures/architecture.py [PICTURE]."""
 
 from __future__ import annotations

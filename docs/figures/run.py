@@ -1,4 +1,3 @@
-# ruff: noqa: INP001 - a script of the documentation, in no package
 """Draw the README's picture of a run from its bag: python docs/figures/run.py RUN_FOLDER [PICTURE]."""
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, RECORDING_PROGRESS
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.parameters import declare
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
@@ -20,7 +19,7 @@ from swarmabs_ros.status import StatusChannel
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-LAW = Parameter("controller.type", "pd", "control law of the plane, one of " + ", ".join(CONTROLLERS))
+LAW = Parameter("controller.type", "pd", "control law of the plane", choices=tuple(CONTROLLERS))
 PARAMETERS = (
     Parameter("plane.inertia", 0.5, "moment of inertia of the plane alone, kg m^2", above=0.0),
     Parameter(
@@ -30,8 +29,8 @@ PARAMETERS = (
         minimum=0.0,
         length=6,
     ),
-    Parameter("manifold.curvature", 0.0125, "J_sd = curvature tau^2 + offset, kg m^2/(N m)^2", minimum=0.0),
-    Parameter("manifold.offset", 0.025, "kg m^2", above=0.0),
+    Parameter("manifold.curvature", 0.0125, "A of J_sd = A tau^2 + B, kg m^2/(N m)^2", minimum=0.0),
+    Parameter("manifold.offset", 0.025, "B of J_sd = A tau^2 + B, kg m^2", above=0.0),
     Parameter("manifold.torque_max", 5.0, "limit of the desired torque, N m", above=0.0),
     Parameter("recording_window", 0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0),
 )
@@ -39,7 +38,8 @@ PARAMETERS = (
 
 def table(node: Node) -> tuple[Parameter, ...]:
     """Return the node's parameters, among them those of the law that is asked for."""
-    law = controller_type(str(declare(node, (LAW,))[LAW.name]))
+    given = node.get_parameters_by_prefix("").get(LAW.name)
+    law = controller_type(str(LAW.default if given is None else given.value))
     return (LAW, *PARAMETERS, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
 
 

@@ -66,8 +66,9 @@ class Parameter:
         items = value if isinstance(value, (tuple, list)) else (value,)
         if self.length is not None and len(items) != self.length:
             raise self._refusal(value, f"{self.length} elements")
-        model = self.default[0] if isinstance(self.default, tuple) and self.default else None
-        return tuple(item if model is None else self._check_scalar(item, model) for item in items)  # type: ignore[return-value]
+        # An empty default stands for an array of texts.
+        model = self.default[0] if isinstance(self.default, tuple) and self.default else ""
+        return tuple(self._check_scalar(item, model) for item in items)  # type: ignore[return-value]
 
     def _check_scalar(self, value: Value, model: Scalar) -> Scalar:
         if isinstance(model, bool) or isinstance(value, bool):

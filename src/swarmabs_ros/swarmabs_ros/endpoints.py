@@ -18,7 +18,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReli
 from swarmabs_ros.qos import OFFERED, Qos
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from rclpy.node import Node
     from rclpy.publisher import Publisher
@@ -138,12 +138,21 @@ class ExecutorReceiver:
         self._arrived: dict[Topic, deque[bytes]] = {topic: deque() for topic in subscriptions}
         self._subscriptions: dict[Topic, Subscription] = {
             topic: node.create_subscription(
-                ros_type(topic), topic.name, self._arrived[topic].append, profile(qos), raw=True
+                ros_type(topic), topic.name, self._keeping(topic), profile(qos), raw=True
             )
             for topic, qos in subscriptions.items()
         }
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
+
+    def _keeping(self, topic: Topic) -> Callable[[bytes], None]:
+        """Return the callback of a topic; rclpy wants one with a Python signature."""
+        arrived = self._arrived[topic]
+
+        def keep(data: bytes) -> None:
+            arrived.append(data)
+
+        return keep
 
     def take(self, topic: Topic) -> bytes | None:
         """Return the oldest message of a topic that has not been taken, None if there is none."""

@@ -2,45 +2,61 @@
 
 from __future__ import annotations
 
+import difflib
 from typing import TYPE_CHECKING
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import ParameterException
 from rclpy.parameter import Parameter as RosParameter
 
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rclpy.node import Node
 
     from swarmabs_core.parameters import Parameter, Value
 
 
+_OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Parameters that every node of rclpy may have."""
+
+
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
-    """Declare parameters, read-only, and return their checked values; those declared before are only checked.
+    """Declare all of a node's parameters, described and read-only, and return their checked values.
+
+    Parameters
+    ----------
+    node : Node
+        The node; it has declared automatically what it was given, which is declared anew.
+    table : tuple of Parameter
+        All its parameters.
 
     Raises
     ------
     InputError
-        If a value that was given is refused.
+        If a value that was given is refused, or there is no such parameter.
     """
-    values: dict[str, Value] = {}
-    for parameter in table:
-        given = _declare(node, parameter)
-        values[parameter.name] = parameter.check(_plain(given) if given is not None else parameter.default)
-    return values
+    given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    names = {parameter.name for parameter in table}
+    for name in sorted(given):
+        if name not in names and not name.startswith(_OF_RCLPY):
+            close = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(names))}"
+            raise InputError(f"parameter {name}: {node.get_name()} has none of this name; {hint}")
+    return {parameter.name: _declare(node, parameter, given) for parameter in table}
 
 
-def _declare(node: Node, parameter: Parameter) -> object:
-    if node.has_parameter(parameter.name):
-        return node.get_parameter(parameter.name).value
-    default = list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
+def _declare(node: Node, parameter: Parameter, given: Mapping[str, object]) -> Value:
+    name = parameter.name
+    value = parameter.check(_plain(given[name])) if name in given else parameter.default
+    if name in given:
+        node.undeclare_parameter(name)
+    plain = list(value) if isinstance(value, tuple) else value
     # The type of an empty list cannot be seen: such parameters are arrays of texts.
-    model = RosParameter.Type.STRING_ARRAY if default == [] else default
-    try:
-        return node.declare_parameter(parameter.name, model, _descriptor(parameter)).value
-    except ParameterException as error:
-        raise InputError(f"parameter {parameter.name}: {error} ({parameter.description})") from error
+    model = RosParameter.Type.STRING_ARRAY if plain == [] else plain
+    node.declare_parameter(name, model, _descriptor(parameter), ignore_override=True)
+    return value
 
 
 def _plain(value: object) -> Value:
@@ -50,14 +66,7 @@ def _plain(value: object) -> Value:
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    # Dynamic typing lets an integer stand for a number; `Parameter.check` refuses every other type.
-    # An array of texts without default has no value to stand in for, and rclpy then wants the type fixed.
-    descriptor = ParameterDescriptor(
-        name=parameter.name,
-        description=parameter.description,
-        read_only=True,
-        dynamic_typing=parameter.default != (),
-    )
+    descriptor = ParameterDescriptor(name=parameter.name, description=parameter.description, read_only=True)
     constraints = []
     if parameter.above is not None:
         constraints.append(f"more than {parameter.above:g}")

@@ -14,7 +14,8 @@ class Repeater:
     """Decides on repetitions from the times at which there was progress.
 
     The first repetition comes after four usual step times and repeats one step; if it does not help, ever more steps are
-    repeated at ever longer intervals, because what somebody lacks may be older than the current step.
+    repeated at ever longer intervals, because what somebody lacks may be older than the current step. The fifth
+    repetition covers them all, and comes before the silence counts as a stall.
 
     Parameters
     ----------
@@ -31,10 +32,11 @@ class Repeater:
 
     def progress(self, now: float) -> None:
         """Note that a step was made."""
-        # Slow is learnt at once and forgotten slowly: repeating too early floods those who are late already.
-        self._usual = max(min(now - self._last, LONGEST), 0.98 * self._usual)
-        self._last = now
+        # This follows the step time that four steps of five keep to: a lost message, which delays a step by this very wait,
+        # must not make the next wait longer. All would wait ever longer for each other.
+        self._usual = min(self._usual * (1.1 if now - self._last > self._usual else 0.98), LONGEST)
         self._interval = min(max(FIRST, 4.0 * self._usual), LONGEST)
+        self._last = now
         self._window = 1
         self._due = now + self._interval
 
@@ -47,10 +49,10 @@ class Repeater:
         if now < self._due:
             return 0
         window = self._window
-        self._window = 1 if window >= WINDOW else 2 * window
+        self._window = 4 * window if window < WINDOW else 1
         self._interval = min(1.5 * self._interval, LONGEST)
         self._due = now + self._interval
-        return window
+        return min(window, WINDOW)
 
     def silence(self, now: float) -> float:
         """Return the time since the last progress, s."""

@@ -47,10 +47,17 @@ GRAVITY = Parameter("gravity", 9.81, "acceleration of gravity, m/s^2", above=0.0
 
 
 class Settings:
-    """Checked parameter values, read by name and type."""
+    """Checked parameter values, read by name and type.
 
-    def __init__(self, values: Mapping[str, Value]) -> None:
+    Attributes
+    ----------
+    namespace : str
+        Namespace of the node, which is that of the swarm.
+    """
+
+    def __init__(self, values: Mapping[str, Value], namespace: str = "/") -> None:
         self._values = values
+        self.namespace = namespace
 
     def number(self, name: str) -> float:
         """Return a number."""
@@ -130,6 +137,7 @@ class SwarmNode(Node):
             name,
             enable_rosout=False,
             start_parameter_services=False,
+            automatically_declare_parameters_from_overrides=True,
             parameter_overrides=[RosParameter("start_type_description_service", value=False)],
         )
 
@@ -147,7 +155,7 @@ def run_node(
     name : str
         Its name, where none is remapped.
     table : tuple of Parameter, or callable
-        Its parameters beyond the common ones; callable if they depend on others.
+        Its parameters beyond the common ones; callable if they depend on a value given.
     make : callable
         Makes behaviour and endpoints from the parameters.
     args : list of str, optional
@@ -167,7 +175,7 @@ def run_node(
     status = StatusChannel(node.get_name())
     try:
         own = table(node) if callable(table) else table
-        settings = Settings(declare(node, (*COMMON, *own)))
+        settings = Settings(declare(node, (*COMMON, *own)), node.get_namespace())
         spec = make(settings, status)
         return _run(node, settings, spec, status)
     except InputError as error:

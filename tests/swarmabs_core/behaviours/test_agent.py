@@ -268,7 +268,8 @@ def test_force_limit_goes_before_the_speed_limit() -> None:
 
 def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
     node = agent(loss_probability=0.5, seed=4)
-    (before,) = node.start()
+    injected, before = node.start()
+    assert injected == SwarmEvent(0, 0, 3, EventKind.FAULT_INJECTED, 0.5, "loss of the broadcasts")
     states = [state(hear(node, broadcasts(step, desired=0.1 * step))) for step in range(40)]
     losses = [lost(0.5, 4, step, 3) for step in range(40)]
     assert 10 < sum(losses) < 30
@@ -282,7 +283,8 @@ def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
 @kinds
 def test_delayed_broadcasts_meet_the_robots_present_state(kind: Kind) -> None:
     node = agent(kind, delay=2)
-    (before,) = node.start()
+    injected, before = node.start()
+    assert injected == SwarmEvent(0, 0, 3, EventKind.FAULT_INJECTED, 2.0, "delay of the broadcasts, steps")
     for step in range(6):
         after = state(hear(node, broadcasts(step, desired=0.1 * step)))
         if step < 2:

@@ -6,10 +6,12 @@ import sys
 
 import click
 
+from swarmabs_bringup.cli.bench import bench
 from swarmabs_bringup.cli.environment import doctor, env
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
+from swarmabs_bringup.cli.sweep import sweep
 from swarmabs_bringup.cli.test import test
 from swarmabs_core.errors import InputError, SwarmabsError
 
@@ -22,7 +24,7 @@ def swarm() -> None:
     """
 
 
-for command in (run, simulate, info, scenario, env, doctor, test):
+for command in (run, simulate, info, scenario, env, doctor, bench, sweep, test):
     swarm.add_command(command)
 
 
@@ -31,7 +33,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         code = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context is not None else "swarm"
+        click.echo(f"error: {error.format_message()} See {path} --help.", err=True)
         return error.exit_code
     except click.exceptions.Abort:
         click.echo("interrupted", err=True)

@@ -99,10 +99,10 @@ def _carry_out(
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     loaded = find_scenario(scenario, overrides)
+    folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
     for warning in loaded.warnings():
         click.echo(f"warning: {warning}", err=True)
     loaded = loaded.resolved()
-    folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
     try:
         with shown_progress(loaded) as show:
             outcome = execute(loaded, folder, not no_bag, show)
@@ -129,7 +129,11 @@ def _carry_out(
 
 
 def _since_start() -> float:
-    """Return the wall time since this process was started, which is when the user's command was."""
-    import psutil  # noqa: PLC0415 - slow to import
+    """Return the wall time since this process was started, which is when the user's command was.
 
-    return time.time() - psutil.Process(os.getpid()).create_time()
+    Of the fields of ``/proc/self/stat`` behind the name, which may itself hold blanks, the twentieth is the start in
+    clock ticks since the machine was.
+    """
+    stat = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace")
+    ticks = int(stat.rpartition(")")[2].split()[19])
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")

@@ -31,6 +31,12 @@ def metatraffic_port(domain: int, participant: int) -> int:
     return PORT_BASE + DOMAIN_GAIN * domain + METATRAFFIC_OFFSET + PARTICIPANT_GAIN * participant
 
 
+def domains_spanned(participants: int) -> int:
+    """Return over how many domains the ports of a run with this many participant ids reach, in whole claims."""
+    ports = DATA_OFFSET + PARTICIPANT_GAIN * participants
+    return -(-ports // (DOMAIN_GAIN * SPACING)) * SPACING
+
+
 @contextmanager
 def claimed_domain(spacing: int = SPACING) -> Iterator[int]:
     """Hold a free domain for the time of the block.

@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING
 import psutil
 
 from swarmabs_bringup.orchestration.dds_profile import dds_environment, profile_xml
-from swarmabs_bringup.orchestration.domain import (
-    DATA_OFFSET,
-    DOMAIN_GAIN,
-    PARTICIPANT_GAIN,
-    SPACING,
-    claimed_domain,
-)
+from swarmabs_bringup.orchestration.domain import claimed_domain, domains_spanned
 from swarmabs_bringup.orchestration.launcher_client import LauncherClient
 from swarmabs_bringup.orchestration.looking_in import write_network
 from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan, agent_name, plan
@@ -63,8 +57,8 @@ class LockstepRun:
         Told how the run goes, some ten times a second.
     namespace : str
         ROS namespace of the swarm.
-    spawn_order : callable, optional
-        Puts the robots' processes into another order before they are started.
+    arrange : callable, optional
+        Changes the processes before any is started, such as their order or parameters.
     agents_per_process : int
         How many robots share a process.
     """
@@ -77,7 +71,7 @@ class LockstepRun:
         record: bool = True,
         on_progress: Callable[[Progress], None] | None = None,
         namespace: str = "/",
-        spawn_order: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] | None = None,
+        arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
         agents_per_process: int = 1,
     ) -> None:
         self._scenario = scenario
@@ -85,14 +79,14 @@ class LockstepRun:
         self._namespace = namespace
         self._on_progress = on_progress
         bag = folder.bag if record else None
-        self._plan = plan(
+        planned = plan(
             scenario,
             scenario_file=folder.scenario,
             bag=bag,
             logs=folder.logs,
             agents_per_process=agents_per_process,
         )
-        self._spawn_order = spawn_order
+        self._plan = tuple(arrange(planned))
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
         self._own_process = {agent_id for process in self._plan if len(process.agents) == 1 for agent_id in process.agents}
         self._supervision = Supervision(
@@ -116,13 +110,11 @@ class LockstepRun:
             If the run cannot even be begun, such as when no ROS domain is free.
         """
         participants = 1 + max(process.participant for process in self._plan)
-        ports = DATA_OFFSET + PARTICIPANT_GAIN * participants
-        spacing = -(-ports // (DOMAIN_GAIN * SPACING)) * SPACING
         self._folder.fill(self._scenario)
         profile = self._folder.logs / "fastdds.xml"
         with ExitStack() as stack:
             stack.enter_context(tracing_files_removed())
-            domain = stack.enter_context(claimed_domain(spacing))
+            domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
             self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
             profile.write_text(profile_xml(domain), encoding="utf-8")
             write_network(self._folder.logs, domain, participants)
@@ -189,11 +181,7 @@ class LockstepRun:
         return None
 
     def _spawn(self, launcher: LauncherClient) -> None:
-        coordinators = [process for process in self._plan if not process.agents]
-        agents: Sequence[ProcessPlan] = [process for process in self._plan if process.agents]
-        if self._spawn_order is not None:
-            agents = self._spawn_order(agents)
-        for process in (*coordinators, *agents):
+        for process in self._plan:
             launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
 
     def _listen(self, launcher: LauncherClient, wake: int) -> None:

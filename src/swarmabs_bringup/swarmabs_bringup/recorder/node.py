@@ -144,7 +144,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         raise InputError("parameter scenario_file: give the file of the resolved scenario")
     scenario = load_scenario(Path(settings.text("scenario_file")))
     bag = settings.text("bag")
-    recording = Recording(scenario, Path(bag) if bag else None, driver="lockstep")
+    recording = Recording(scenario, Path(bag) if bag else None, driver="lockstep", namespace=settings.namespace)
     planned = {change.step for change in configure.schedule(scenario)}
     reported = time.monotonic()
 

@@ -32,6 +32,8 @@ class Recording:
         Folder of the bag; none if only digest and figures are wanted.
     driver : str
         What moves the run, for the provenance.
+    namespace : str
+        Namespace of the swarm, which the bag's topics have.
 
     Raises
     ------
@@ -39,7 +41,7 @@ class Recording:
         If the folder is not empty or cannot be written.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path | None, *, driver: str) -> None:
+    def __init__(self, scenario: Scenario, folder: Path | None, *, driver: str, namespace: str = "/") -> None:
         self._digest = Digest()
         self._metrics = Metrics(configure.parent_controller(scenario).reference)
         self._writer = None
@@ -47,6 +49,7 @@ class Recording:
             self._writer = BagWriter(
                 folder,
                 topics=(*MAIN_TOPICS, EVENTS),
+                namespace=namespace,
                 attachments={
                     "scenario.yaml": dump_scenario(scenario).encode(),
                     "provenance.json": provenance_json(scenario, driver=driver),

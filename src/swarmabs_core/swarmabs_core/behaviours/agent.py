@@ -163,7 +163,7 @@ class Agent:
 
     def start(self) -> Messages:
         """Publish the initial state, unless the robot joins later."""
-        return (self._publish(),) if self._joined else ()
+        return self._appear() if self._joined else ()
 
     def handle(self, message: Message) -> Messages:
         """Take a broadcast; with the last one of the step answer the robot's next state."""
@@ -187,6 +187,18 @@ class Agent:
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the topics not yet heard."""
         return self._step, tuple(topic.name for topic in self.needs if topic not in self._heard)
+
+    def _appear(self) -> Messages:
+        """Return the first state, and before it what is injected into this robot from now on."""
+        config = self._config
+        stamp = self._step * config.period_ns
+        faults = ((config.delay, "delay of the broadcasts, steps"), (config.loss_probability, "loss of the broadcasts"))
+        events = [
+            SwarmEvent(stamp, self._step, config.agent_id, EventKind.FAULT_INJECTED, float(value), detail)
+            for value, detail in faults
+            if value
+        ]
+        return (*events, self._publish())
 
     def _publish(self) -> AgentState:
         config = self._config
@@ -215,7 +227,7 @@ class Agent:
         if not self._joined:
             self._joined = True
             self._step += 1
-            return (self._publish(),)
+            return self._appear()
         abstract, sums, desired = heard[ABSTRACT_STATE], heard[AUXILIARY_STATE], heard[DESIRED_ABSTRACT_STATE]
         assert isinstance(abstract, AbstractState)  # noqa: S101 - the three are kept by topic
         assert isinstance(sums, AuxiliaryState)  # noqa: S101

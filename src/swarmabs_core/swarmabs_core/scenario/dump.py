@@ -20,6 +20,11 @@ def dump_scenario(scenario: Scenario) -> str:
     """
     data = scenario.resolved().model_dump(mode="json", by_alias=True)
     del data["swarm"]["generate"]
+    return dump_tree(data)
+
+
+def dump_tree(data: dict[str, Plain]) -> str:
+    """Return a mapping as YAML that `read_tree` reads back; keys are plain names, dotted or not."""
     return "".join(f"{line}\n" for line in _block(data, ""))
 
 

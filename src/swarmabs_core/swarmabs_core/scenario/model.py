@@ -151,7 +151,7 @@ class Scenario(Model):
     )
     duration: Duration = Field(default=30.0, description="simulated time, a multiple of step, s")
     step: Duration = Field(default=0.01, description="control period, s")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of everything random in the run")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the losses drawn during the run")
     plane: Plane = Field(default=Plane(), description="the tilting plane")
     manifold: Manifold = Field(default=Manifold(), description="the curve Js(tau) on which the swarm is held")
     controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(

@@ -1,0 +1,63 @@
+"""The adapter of the observer."""
+
+from __future__ import annotations
+
+import pytest
+
+from abstraction_observer.node import PARAMETERS, config, make
+from swarmabs_core.behaviours import Observer, ObserverConfig
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    EVENTS,
+    EventKind,
+    SwarmEvent,
+)
+from swarmabs_ros.status import StatusChannel
+from tests.swarmabs_core.helpers import agent_state
+from tests.swarmabs_ros.nodes import settings_from
+
+CHANNEL = StatusChannel("abstraction_observer")
+
+
+def test_every_parameter_reaches_the_configuration() -> None:
+    settings = settings_from(
+        PARAMETERS,
+        period_ns=5_000_000,
+        last_step=77,
+        members=(2, 9),
+        schedule=("join 9 5",),
+        gravity=1.62,
+        ksd=0.3,
+    )
+    schedule = (Change(5, 9, ChangeKind.JOIN),)
+    assert config(settings) == ObserverConfig((2, 9), 5_000_000, 1.62, 0.3, schedule, 77)
+
+
+def test_it_hears_robots_and_sums_them_up() -> None:
+    spec = make(settings_from(PARAMETERS), CHANNEL)
+    assert isinstance(spec.behaviour, Observer)
+    assert set(spec.publications) == {ABSTRACT_STATE, AUXILIARY_STATE, EVENTS}
+    assert set(spec.subscriptions) == {AGENT_STATE}
+
+
+def test_silent_robots_are_dropped_only_if_that_is_wanted() -> None:
+    assert make(settings_from(PARAMETERS), CHANNEL).on_stall is None
+    spec = make(settings_from(PARAMETERS, members=(1, 2, 3), on_stall="drop"), CHANNEL)
+    assert spec.on_stall is not None
+    for agent_id in (1, 2, 3):
+        spec.behaviour.handle(agent_state(agent_id))
+    for agent_id in (1, 2):
+        spec.behaviour.handle(agent_state(agent_id, 1))
+    messages = spec.on_stall()
+    events = [message for message in messages if isinstance(message, SwarmEvent)]
+    assert [(event.agent_id, event.kind, event.step) for event in events] == [(3, EventKind.DEAD, 1)]
+    assert len(messages) == 3
+
+
+@pytest.mark.parametrize("count", [4, 200])
+def test_a_large_swarm_has_room_to_wait_in(count: int) -> None:
+    spec = make(settings_from(PARAMETERS, members=tuple(range(1, count + 1))), CHANNEL)
+    assert spec.subscriptions[AGENT_STATE].depth >= 2 * count

@@ -1,0 +1,96 @@
+"""The adapter of a robot."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from agent_node.node import PARAMETERS, config, make
+from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import ChangeKind
+from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, Kind
+from swarmabs_core.parameters import Value
+from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_ros.status import StatusChannel
+from tests.swarmabs_ros.nodes import settings_from
+
+CHANNEL = StatusChannel("agent_node")
+
+
+def test_every_parameter_reaches_the_configuration() -> None:
+    settings = settings_from(
+        PARAMETERS,
+        period_ns=5_000_000,
+        last_step=77,
+        agent_id=12,
+        kind="double_integrator",
+        mass=0.7,
+        damping=0.8,
+        position=-0.2,
+        velocity=0.1,
+        gravity=1.62,
+        plane_length=1.4,
+        gains__k=(1.0, 2.0),
+        gains__kp=(3.0, 4.0),
+        gains__kd=(5.0, 6.0),
+        gains__ksd=7.0,
+        limits__velocity=8.0,
+        limits__force=9.0,
+        first_step=3,
+        end="freeze",
+        end_step=30,
+        delay=2,
+        loss_probability=0.25,
+        seed=99,
+        feels_gravity=True,
+    )
+    assert config(settings) == AgentConfig(
+        agent_id=12,
+        kind=Kind.DOUBLE_INTEGRATOR,
+        mass=0.7,
+        position=-0.2,
+        velocity=0.1,
+        gains=SwarmGains((1.0, 2.0), (3.0, 4.0), (5.0, 6.0), 7.0),
+        period_ns=5_000_000,
+        gravity=1.62,
+        plane_length=1.4,
+        damping=0.8,
+        limits=Limits(8.0, 9.0),
+        life=LifeSpan(3, ChangeKind.FREEZE, 30),
+        delay=2,
+        loss_probability=0.25,
+        seed=99,
+        feels_gravity=True,
+        last_step=77,
+    )
+
+
+def test_no_limit_and_no_end_by_default() -> None:
+    found = config(settings_from(PARAMETERS))
+    assert found.limits == Limits(inf, inf)
+    assert found.life == LifeSpan(0, None, None)
+    assert found.last_step is None
+
+
+@pytest.mark.parametrize("values", [{"damping": 0.5}, {"velocity": -0.1}])
+def test_a_single_integrator_has_neither_damping_nor_velocity(values: dict[str, Value]) -> None:
+    with pytest.raises(InputError, match="damping and velocity"):
+        config(settings_from(PARAMETERS, kind="single_integrator", **values))
+
+
+@pytest.mark.parametrize("kind", ["single_integrator", "double_integrator"])
+def test_it_hears_the_three_broadcasts_and_nothing_else(kind: str) -> None:
+    spec = make(settings_from(PARAMETERS, kind=kind), CHANNEL)
+    assert isinstance(spec.behaviour, Agent)
+    assert set(spec.subscriptions) == set(BROADCASTS)
+    assert set(spec.publications) == {AGENT_STATE, EVENTS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "extra"), [("single_integrator", set()), ("double_integrator", {PLANE_STATE})]
+)
+def test_only_a_body_that_feels_its_tilt_reads_its_own_sensor(kind: str, extra: set[object]) -> None:
+    spec = make(settings_from(PARAMETERS, kind=kind, feels_gravity=True), CHANNEL)
+    assert set(spec.subscriptions) == {*BROADCASTS, *extra}

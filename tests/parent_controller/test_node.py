@@ -1,0 +1,69 @@
+"""The adapter of the parent controller."""
+
+from __future__ import annotations
+
+import pytest
+
+from parent_controller.node import LAW, make, table
+from swarmabs_core.behaviours import Controller
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.messages import (
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    RECORDING_PROGRESS,
+    DesiredAbstractState,
+    PlaneState,
+)
+from swarmabs_core.parameters import Value
+from swarmabs_ros.runner import Settings
+from swarmabs_ros.status import StatusChannel
+from tests.swarmabs_ros.nodes import given, settings_from, started_node
+
+CHANNEL = StatusChannel("parent_controller")
+pytestmark = pytest.mark.usefixtures("ros")
+
+
+def settings_of(law: str, **values: Value) -> Settings:
+    with started_node(*given(controller__type=law)) as node:
+        return settings_from(table(node), controller__type=law, **values)
+
+
+@pytest.mark.parametrize("law", CONTROLLERS)
+def test_the_law_decides_which_parameters_there_are(law: str) -> None:
+    with started_node(*given(controller__type=law)) as node:
+        names = [parameter.name for parameter in table(node)]
+    assert names[0] == LAW.name
+    own = {name for name in names if name.startswith("controller.")} - {LAW.name}
+    assert own == {f"controller.{setting.name}" for setting in CONTROLLERS[law].settings}
+
+
+@pytest.mark.parametrize("law", CONTROLLERS)
+def test_it_hears_the_plane_and_says_what_it_wants(law: str) -> None:
+    spec = make(settings_of(law), CHANNEL)
+    assert isinstance(spec.behaviour, Controller)
+    assert set(spec.publications) == {DESIRED_ABSTRACT_STATE, EVENTS}
+    assert set(spec.subscriptions) == {PLANE_STATE}
+
+
+def test_it_hears_a_recorder_only_if_there_is_one() -> None:
+    spec = make(settings_of("pd", recording_window=100), CHANNEL)
+    assert set(spec.subscriptions) == {PLANE_STATE, RECORDING_PROGRESS}
+
+
+def test_gains_and_manifold_reach_the_law() -> None:
+    settings = settings_of(
+        "pd",
+        controller__gains=(2.0, 0.0),
+        manifold__curvature=0.5,
+        manifold__offset=0.25,
+        manifold__torque_max=3.0,
+    )
+    behaviour = make(settings, CHANNEL).behaviour
+    desired = behaviour.handle(PlaneState(0, 0, 0.5, 0.0))[-1]
+    assert isinstance(desired, DesiredAbstractState)
+    assert desired.torque == 1.0
+    assert desired.inertia == 0.5 * 1.0 + 0.25
+    limited = behaviour.handle(PlaneState(10_000_000, 1, 1.4, 0.0))[-1]
+    assert isinstance(limited, DesiredAbstractState)
+    assert limited.torque <= 3.0

@@ -1,0 +1,53 @@
+"""The adapter of the simulated plane."""
+
+from __future__ import annotations
+
+from plane_sim.node import PARAMETERS, config, make
+from swarmabs_core.behaviours import Plane
+from swarmabs_core.friction import Friction
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.plant import Disturbance
+from swarmabs_ros.status import StatusChannel
+from tests.swarmabs_ros.nodes import settings_from
+
+
+def test_every_parameter_reaches_the_configuration() -> None:
+    found = config(
+        settings_from(
+            PARAMETERS,
+            period_ns=5_000_000,
+            last_step=77,
+            members=(2, 9),
+            schedule=("leave 9 5",),
+            gravity=1.62,
+            inertia=0.7,
+            length=1.4,
+            friction=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+            substep=0.0005,
+            angle=-0.2,
+            angular_velocity=0.3,
+            disturbance__amplitude=0.4,
+            disturbance__angular_frequency=0.6,
+        )
+    )
+    assert found.members == (2, 9)
+    assert (found.period_ns, found.last_step, found.substep) == (5_000_000, 77, 0.0005)
+    assert (found.gravity, found.inertia, found.length) == (1.62, 0.7, 1.4)
+    assert found.friction == Friction(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert (found.angle, found.angular_velocity) == (-0.2, 0.3)
+    assert found.disturbance == Disturbance(0.4, 0.6)
+    assert found.schedule == (Change(5, 9, ChangeKind.LEAVE),)
+
+
+def test_it_hears_robots_and_events_and_says_where_the_plane_is() -> None:
+    spec = make(settings_from(PARAMETERS), StatusChannel("plane_sim"))
+    assert isinstance(spec.behaviour, Plane)
+    assert set(spec.publications) == {PLANE_STATE, EVENTS}
+    assert set(spec.subscriptions) == {AGENT_STATE, EVENTS}
+    assert spec.subscriptions[EVENTS].reliability == "reliable", "a lost event of a death would stall the plane"
+
+
+def test_a_large_swarm_has_room_to_wait_in() -> None:
+    spec = make(settings_from(PARAMETERS, members=tuple(range(1, 201))), StatusChannel("plane_sim"))
+    assert spec.subscriptions[AGENT_STATE].depth >= 400

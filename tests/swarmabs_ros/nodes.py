@@ -1,0 +1,34 @@
+"""Nodes in this process, started with a command line as by `ros2 run`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import rclpy
+
+from swarmabs_core.parameters import Parameter, Value, resolve
+from swarmabs_ros.runner import COMMON, Settings, SwarmNode
+
+
+@contextmanager
+def started_node(*arguments: str, name: str = "probe") -> Iterator[SwarmNode]:
+    """Start a node; it needs the fixture `ros`."""
+    rclpy.init(args=["--ros-args", "--disable-external-lib-logs", *arguments] if arguments else None)
+    node = SwarmNode(name)
+    try:
+        yield node
+    finally:
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        rclpy.shutdown()
+
+
+def given(**values: str) -> list[str]:
+    """Return the words of a command line that set parameters; a double underscore stands for a dot."""
+    return [word for name, text in values.items() for word in ("-p", f"{name.replace('__', '.')}:={text}")]
+
+
+def settings_from(table: tuple[Parameter, ...], **values: Value) -> Settings:
+    """Return settings as a node would have them that was given these parameters; double underscores stand for dots."""
+    named = {name.replace("__", "."): value for name, value in values.items()}
+    return Settings(resolve((*COMMON, *table), named, owner="the node"))

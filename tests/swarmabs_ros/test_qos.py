@@ -1,0 +1,48 @@
+"""The table of qualities of service against the contract."""
+
+from __future__ import annotations
+
+import pytest
+from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, qos_check_compatible
+
+from swarmabs_core.messages import BROADCASTS, EVENTS, PLANE_STATE, TOPICS, Topic
+from swarmabs_ros.endpoints import profile
+from swarmabs_ros.qos import OFFERED, Qos, requested
+
+topics = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+
+
+def test_every_topic_is_in_the_table() -> None:
+    assert set(OFFERED) == set(TOPICS)
+
+
+@pytest.mark.parametrize("topic", [*BROADCASTS, PLANE_STATE], ids=lambda topic: topic.name)
+def test_broadcasts_and_plane_are_reliable_and_volatile(topic: Topic) -> None:
+    assert (OFFERED[topic].reliability, OFFERED[topic].durability) == ("reliable", "volatile")
+
+
+def test_events_wait_for_those_who_come_later() -> None:
+    assert OFFERED[EVENTS] == Qos("reliable", 1000, "transient_local")
+
+
+@topics
+def test_history_is_bounded_and_there_is_no_deadline(topic: Topic) -> None:
+    offered = profile(OFFERED[topic])
+    assert offered.history is QoSHistoryPolicy.KEEP_LAST
+    assert offered.depth == OFFERED[topic].depth > 0
+    assert offered.deadline.nanoseconds == offered.liveliness_lease_duration.nanoseconds == 0
+
+
+@topics
+@pytest.mark.parametrize("reliable", [False, True])
+def test_a_reader_never_asks_for_more_than_is_offered(topic: Topic, reliable: bool) -> None:  # noqa: FBT001
+    wanted = requested(topic, depth=7, reliable=reliable)
+    assert wanted.depth == 7
+    compatible, reason = qos_check_compatible(profile(OFFERED[topic]), profile(wanted))
+    assert compatible != QoSCompatibility.ERROR, reason
+
+
+@topics
+def test_reliable_is_asked_for_only_where_it_is_wanted(topic: Topic) -> None:
+    assert requested(topic, depth=1).reliability == "best_effort"
+    assert requested(topic, depth=1, reliable=True).reliability == OFFERED[topic].reliability

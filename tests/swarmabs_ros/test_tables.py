@@ -1,0 +1,76 @@
+"""The parameter tables of all nodes."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from abstraction_observer import node as observer
+from agent_node import node as agent
+from parent_controller import node as controller
+from plane_sim import node as plane
+from swarmabs_bringup.recorder import node as recorder
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.parameters import Parameter
+from swarmabs_ros.runner import COMMON
+
+TABLES = {
+    "common": COMMON,
+    "plane_sim": plane.PARAMETERS,
+    "abstraction_observer": observer.PARAMETERS,
+    "parent_controller": (controller.LAW, *controller.PARAMETERS),
+    "agent_node": agent.PARAMETERS,
+    "recorder": recorder.PARAMETERS,
+    **{f"controller {name}": entry.settings for name, entry in CONTROLLERS.items()},
+}
+UNIT = re.compile(r"\b(ns|s|m|kg|rad|N|steps)\b|1/|0 to 1|probability|smoothing|gain|weight|friction", re.IGNORECASE)
+
+tables = pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
+parameters = pytest.mark.parametrize(
+    "parameter", [pytest.param(p, id=f"{node}-{p.name}") for node, table in TABLES.items() for p in table]
+)
+
+
+@tables
+def test_names_are_unique(table: tuple[Parameter, ...]) -> None:
+    names = [parameter.name for parameter in table]
+    assert len(set(names)) == len(names)
+
+
+@tables
+def test_no_node_redefines_a_common_parameter(table: tuple[Parameter, ...]) -> None:
+    if table is not COMMON:
+        assert not {p.name for p in table} & {p.name for p in COMMON}
+
+
+@parameters
+def test_the_default_is_allowed(parameter: Parameter) -> None:
+    assert parameter.check(parameter.default) == parameter.default
+
+
+@parameters
+def test_the_name_is_one_that_ros_takes(parameter: Parameter) -> None:
+    assert re.fullmatch(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)*", parameter.name)
+
+
+@parameters
+def test_there_is_a_description_and_numbers_have_a_unit(parameter: Parameter) -> None:
+    assert parameter.description
+    model = parameter.default[0] if isinstance(parameter.default, tuple) and parameter.default else parameter.default
+    if isinstance(model, float):
+        assert UNIT.search(parameter.description), parameter.description
+
+
+@parameters
+def test_numbers_are_bounded_or_may_have_either_sign(parameter: Parameter) -> None:
+    """A bound that is forgotten shows here: what has no bound is a coordinate, an amplitude or a gain."""
+    model = parameter.default[0] if isinstance(parameter.default, tuple) and parameter.default else parameter.default
+    bounded = any(bound is not None for bound in (parameter.minimum, parameter.maximum, parameter.above))
+    either_sign = {
+        *("position", "velocity", "angular_velocity", "gains", "adaptive_initial"),
+        *("amplitude", "angular_frequency", "disturbance.amplitude", "disturbance.angular_frequency"),
+        *("trajectory.amplitude", "trajectory.angular_frequency", "trajectory.value", "trajectory.angle"),
+    }
+    if isinstance(model, (int, float)) and not isinstance(model, bool):
+        assert bounded or parameter.name in either_sign
