@@ -9,14 +9,15 @@ import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 import rclpy
+from tests.processes import MARK, marked_processes
 
 from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
 from swarmabs_bringup.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
-from tests.processes import MARK, marked_processes
 
 _GONE_WITHIN = 5.0
 """Time, s, that the kernel may take to end a process which was killed, on a machine under full load."""
@@ -47,27 +48,33 @@ def _own_ports() -> set[tuple[str, int]]:
     }
 
 
-def _descriptors() -> dict[str, str]:
-    """Return this process's pipes and sockets by file descriptor."""
-    found = {}
+def _descriptors() -> set[str]:
+    """Return this process's pipes and sockets."""
+    found = set()
     for entry in Path("/proc/self/fd").iterdir():
         try:
             target = str(entry.readlink())
         except OSError:  # the descriptor with which the folder itself was read
             continue
         if target.startswith(("pipe:", "socket:")):
-            found[entry.name] = target
+            found.add(target)
     return found
 
 
-def _state() -> dict[str, object]:
-    """Return everything outside of a test's own folder that it could change and must not."""
+def _things() -> dict[str, set[Any]]:
+    """Return what a test may make and has to take away again."""
     return {
-        "environment": {name: text for name, text in os.environ.items() if name != "PYTEST_CURRENT_TEST"},
         "children": {child.pid for child in psutil.Process().children(recursive=True)},
         "ports": _own_ports(),
         "shared memory": {path.name for path in _SHARED_MEMORY.iterdir()} if _SHARED_MEMORY.is_dir() else set(),
         "pipes and sockets": _descriptors(),
+    }
+
+
+def _settings() -> dict[str, object]:
+    """Return what a test may change and has to restore."""
+    return {
+        "environment": {name: text for name, text in os.environ.items() if name != "PYTEST_CURRENT_TEST"},
         "signal handlers": {number: signal.getsignal(number) for number in _SIGNALS},
         "working directory": Path.cwd(),
     }
@@ -86,10 +93,11 @@ def nothing_survives(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         for name in ("TMPDIR", "ROS_LOG_DIR"):
             patch.setenv(name, str(temporary))
         patch.setattr(tempfile, "tempdir", str(temporary))
-        before = _state()
+        settings, things = _settings(), _things()
         yield mark
+        assert _settings() == settings, "the test changes what is not its own"
         deadline = time.monotonic() + _GONE_WITHIN
-        while (left := _left(before, mark)) and time.monotonic() < deadline:
+        while (left := _left(things, mark)) and time.monotonic() < deadline:
             time.sleep(0.02)
         for pid in marked_processes(mark):  # the next test shall not suffer
             os.kill(pid, signal.SIGKILL)
@@ -97,9 +105,9 @@ def nothing_survives(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         assert not list(temporary.iterdir()), "the test leaves temporary files behind"
 
 
-def _left(before: dict[str, object], mark: str) -> dict[str, object]:
-    after = _state()
-    left: dict[str, object] = {name: (before[name], value) for name, value in after.items() if value != before[name]}
+def _left(before: dict[str, set[Any]], mark: str) -> dict[str, object]:
+    """Return what is there now and was not before."""
+    left: dict[str, object] = {name: new for name, found in _things().items() if (new := found - before[name])}
     processes = marked_processes(mark)
     return {**left, "processes": processes} if processes else left
 

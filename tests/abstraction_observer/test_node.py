@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from tests.swarmabs_core.helpers import agent_state
+from tests.swarmabs_ros.nodes import settings_from
 
 from abstraction_observer.node import PARAMETERS, config, make
 from swarmabs_core.behaviours import Observer, ObserverConfig
@@ -16,8 +18,6 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_ros.status import StatusChannel
-from tests.swarmabs_core.helpers import agent_state
-from tests.swarmabs_ros.nodes import settings_from
 
 CHANNEL = StatusChannel("abstraction_observer")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 
 import pytest
+from tests.swarmabs_ros.nodes import settings_from
 
 from agent_node.node import PARAMETERS, config, make
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
@@ -14,7 +15,6 @@ from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE,
 from swarmabs_core.parameters import Value
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.status import StatusChannel
-from tests.swarmabs_ros.nodes import settings_from
 
 CHANNEL = StatusChannel("agent_node")
 
@@ -88,9 +88,7 @@ def test_it_hears_the_three_broadcasts_and_nothing_else(kind: str) -> None:
     assert set(spec.publications) == {AGENT_STATE, EVENTS}
 
 
-@pytest.mark.parametrize(
-    ("kind", "extra"), [("single_integrator", set()), ("double_integrator", {PLANE_STATE})]
-)
+@pytest.mark.parametrize(("kind", "extra"), [("single_integrator", set()), ("double_integrator", {PLANE_STATE})])
 def test_only_a_body_that_feels_its_tilt_reads_its_own_sensor(kind: str, extra: set[object]) -> None:
     spec = make(settings_from(PARAMETERS, kind=kind, feels_gravity=True), CHANNEL)
     assert set(spec.subscriptions) == {*BROADCASTS, *extra}

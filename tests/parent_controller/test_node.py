@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tests.swarmabs_ros.nodes import given, settings_from, started_node
 
 from parent_controller.node import LAW, make, table
 from swarmabs_core.behaviours import Controller
@@ -18,7 +19,6 @@ from swarmabs_core.messages import (
 from swarmabs_core.parameters import Value
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.status import StatusChannel
-from tests.swarmabs_ros.nodes import given, settings_from, started_node
 
 CHANNEL = StatusChannel("parent_controller")
 pytestmark = pytest.mark.usefixtures("ros")

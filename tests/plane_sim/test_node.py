@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from tests.swarmabs_ros.nodes import settings_from
+
 from plane_sim.node import PARAMETERS, config, make
 from swarmabs_core.behaviours import Plane
 from swarmabs_core.friction import Friction
@@ -9,7 +11,6 @@ from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
 from swarmabs_core.plant import Disturbance
 from swarmabs_ros.status import StatusChannel
-from tests.swarmabs_ros.nodes import settings_from
 
 
 def test_every_parameter_reaches_the_configuration() -> None:

@@ -9,9 +9,7 @@ from pathlib import Path
 FOLDER = Path(__file__).parents[2] / "src" / "swarmabs_msgs" / "msg"
 FILES = tuple(sorted(FOLDER.glob("*.msg")))
 
-_LINE = re.compile(
-    r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$"
-)
+_LINE = re.compile(r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$")
 
 SIZES = {"uint8": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
 

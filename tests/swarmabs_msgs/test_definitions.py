@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
 
 from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Status
-from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str}
@@ -70,9 +70,7 @@ def test_fields_and_their_order_are_those_of_the_core(definition: Definition) ->
 
 @definitions
 def test_constants_are_those_of_the_core(definition: Definition) -> None:
-    expected = {
-        member.name: int(member) for enum in CONSTANTS.get(definition.name, ()) for member in enum
-    }
+    expected = {member.name: int(member) for enum in CONSTANTS.get(definition.name, ()) for member in enum}
     if definition.name == "AgentState":
         expected["NO_BROADCAST"] = NEVER
     assert {constant.name: constant.value for constant in definition.constants} == expected

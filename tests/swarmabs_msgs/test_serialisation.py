@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from hypothesis import given, settings, strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from tests.swarmabs_msgs.definitions import DEFINITIONS, SIZES, significant_bytes
 
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPICS, Message, Topic
 from swarmabs_ros.endpoints import ros_type
-from tests.swarmabs_msgs.definitions import DEFINITIONS, SIZES, significant_bytes
 
 numbers = st.floats(allow_nan=True, allow_infinity=True)
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
@@ -34,7 +34,7 @@ def messages(topic: Topic) -> st.SearchStrategy[Message]:
     return st.builds(topic.message, **values)
 
 
-def to_ros(message: Message, topic: Topic) -> Any:  # noqa: ANN401 - rclpy's message classes have no common base
+def to_ros(message: Message, topic: Topic) -> Any:
     """Return rclpy's form of a message."""
     ros = ros_type(topic)()
     ros.header.stamp.sec, ros.header.stamp.nanosec = divmod(message.stamp, 10**9)
@@ -56,11 +56,11 @@ def bits(message: Message) -> list[object]:
 def test_bytes_are_those_of_ros(topic: Topic, data: st.DataObject) -> None:
     message = data.draw(messages(topic))
     ours, theirs = encode(message), serialize_message(to_ros(message, topic))
-    content = significant_bytes(
-        DEFINITIONS[topic.message.__name__], str(getattr(message, "detail", "")).encode()
-    )
+    content = significant_bytes(DEFINITIONS[topic.message.__name__], str(getattr(message, "detail", "")).encode())
     assert len(ours) == len(theirs) == len(content)
-    assert [a for a, c in zip(ours, content, strict=True) if c] == [b for b, c in zip(theirs, content, strict=True) if c]
+    assert [a for a, c in zip(ours, content, strict=True) if c] == [
+        b for b, c in zip(theirs, content, strict=True) if c
+    ]
     assert not any(a for a, c in zip(ours, content, strict=True) if not c), "padding must be zero"
 
 

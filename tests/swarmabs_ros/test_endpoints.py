@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 from rclpy.publisher import Publisher
+from tests.swarmabs_ros.nodes import started_node
 
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPICS, EventKind, PlaneState, SwarmEvent, Topic
@@ -20,7 +21,6 @@ from swarmabs_ros.endpoints import (
 )
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import SwarmNode
-from tests.swarmabs_ros.nodes import started_node
 
 pytestmark = pytest.mark.usefixtures("ros")
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import pytest
+from tests.swarmabs_ros.fakes import ANSWERS, Clock, Follower, Inbox, Outbox, Reports, desired, plane
 
 from swarmabs_core.errors import MalformedMessageError, RunError
 from swarmabs_core.messages import PLANE_STATE, Message, Messages
 from swarmabs_ros import lockstep
 from swarmabs_ros.lockstep import Lockstep
 from swarmabs_ros.repeat import WINDOW
-from tests.swarmabs_ros.fakes import ANSWERS, Clock, Follower, Inbox, Outbox, Reports, desired, plane
 
 
 @dataclass

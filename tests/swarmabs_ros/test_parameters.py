@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from rclpy.parameter import Parameter as RosParameter
+from tests.swarmabs_ros.nodes import given, started_node
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, Value
 from swarmabs_ros.parameters import declare
-from tests.swarmabs_ros.nodes import given, started_node
 
 pytestmark = pytest.mark.usefixtures("ros")
 

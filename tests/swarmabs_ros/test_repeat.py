@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, strategies as st
@@ -30,7 +31,7 @@ def test_windows_and_intervals_grow_to_their_bounds() -> None:
     sizes = [size for _, size in repetitions]
     assert sizes[:7] == [1, 4, 16, 64, WINDOW, 1, 4]
     times = [time for time, _ in repetitions]
-    gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    gaps = [after - before for before, after in pairwise(times)]
     assert gaps == sorted(gaps)
     assert gaps[-1] == pytest.approx(LONGEST)
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 
 import pytest
+from tests.swarmabs_ros.nodes import given, settings_from
 
 from abstraction_observer import node as observer
 from agent_node import node as agent
@@ -16,7 +17,6 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS
 from swarmabs_ros.runner import SCHEDULE, _expected
-from tests.swarmabs_ros.nodes import given, settings_from
 
 MAINS: dict[str, Callable[[list[str] | None], int]] = {
     "plane_sim": plane.main,
@@ -67,9 +67,7 @@ def test_a_wrong_parameter_is_refused_with_exit_code_2_and_one_line(
 @pytest.mark.usefixtures("ros")
 @every_node
 @pytest.mark.parametrize("words", [["--no-such-flag"], ["-p", "mass"], ["-p", "x:=[1, 2.0]"]])
-def test_a_wrong_command_line_is_refused_too(
-    name: str, words: list[str], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_command_line_is_refused_too(name: str, words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     assert MAINS[name](["--ros-args", *words]) == 2
     lines = [line for line in capfd.readouterr().err.splitlines() if not re.match(r"\[ERROR\] .* \[rcl\]", line)]
     assert len(lines) == 1

@@ -12,6 +12,7 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, RECORDING_PROGRESS
 from swarmabs_core.parameters import Parameter
+from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
@@ -38,15 +39,16 @@ PARAMETERS = (
 
 def table(node: Node) -> tuple[Parameter, ...]:
     """Return the node's parameters, among them those of the law that is asked for."""
-    given = node.get_parameters_by_prefix("").get(LAW.name)
-    law = controller_type(str(LAW.default if given is None else given.value))
+    law = controller_type(str(given_values(node).get(LAW.name, LAW.default)))
     return (LAW, *PARAMETERS, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
     manifold = Manifold(
-        settings.number("manifold.curvature"), settings.number("manifold.offset"), settings.number("manifold.torque_max")
+        settings.number("manifold.curvature"),
+        settings.number("manifold.offset"),
+        settings.number("manifold.torque_max"),
     )
     period_ns, window = settings.integer("period_ns"), settings.integer("recording_window")
     friction = Friction(*settings.numbers("plane.friction"))

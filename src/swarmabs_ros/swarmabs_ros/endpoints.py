@@ -1,7 +1,7 @@
 """Publishers and subscriptions of serialised messages, and how a node waits for them.
 
-This is the one place that goes below rclpy's public interface: waiting on a wait set and taking messages directly costs a
-quarter of what an executor with callbacks costs, and that is what carries hundreds of processes on two cores.
+This is the one place that goes below rclpy's public interface: waiting on a wait set and taking messages directly
+costs a quarter of what an executor with callbacks costs, and that is what carries hundreds of processes on two cores.
 `ExecutorReceiver` does the same with public means and is what to fall back to if a future rclpy changes underneath.
 """
 
@@ -32,7 +32,7 @@ _RELIABILITY = {"reliable": QoSReliabilityPolicy.RELIABLE, "best_effort": QoSRel
 _DURABILITY = {"volatile": QoSDurabilityPolicy.VOLATILE, "transient_local": QoSDurabilityPolicy.TRANSIENT_LOCAL}
 
 
-def ros_type(topic: Topic) -> Any:  # noqa: ANN401 - rclpy's message classes have no common base
+def ros_type(topic: Topic) -> Any:
     """Return the ROS message class of a topic."""
     package, _, name = topic.ros_type.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -137,9 +137,7 @@ class ExecutorReceiver:
     def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
         self._arrived: dict[Topic, deque[bytes]] = {topic: deque() for topic in subscriptions}
         self._subscriptions: dict[Topic, Subscription] = {
-            topic: node.create_subscription(
-                ros_type(topic), topic.name, self._keeping(topic), profile(qos), raw=True
-            )
+            topic: node.create_subscription(ros_type(topic), topic.name, self._keeping(topic), profile(qos), raw=True)
             for topic, qos in subscriptions.items()
         }
         self._executor = SingleThreadedExecutor(context=node.context)

@@ -22,6 +22,11 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters that every node of rclpy may have."""
 
 
+def given_values(node: Node) -> dict[str, object]:
+    """Return what a node was given that has declared it automatically, by name."""
+    return {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+
+
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
     """Declare all of a node's parameters, described and read-only, and return their checked values.
 
@@ -37,7 +42,7 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
     InputError
         If a value that was given is refused, or there is no such parameter.
     """
-    given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    given = given_values(node)
     names = {parameter.name for parameter in table}
     for name in sorted(given):
         if name not in names and not name.startswith(_OF_RCLPY):

@@ -1,9 +1,10 @@
 """Quality of service of every topic, as data: one table for the nodes, the recorder and the bag's metadata.
 
-Nothing here relies on a QoS for correctness: whoever waits too long repeats its last messages, whoever receives ignores
-what it has. The table is therefore free to be tuned by measurement. What was measured: positive acknowledgements of the
-robots' state writers are what makes a reliable swarm slow, so these are best effort; the broadcasts are offered reliable,
-and robots read them best effort, because a robot that misses one asks again by repeating its own state.
+Nothing here relies on a QoS for correctness: whoever waits too long repeats its last messages, whoever receives
+ignores what it has. The table is therefore free to be tuned by measurement. What was measured: positive
+acknowledgements of the robots' state writers are what makes a reliable swarm slow, so these are best effort; the
+broadcasts are offered reliable, and robots read them best effort, because a robot that misses one asks again by
+repeating its own state.
 """
 
 from __future__ import annotations

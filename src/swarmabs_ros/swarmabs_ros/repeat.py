@@ -13,8 +13,8 @@ WINDOW = 128
 class Repeater:
     """Decides on repetitions from the times at which there was progress.
 
-    The first repetition comes after four usual step times and repeats one step; if it does not help, ever more steps are
-    repeated at ever longer intervals, because what somebody lacks may be older than the current step. The fifth
+    The first repetition comes after four usual step times and repeats one step; if it does not help, ever more steps
+    are repeated at ever longer intervals, because what somebody lacks may be older than the current step. The fifth
     repetition covers them all, and comes before the silence counts as a stall.
 
     Parameters
@@ -32,8 +32,8 @@ class Repeater:
 
     def progress(self, now: float) -> None:
         """Note that a step was made."""
-        # This follows the step time that four steps of five keep to: a lost message, which delays a step by this very wait,
-        # must not make the next wait longer. All would wait ever longer for each other.
+        # This follows the step time that four steps of five keep to: a lost message, which delays a step by this very
+        # wait, must not make the next wait longer. All would wait ever longer for each other.
         self._usual = min(self._usual * (1.1 if now - self._last > self._usual else 0.98), LONGEST)
         self._interval = min(max(FIRST, 4.0 * self._usual), LONGEST)
         self._last = now

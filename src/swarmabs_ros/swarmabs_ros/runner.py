@@ -41,7 +41,9 @@ COMMON = (
 )
 """Parameters that every node has."""
 
-SCHEDULE = Parameter("schedule", (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'")
+SCHEDULE = Parameter(
+    "schedule", (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'"
+)
 MEMBERS = Parameter("members", (1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
 GRAVITY = Parameter("gravity", 9.81, "acceleration of gravity, m/s^2", above=0.0)
 
@@ -207,7 +209,7 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
     )
     stopped = False
 
-    def stop(*_: Any) -> None:  # noqa: ANN401 - a signal's number and frame
+    def stop(*_: Any) -> None:
         nonlocal stopped
         stopped = True
         loop.stop()

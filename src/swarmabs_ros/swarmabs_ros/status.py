@@ -1,8 +1,8 @@
 """What a node tells the process that started it, and how it is told to begin.
 
-The orchestrator hands down two file descriptors by environment variables: a pipe on which nodes report in lines of JSON, and
-the read end of another pipe whose closing is the start signal for all at once. A node that was started by hand has neither,
-reports nowhere and begins at once.
+The orchestrator hands down two file descriptors by environment variables: a pipe on which nodes report in lines of
+JSON, and the read end of another pipe whose closing is the start signal for all at once. A node that was started by
+hand has neither, reports nowhere and begins at once.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The Fast DDS profile of a run: loopback only, fixed participant ids, and robots that never discover each other.
 
-Every participant announces itself to the coordinators alone, so discovery grows with the number of robots and not with its
-square: that is what lets 200 processes find each other in seconds. Only UDP is used: a process that is killed leaves no file
-of shared memory behind.
+Every participant announces itself to the coordinators alone, so discovery grows with the number of robots and not
+with its square: that is what lets 200 processes find each other in seconds. Only UDP is used: a process that is
+killed leaves no file of shared memory behind.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), part
     domain : int
         ROS domain of the run.
     peers : iterable of int
-        Ids of the participants to which this one announces itself. The coordinators suffice for a member of the swarm; a
-        tool that wants to see everybody needs everybody.
+        Ids of the participants to which this one announces itself. The coordinators suffice for a member of the swarm;
+        a tool that wants to see everybody needs everybody.
     participant : str
         How the participant id is found: `FROM_ENVIRONMENT` or `FIRST_FREE`.
     """

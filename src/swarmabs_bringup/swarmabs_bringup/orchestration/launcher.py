@@ -1,9 +1,9 @@
 """The process from which a run's nodes are forked.
 
-It imports what the nodes need once and starts no thread; each node is then a fork of it, which takes milliseconds instead of
-the second that a fresh Python with rclpy takes, and shares its memory. Commands come as lines of JSON on standard input, the
-fate of the children goes to the report pipe. When standard input ends, however the orchestrator ended, every child is killed
-and reaped; when this process itself is killed, the kernel kills the children.
+It imports what the nodes need once and starts no thread; each node is then a fork of it, which takes milliseconds
+instead of the second that a fresh Python with rclpy takes, and shares its memory. Commands come as lines of JSON on
+standard input, the fate of the children goes to the report pipe. When standard input ends, however the orchestrator
+ended, every child is killed and reaped; when this process itself is killed, the kernel kills the children.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class LauncherClient:
         start_read, self._start = os.pipe()
         self._pending = b""
         with log.open("ab") as stream:
-            self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            self._process = subprocess.Popen(
                 [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher"],
                 stdin=subprocess.PIPE,
                 stdout=stream,

@@ -88,7 +88,9 @@ class LockstepRun:
         )
         self._plan = tuple(arrange(planned))
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
-        self._own_process = {agent_id for process in self._plan if len(process.agents) == 1 for agent_id in process.agents}
+        self._own_process = {
+            agent_id for process in self._plan if len(process.agents) == 1 for agent_id in process.agents
+        }
         self._supervision = Supervision(
             tuple(process.name for process in self._plan),
             dispensable=frozenset(hosts.values()) if scenario.lockstep.on_stall == "drop" else frozenset(),
@@ -164,14 +166,19 @@ class LockstepRun:
             if state.done is not None:
                 return None
             if self._started is None:
-                if len(state.ready) > known:
+                if len(state.ready) > known or self._restart_lost(launcher):
                     known, news = len(state.ready), now
                 if state.all_ready():
                     self._started = now
+                    state.started = True
                     self._note("all processes have met their counterparts: start")
                     launcher.start_all()
                 elif now - news > START_SILENCE:
-                    return self._not_started()
+                    if not state.hanging():
+                        return self._not_started()
+                    news = now
+                    for name in state.hanging():
+                        launcher.signal(name, signal.SIGKILL)
             else:
                 self._inject_faults(launcher)
                 failure = self._check_stalls(now)
@@ -183,6 +190,15 @@ class LockstepRun:
     def _spawn(self, launcher: LauncherClient) -> None:
         for process in self._plan:
             launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
+
+    def _restart_lost(self, launcher: LauncherClient) -> bool:
+        """Start again the robots' processes that have ended before the run began; tell whether there were any."""
+        names = self._supervision.to_restart()
+        for process in self._plan:
+            if process.name in names:
+                self._note(f"{process.name} (process {self._supervision.pids[process.name]}) did not come up: again")
+                launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
+        return bool(names)
 
     def _listen(self, launcher: LauncherClient, wake: int) -> None:
         ready, _, _ = select.select([launcher.reports, wake], [], [], POLL)
@@ -197,7 +213,7 @@ class LockstepRun:
 
     def _not_started(self) -> Failure:
         missing = self._supervision.not_ready()
-        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")  # noqa: PLR2004
+        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         return Failure(f"not all processes have met within {START_SILENCE:g} s without news: {shown}", missing[:2])
 
     def _inject_faults(self, launcher: LauncherClient) -> None:
@@ -233,10 +249,10 @@ class LockstepRun:
             reason = "interrupted"
         if reason is not None:
             self._note(reason)
-        if state.done is None and RECORDER in state.pids and RECORDER not in state.exited:
+        if RECORDER in state.pids and not (failure is not None and RECORDER in failure.culprits):
             launcher.signal(RECORDER, signal.SIGTERM)
             deadline = time.monotonic() + CLOSING_SECONDS
-            while state.done is None and RECORDER not in state.exited and time.monotonic() < deadline:
+            while self._recorder_works(launcher) and time.monotonic() < deadline:
                 self._listen(launcher, wake)
                 self._tell("closing")
         done = state.done or {"complete": False, "figures": {}}
@@ -249,9 +265,14 @@ class LockstepRun:
             None if self._started is None else (self._finished or time.monotonic()) - self._started,
         )
 
+    def _recorder_works(self, launcher: LauncherClient) -> bool:
+        state = self._supervision
+        return state.done is None and RECORDER not in state.exited and launcher.alive()
+
     def _note(self, text: str) -> None:
         """Write a line to the orchestrator's log, which becomes a part of the bag."""
-        with (self._folder.logs / "orchestrator.log").open("a", encoding="utf-8") as stream:
+        path = self._folder.logs / "orchestrator.log"
+        with suppress(OSError), path.open("a", encoding="utf-8") as stream:  # a full disk is the recorder's to report
             stream.write(f"[{time.monotonic() - self._begun:9.3f}] {text}\n")
 
     def _describe(self, failure: Failure | None) -> str | None:

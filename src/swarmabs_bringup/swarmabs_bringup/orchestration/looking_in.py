@@ -20,9 +20,7 @@ def write_network(logs: Path, domain: int, participants: int) -> None:
     """Write down, beside the logs, in which domain a run lives, and a profile for those who want to look in."""
     profile = logs / TOOL_PROFILE
     # Without a participant id of its own a tool takes the first free one: a spare coordinator's.
-    profile.write_text(
-        profile_xml(domain, peers=range(participants), participant=FIRST_FREE), encoding="utf-8"
-    )
+    profile.write_text(profile_xml(domain, peers=range(participants), participant=FIRST_FREE), encoding="utf-8")
     network = {"domain": domain, "participants": participants, "orchestrator": os.getpid()}
     (logs / NETWORK_FILE).write_text(json.dumps(network) + "\n", encoding="utf-8")
 
@@ -47,4 +45,3 @@ def environment_of_run(run: Path) -> dict[str, str]:
         raise InputError(f"{run} is not the folder of a run in lockstep ({error.strerror}: {NETWORK_FILE})") from None
     domain = cast("int", network["domain"])
     return dds_environment(domain, str((logs / TOOL_PROFILE).resolve()))
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,9 @@ from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, PLANE, REC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+RESTARTS = 2
+"""How often a robot's process that does not come up is started again."""
 
 PUBLISHER_OF = {
     "plane/state": PLANE,
@@ -47,7 +51,7 @@ class Supervision:
     dispensable : frozenset of str
         Names of those whose end the run survives: the robots, where the scenario says that silent ones are dropped.
     hosts : mapping
-        Process by robot, where it is not the robot's own.
+        Process by robot: these may be started again as long as the run has not started.
     """
 
     names: tuple[str, ...]
@@ -58,6 +62,9 @@ class Supervision:
     exited: dict[str, int] = field(default_factory=dict)
     stalls: dict[str, Stall] = field(default_factory=dict)
     expected_ends: set[str] = field(default_factory=set)
+    started: bool = False
+    lost: list[str] = field(default_factory=list)
+    restarts: Counter[str] = field(default_factory=Counter)
     progress: Mapping[str, Any] | None = None
     done: Mapping[str, Any] | None = None
     failure: Failure | None = None
@@ -81,6 +88,8 @@ class Supervision:
             self.progress = report
         elif event == "done":
             self.done = report
+            if report["problem"]:
+                self._fail(Failure(f"{node}: {report['problem']}"))
 
     def all_ready(self) -> bool:
         """Tell whether every process has met its counterparts."""
@@ -97,9 +106,32 @@ class Supervision:
     def _exited(self, name: str, code: int) -> None:
         self.exited[name] = code
         finished = name == RECORDER and self.done is not None
+        if self._may_restart(name):
+            self.lost.append(name)
+            return
         if name in self.expected_ends or name in self.dispensable or finished:
             return
         self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how_it_ended(code)}", (name,)))
+
+    def _may_restart(self, name: str) -> bool:
+        return not self.started and name in self.hosts.values() and self.restarts[name] < RESTARTS
+
+    def to_restart(self) -> tuple[str, ...]:
+        """Return the processes that have ended before the start and are to be started again, and forget that."""
+        names = tuple(self.lost)
+        self.lost.clear()
+        for name in names:
+            self.restarts[name] += 1
+            self.exited.pop(name, None)
+            self.ready.discard(name)
+        return names
+
+    def hanging(self) -> tuple[str, ...]:
+        """Return the robots' processes that have not come up where the others have, and may be started again."""
+        robots = set(self.hosts.values())
+        missing = tuple(name for name in self.not_ready() if name in robots)
+        few = 2 * len(missing) < len(robots)
+        return missing if few and all(self._may_restart(name) for name in missing) else ()
 
     def _fail(self, failure: Failure) -> None:
         # What a node says of itself comes before the news of its end, and the first failure causes the others.
@@ -118,13 +150,15 @@ class Supervision:
         silence = max((stall.silence for stall in self.stalls.values()), default=0.0)
         step = min((stall.step for stall in self.stalls.values()), default=0)
         if not culprits:
-            waits = "; ".join(f"{name} waits for {', '.join(s.missing[:5])}" for name, s in sorted(self.stalls.items())[:4])
+            waits = "; ".join(
+                f"{name} waits for {', '.join(s.missing[:5])}" for name, s in sorted(self.stalls.items())[:4]
+            )
             return Failure(f"nothing has moved at step {step} for {silence:g} s: {waits}")
         shown = ", ".join(
             f"{name.replace('agent_', 'agent ')} (process {self.pids.get(name)} is {states.get(name, 'gone')})"
             for name in culprits[:5]
         )
-        more = f" and {len(culprits) - 5} more" if len(culprits) > 5 else ""  # noqa: PLR2004 - five are shown
+        more = f" and {len(culprits) - 5} more" if len(culprits) > 5 else ""
         verb = "has" if len(culprits) == 1 else "have"
         return Failure(f"{shown}{more} {verb} not answered step {step} for {silence:g} s", culprits)
 

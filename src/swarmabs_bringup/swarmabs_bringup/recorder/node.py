@@ -63,9 +63,7 @@ class Recorder:
         self._period_ns = scenario.step_ns
         self._recording = recording
         self._on_step = on_step
-        self._collector = RunCollector(
-            configure.members(scenario), configure.schedule(scenario), scenario.steps
-        )
+        self._collector = RunCollector(configure.members(scenario), configure.schedule(scenario), scenario.steps)
         self._credited = -1
         self._newest = -1
 
@@ -165,7 +163,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
             figures = recording.close(log)
         else:
             figures = recording.abort(problem or "stopped before the end", log)
-        status.send("done", complete=problem is None and recorder.finished, figures=figures)
+        status.send("done", complete=problem is None and recorder.finished, problem=problem, figures=figures)
 
     depth = min(20_000, max(1000, 100 * len(scenario.agents)))
     subscriptions = {

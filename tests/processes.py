@@ -1,0 +1,44 @@
+"""Processes that tests start: how they are found, and how a test waits for what they do."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SEARCH_PATH = {"PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
+"""Environment in which processes can import the tests' own modules."""
+
+MARK = "SWARMABS_TEST_MARK"
+"""Environment variable that every process which a test starts inherits."""
+
+
+def marked_processes(mark: str) -> dict[int, str]:
+    """Return the names of the living processes that carry a mark in their environment, by process id."""
+    needle = f"{MARK}={mark}".encode()
+    found = {}
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit() or int(folder.name) == os.getpid():
+            continue
+        try:
+            if needle in (folder / "environ").read_bytes().split(b"\0"):
+                found[int(folder.name)] = (folder / "comm").read_text().strip()
+        except OSError:  # it has ended, or is another user's
+            continue
+    return found
+
+
+def until(condition: Callable[[], object], what: str, seconds: float = 15.0) -> None:
+    """Wait until a condition holds.
+
+    Raises
+    ------
+    AssertionError
+        If it does not in time.
+    """
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {seconds:g} s: {what}"
+        time.sleep(0.01)

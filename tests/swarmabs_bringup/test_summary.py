@@ -1,0 +1,86 @@
+"""What a run comes to, in numbers that JSON has."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from swarmabs_bringup.run_folder import RunFolder
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.summary import summarise, summary_table
+
+FIGURES = {
+    "settled_at": 4.5,
+    "final_error": -1e-4,
+    "rms_error": 0.02,
+    "max_abs_position": 0.14,
+    "messages": 24008,
+    "digest": "ab" * 32,
+}
+KEYS = {
+    *("scenario", "steps", "duration", "wall_time", "real_time_factor", "agents", "settled_at", "final_error"),
+    *("rms_error", "max_abs_position", "messages", "digest", "status"),
+}
+
+
+def summary(figures: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
+    options: dict[str, Any] = {"status": "ok", "reason": None, "wall_time": 6.54321, "stepping_seconds": 5.0}
+    return summarise(find_scenario("pd_het_4"), FIGURES if figures is None else figures, **options | changes)
+
+
+def test_a_complete_run() -> None:
+    found = summary()
+    assert found.keys() >= KEYS
+    assert FIGURES.items() <= found.items()
+    assert (found["scenario"], found["steps"], found["duration"], found["agents"]) == ("pd_het_4", 3000, 30.0, 4)
+    assert (found["wall_time"], found["real_time_factor"], found["status"]) == (6.543, 6.0, "ok")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"figures": {}},
+        {"status": "failed", "reason": "agent 3 is dead"},
+        {"status": "interrupted", "stepping_seconds": None},
+        {"stepping_seconds": 0.0},
+        {"stepping_seconds": None},
+    ],
+)
+def test_what_is_not_known_is_null(changes: dict[str, Any]) -> None:
+    found = summary(**changes)
+    text = json.dumps(found, allow_nan=False)
+    assert json.loads(text).keys() >= KEYS
+    if "status" in changes or "stepping_seconds" in changes:
+        assert found["real_time_factor"] is None
+    if "figures" in changes:
+        assert all(found[name] is None for name in FIGURES)
+
+
+@pytest.mark.parametrize("figures", [FIGURES, {}, {**FIGURES, "settled_at": None}, {**FIGURES, "settled_at": 0.0}])
+def test_the_table_shows_it_all(figures: dict[str, Any], tmp_path: Path) -> None:
+    console = Console(width=200, record=True, file=(tmp_path / "out").open("w"), force_terminal=False)
+    with console.file:
+        console.print(summary_table(summary(figures), RunFolder(tmp_path)))
+        text = console.export_text()
+    assert "pd_het_4, 4 robots, 3000 steps" in text
+    assert str(tmp_path) in text
+    assert "None" not in text
+    if figures:
+        assert figures["digest"] in text
+    settled = figures.get("settled_at")
+    assert ("not within 0.01 rad" if settled is None else f"from t = {settled:g} s") in text
+
+
+def test_the_table_takes_a_name_as_it_is(tmp_path: Path) -> None:
+    """A folder that looks like the markup of the terminal library."""
+    folder = tmp_path / "[bold]x[/bold]"
+    console = Console(width=300, record=True, quiet=True)
+    console.quiet = False
+    with (tmp_path / "out").open("w") as stream:
+        console.file = stream
+        console.print(summary_table(summary(), RunFolder(folder)))
+        assert "[bold]x[/bold]" in console.export_text()
