@@ -44,11 +44,6 @@ class Checkout(NamedTuple):
         return os.path.join(self.venv, state.STAMPS, "environment")
 
     @property
-    def tests_stamp(self) -> str:
-        """Stamp of the packages that only the tests need."""
-        return os.path.join(self.venv, state.STAMPS, "tests")
-
-    @property
     def snapshot(self) -> str:
         """Stamp of the whole set-up, for a quick second start."""
         return os.path.join(self.install, state.STAMPS, "snapshot")
@@ -56,6 +51,10 @@ class Checkout(NamedTuple):
     def lock(self, name: str) -> str:
         """Path of a file of pinned requirements."""
         return os.path.join(self.root, "scripts", "requirements", name)
+
+    def extra_stamp(self, lock: str) -> str:
+        """Stamp of the packages that only one command needs, by the name of their lock."""
+        return os.path.join(self.venv, state.STAMPS, lock)
 
     def log(self, name: str) -> str:
         """Path of a log of the set-up."""

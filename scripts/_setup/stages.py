@@ -18,7 +18,8 @@ from _setup.report import UNSUITABLE, SetupError, Stage
 # Part of every key: raise it when a stage does something else than before, so that it is done again.
 STAGE_VERSION = 1
 LOCKS = ("run.lock", "build.lock")
-TEST_LOCK = "test.lock"
+# Commands that need more packages than the others, which their first start installs.
+EXTRA_LOCKS = {"bench": "bench.lock", "sweep": "sweep.lock", "test": "test.lock"}
 NEEDED_BYTES = 1_200_000_000
 MANY = 4  # packages, up to which the message names them
 PIP_INSTALL = (
@@ -79,26 +80,28 @@ def current_environment(checkout: Checkout, wanted: Optional[machine.Interpreter
         return {}
     if wanted and (wanted.path, wanted.version) != (stamp.get("python"), stamp.get("version")):
         return {}
-    tests = state.read_stamp(checkout.tests_stamp)
-    if tests and tests.get("key") != state.file_key(checkout.lock(TEST_LOCK)):
-        return {}
+    for extra in EXTRA_LOCKS.values():
+        installed = state.read_stamp(checkout.extra_stamp(extra))
+        if installed and installed.get("key") != state.file_key(checkout.lock(extra)):
+            return {}
     key = environment_key(checkout, stamp.get("python", ""), stamp.get("version", ""))
     return stamp if stamp.get("key") == key else {}
 
 
-def install_tests(
-    checkout: Checkout, stamp: Mapping[str, str], environ: Mapping[str, str], lock: int
+def install_extra(
+    checkout: Checkout, command: str, stamp: Mapping[str, str], environ: Mapping[str, str], lock: int
 ) -> None:
-    """Add the locked packages of the tests to a virtual environment that is complete without them."""
-    key = state.file_key(checkout.lock(TEST_LOCK))
-    if state.read_stamp(checkout.tests_stamp).get("key") == key:
+    """Add the locked packages of a command to a virtual environment that is complete without them."""
+    extra = EXTRA_LOCKS[command]
+    key = state.file_key(checkout.lock(extra))
+    if state.read_stamp(checkout.extra_stamp(extra)).get("key") == key:
         return
-    stage = Stage("packages of the tests")
+    stage = Stage(f"packages of swarm {command}")
     # Half installed packages cannot be mended, so until this is complete the environment is not valid.
     state.remove_stamp(checkout.environment_stamp)
     clean = environment.clean(environ, checkout.venv)
-    install_locked(checkout, (TEST_LOCK,), checkout.log("setup-tests.log"), clean, lock, stage)
-    state.write_stamp(checkout.tests_stamp, key=key)
+    install_locked(checkout, (extra,), checkout.log(f"setup-{command}.log"), clean, lock, stage)
+    state.write_stamp(checkout.extra_stamp(extra), key=key)
     state.write_stamp(checkout.environment_stamp, **stamp)
     stage.done()
 

@@ -436,8 +436,9 @@ class TestVirtualEnvironment:
             self.make(checkout)
         assert stages.current_environment(checkout, None) == {}
 
-    def test_interrupted_addition_of_the_tests_spoils_it(
-        self, checkout: Checkout, monkeypatch: pytest.MonkeyPatch
+    @pytest.mark.parametrize("command", stages.EXTRA_LOCKS)
+    def test_interrupted_addition_of_extra_packages_spoils_it(
+        self, checkout: Checkout, monkeypatch: pytest.MonkeyPatch, command: str
     ) -> None:
         stamp = self.make(checkout)
 
@@ -447,21 +448,36 @@ class TestVirtualEnvironment:
         with monkeypatch.context() as patch:
             patch.setattr(stages, "install_locked", interrupted)
             with pytest.raises(KeyboardInterrupt):
-                stages.install_tests(checkout, stamp, os.environ, NO_LOCK)
+                stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
         assert stages.current_environment(checkout, None) == {}
-        stages.install_tests(checkout, self.make(checkout), os.environ, NO_LOCK)
+        stages.install_extra(checkout, command, self.make(checkout), os.environ, NO_LOCK)
         assert stages.current_environment(checkout, None) == stamp
 
-    @pytest.mark.parametrize("name", ["run.lock", "build.lock", "test.lock"])
+    @pytest.mark.parametrize("name", [*stages.LOCKS, *stages.EXTRA_LOCKS.values()])
     def test_changed_lock_spoils_it(self, checkout: Checkout, name: str) -> None:
-        stages.install_tests(checkout, self.make(checkout), os.environ, NO_LOCK)
+        stamp = self.make(checkout)
+        for command in stages.EXTRA_LOCKS:
+            stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
+        assert stages.current_environment(checkout, None)
         Path(checkout.lock(name)).write_text("more==1.0\n")
         assert stages.current_environment(checkout, None) == {}
 
-    def test_tests_lock_does_not_matter_before_it_is_used(self, checkout: Checkout) -> None:
+    @pytest.mark.parametrize("name", stages.EXTRA_LOCKS.values())
+    def test_extra_lock_does_not_matter_before_it_is_used(self, checkout: Checkout, name: str) -> None:
         self.make(checkout)
-        Path(checkout.lock("test.lock")).write_text("more==1.0\n")
+        Path(checkout.lock(name)).write_text("more==1.0\n")
         assert stages.current_environment(checkout, None)
+
+    @pytest.mark.parametrize("command", stages.EXTRA_LOCKS)
+    def test_only_the_lock_of_the_command_is_installed(
+        self, checkout: Checkout, monkeypatch: pytest.MonkeyPatch, command: str
+    ) -> None:
+        stamp = self.make(checkout)
+        installed: list[Sequence[str]] = []
+        monkeypatch.setattr(stages, "install_locked", lambda _checkout, locks, *_others: installed.append(locks))
+        for _ in range(2):  # the second time there is nothing left to do
+            stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
+        assert installed == [(f"{command}.lock",)]
 
     def test_moved_checkout_spoils_it(self, checkout: Checkout, tmp_path: Path) -> None:
         self.make(checkout)
@@ -502,7 +518,7 @@ class TestLockFiles:
 
     def test_locks_agree_and_name_no_place(self) -> None:
         pinned: dict[str, str] = {}
-        for name in (*stages.LOCKS, stages.TEST_LOCK):
+        for name in (*stages.LOCKS, *stages.EXTRA_LOCKS.values()):
             text = (SCRIPTS / "requirements" / name).read_text()
             assert "://" not in text
             assert "/home" not in text
@@ -568,10 +584,19 @@ class TestScript:
     def test_any_change_is_seen(
         self, prepared: Path, swarm: ModuleType, checkout: Checkout, change: Callable[[Path], object]
     ) -> None:
-        assert swarm.ready(checkout, swarm.look(checkout, {}), with_tests=False) == "3.12"
-        assert not swarm.ready(checkout, swarm.look(checkout, {}), with_tests=True)
+        assert swarm.ready(checkout, swarm.look(checkout, {}), "run") == "3.12"
         change(prepared)
-        assert not swarm.ready(checkout, swarm.look(checkout, {}), with_tests=False)
+        assert not swarm.ready(checkout, swarm.look(checkout, {}), "run")
+
+    @pytest.mark.parametrize(("command", "lock"), stages.EXTRA_LOCKS.items())
+    def test_command_with_a_lock_of_its_own_is_ready_once_that_is_installed(
+        self, prepared: Path, swarm: ModuleType, checkout: Checkout, command: str, lock: str
+    ) -> None:
+        looks = swarm.look(checkout, {})
+        assert not swarm.ready(checkout, looks, command)
+        state.write_stamp(checkout.extra_stamp(lock), key="key")
+        assert swarm.ready(checkout, looks, command) == "3.12"
+        assert not any(swarm.ready(checkout, looks, other) for other in stages.EXTRA_LOCKS if other != command)
 
     def test_refusal_is_one_line_and_leaves_no_environment(self, prepared: Path) -> None:
         shutil.rmtree(prepared / ".venv")

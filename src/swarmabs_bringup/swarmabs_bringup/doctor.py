@@ -54,7 +54,9 @@ def _ros() -> Finding:
         rclpy = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
         direct = hasattr(rclpy, "WaitSet") and hasattr(rclpy.Subscription, "take_message")
     except ImportError as error:
-        return Finding("rclpy", "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy")
+        return Finding(
+            "rclpy", "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy"
+        )
     if not direct:
         return Finding("rclpy", "note", "cannot be waited on directly; nodes need the parameter receive:=executor")
     return Finding("rclpy", "ok", f"imported; middleware {os.environ.get('RMW_IMPLEMENTATION', 'default')}")
@@ -67,15 +69,18 @@ def _messages() -> Finding:
     except ImportError as error:
         return Finding("messages", "bad", f"swarmabs_msgs cannot be imported ({error}); build the workspace")
     if missing:
-        return Finding("messages", "bad", f"swarmabs_msgs is too old: {missing[0]} is missing; build the workspace again")
+        return Finding(
+            "messages", "bad", f"swarmabs_msgs is too old: {missing[0]} is missing; build the workspace again"
+        )
     return Finding("messages", "ok", f"{len(TOPICS)} types")
 
 
 def _loopback() -> Finding:
     try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver, socket.socket(
-            socket.AF_INET, socket.SOCK_DGRAM
-        ) as sender:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        ):
             receiver.bind(("127.0.0.1", 0))
             receiver.settimeout(2.0)
             sender.sendto(b"swarmabs", receiver.getsockname())
@@ -145,7 +150,8 @@ def _visibility() -> Finding:
     return Finding(
         "stock ROS tools",
         "note",
-        f'a run lives on loopback in a domain of its own (up to {LARGEST_DOMAIN}); to look in: eval "$(./scripts/swarm env RUN)"',
+        f"a run lives on loopback in a domain of its own (up to {LARGEST_DOMAIN}); "
+        'to look in: eval "$(./scripts/swarm env RUN)"',
     )
 
 

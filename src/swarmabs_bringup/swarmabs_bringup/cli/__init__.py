@@ -9,6 +9,7 @@ import click
 from swarmabs_bringup.cli.bench import bench
 from swarmabs_bringup.cli.environment import doctor, env
 from swarmabs_bringup.cli.info import info
+from swarmabs_bringup.cli.interrupts import interrupt_once
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
 from swarmabs_bringup.cli.sweep import sweep
@@ -29,7 +30,9 @@ for command in (run, simulate, info, scenario, env, doctor, bench, sweep, test):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and return the exit code."""
+    """Run the command line, by default that of this process, and return the exit code."""
+    if arguments is None:
+        interrupt_once()
     try:
         code = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
     except click.ClickException as error:

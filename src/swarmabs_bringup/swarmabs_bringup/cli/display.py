@@ -46,8 +46,12 @@ def describe(progress: Progress, scenario: Scenario) -> str:
 @contextmanager
 def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
     from rich.console import Console  # noqa: PLC0415 - slow to import, and needed on a terminal only
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn  # noqa: PLC0415
-    from rich.progress import Progress as Bar  # noqa: PLC0415
+    from rich.progress import (  # noqa: PLC0415
+        BarColumn,
+        Progress as Bar,
+        TaskProgressColumn,
+        TextColumn,
+    )
 
     bar = Bar(
         BarColumn(bar_width=20),

@@ -29,8 +29,9 @@ WORKSPACE = (
 @click.argument("run", required=False, type=click.Path(path_type=Path))
 @json_option
 def env(run: Path | None, *, as_json: bool) -> None:
-    """Print what a shell needs to find the nodes and messages; with RUN, the folder of a run that is going on, also
-    what ROS tools need to see that run.
+    """Print what a shell needs to find the nodes and messages.
+
+    With RUN, the folder of a run that is going on, also what ROS tools need to see that run.
 
     Use it as: eval "$(./scripts/swarm env RUN)"
     """

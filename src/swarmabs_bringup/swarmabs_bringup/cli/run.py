@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmabs_bringup.cli.display import shown_progress
+from swarmabs_bringup.cli.interrupts import no_more_interrupts
 from swarmabs_bringup.cli.output import json_option, print_json
 from swarmabs_core.errors import RunError
 
@@ -106,6 +107,7 @@ def _carry_out(
     try:
         with shown_progress(loaded) as show:
             outcome = execute(loaded, folder, not no_bag, show)
+            no_more_interrupts()
         summary = summarise(
             loaded,
             outcome.figures,
@@ -116,7 +118,9 @@ def _carry_out(
         )
         folder.write_summary(summary)
     except OSError as error:
-        raise RunError(f"{folder.path}: {error.strerror or error}; free space or choose another folder with -o") from error
+        raise RunError(
+            f"{folder.path}: {error.strerror or error}; free space or choose another folder with -o"
+        ) from error
     if as_json:
         print_json(summary)
     else:

@@ -39,7 +39,8 @@ def list_scenarios(*, as_json: bool) -> None:
         return
     for row in rows:
         click.echo(
-            f"{row['name']:<14} {row['controller']:<6} {row['single_integrators']:>3} SI + {row['double_integrators']:>3} DI"
+            f"{row['name']:<14} {row['controller']:<6} "
+            f"{row['single_integrators']:>3} SI + {row['double_integrators']:>3} DI"
             f"  {row['duration']:g} s in steps of {row['step']:g} s"
         )
 

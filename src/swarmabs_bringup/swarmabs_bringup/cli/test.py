@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import click
 
-from swarmabs_core.errors import InputError
+from swarmabs_bringup.checkout import checkout
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -16,7 +15,7 @@ from swarmabs_core.errors import InputError
 @click.argument("pytest_arguments", nargs=-1, type=click.UNPROCESSED)
 def test(pytest_arguments: tuple[str, ...], *, full: bool) -> int:
     """Check the code and run the tests; arguments beyond --full go to pytest, and then only pytest runs."""
-    root = _checkout()
+    root = checkout()
     steps = [] if pytest_arguments else [["ruff", "check", "."], ["mypy"]]
     steps.append(["pytest", *(["--full"] if full else []), *pytest_arguments])
     for module, *arguments in steps:
@@ -25,12 +24,3 @@ def test(pytest_arguments: tuple[str, ...], *, full: bool) -> int:
         if code:
             return 1 if code < 0 else code
     return 0
-
-
-def _checkout() -> Path:
-    """Return the checkout in which, or from which, the command was started."""
-    for start in (Path.cwd(), Path(sys.prefix)):
-        for folder in (start, *start.parents):
-            if (folder / "scripts" / "swarm").is_file() and (folder / "tests").is_dir():
-                return folder
-    raise InputError("no checkout of swarmabs found here; change into one")

@@ -1,0 +1,117 @@
+"""The same messages by Unix datagrams: what the kernel allows where no library stands between.
+
+The sockets have names in Linux's abstract name space, so no file is left of them. A full receive queue makes the sender
+wait; nothing is lost.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from functools import partial
+from typing import TYPE_CHECKING
+
+from crew import SIZES, Crew, agent_of, arguments, blank, stamped, step_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+LARGEST = 256
+
+
+def address(run: int, name: str) -> bytes:
+    """Return the address of a socket of a run."""
+    return b"\0" + f"swarmabs-floor-{run}-{name}".encode()
+
+
+def bound(run: int, name: str) -> socket.socket:
+    """Return the socket of a process."""
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    made.bind(address(run, name))
+    return made
+
+
+def agent(run: int, number: int, crew: Crew) -> None:
+    """Send a state, wait for the three broadcasts, and so on."""
+    mine = bound(run, f"agent-{number}")
+    crew.ready()
+    targets = address(run, "observer"), address(run, "plane")
+    state, step = blank("agent", number), 0
+    while True:
+        data = stamped(state, step)
+        for target in targets:
+            mine.sendto(data, target)
+        missing = {SIZES["abstract"], SIZES["auxiliary"], SIZES["desired"]}
+        while missing:
+            heard = mine.recv(LARGEST)
+            if step_of(heard) == step:
+                missing.discard(len(heard))
+        step += 1
+
+
+def gather(mine: socket.socket, robots: int, step: int) -> None:
+    """Return when the states of a step of all robots have arrived."""
+    seen: set[int] = set()
+    while len(seen) < robots:
+        data = mine.recv(LARGEST)
+        if step_of(data) == step:
+            seen.add(agent_of(data))
+
+
+def everybody(run: int, robots: int) -> Sequence[bytes]:
+    """Return the addresses of all robots."""
+    return [address(run, f"agent-{number}") for number in range(1, robots + 1)]
+
+
+def observer(run: int, robots: int, crew: Crew) -> None:
+    """Gather the states, send two broadcasts."""
+    mine, agents = bound(run, "observer"), everybody(run, robots)
+    crew.ready()
+    first, second, step = blank("abstract"), blank("auxiliary"), 0
+    while True:
+        gather(mine, robots, step)
+        for data in (stamped(first, step), stamped(second, step)):
+            for target in agents:
+                mine.sendto(data, target)
+        step += 1
+
+
+def plane(run: int, robots: int, crew: Crew) -> None:
+    """Gather the states, send the plane's state to the controller."""
+    mine, target = bound(run, "plane"), address(run, "controller")
+    crew.ready()
+    message, step = blank("plane"), 0
+    while True:
+        gather(mine, robots, step)
+        mine.sendto(stamped(message, step), target)
+        step += 1
+
+
+def controller(run: int, robots: int, crew: Crew) -> None:
+    """Answer the plane's state with the third broadcast."""
+    mine, agents = bound(run, "controller"), everybody(run, robots)
+    crew.ready()
+    message = blank("desired")
+    while True:
+        step = step_of(mine.recv(LARGEST))
+        crew.made(step)
+        data = stamped(message, step)
+        for target in agents:
+            mine.sendto(data, target)
+
+
+def main() -> int:
+    """Run the floor program."""
+    robots, run = arguments().parse_args().robots, os.getpid()
+    roles = {
+        "abstraction_observer": partial(observer, run, robots),
+        "plane_sim": partial(plane, run, robots),
+        "parent_controller": partial(controller, run, robots),
+        **{f"agent_{number:03d}": partial(agent, run, number) for number in range(1, robots + 1)},
+    }
+    return Crew().serve(roles)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,38 @@
+"""Write tables and chart of docs/performance.md from a result: python docs/bench.py RESULT."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from swarmabs_bringup.bench.results import read_result
+from swarmabs_bringup.bench.tables import draw, markdown, notes, tables
+
+DOCS = Path(__file__).parent
+PAGE, CHART = DOCS / "performance.md", DOCS / "images" / "speed.svg"
+_PART = re.compile(r"(<!-- bench: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def main(arguments: list[str]) -> int:
+    """Renew what the result has; what it has not stays as it is."""
+    if len(arguments) != 1:
+        sys.stderr.write(f"{__doc__}\n")
+        return 2
+    document = read_result(Path(arguments[0]))
+    parts = {}
+    for table in tables(document):
+        parts[table.name] = f"{table.caption[0].upper()}{table.caption[1:]}.\n\n{markdown(table)}"
+    parts["notes"] = "".join(f"- {note}\n" for note in notes(document))
+
+    def renewed(found: re.Match[str]) -> str:
+        return f"{found[1]}{parts[found[2]]}{found[3]}" if found[2] in parts else found[0]
+
+    PAGE.write_text(_PART.sub(renewed, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    if "product" in document:
+        draw(document, CHART)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

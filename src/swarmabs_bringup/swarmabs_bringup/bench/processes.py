@@ -1,0 +1,173 @@
+"""What the operating system knows of the processes that are measured: processor time, switches, memory."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import psutil
+
+_PROC = Path("/proc")
+_TICK = 1.0 / os.sysconf("SC_CLK_TCK")
+_COMM = 15
+"""Longest name, characters, that Linux keeps of a process."""
+_ROLES = {
+    "plane_sim": "plane",
+    "abstraction_observer"[:_COMM]: "observer",
+    "parent_controller"[:_COMM]: "controller",
+    "recorder": "recorder",
+}
+AGENTS = "agents"
+
+
+def role_of(name: str) -> str | None:
+    """Return the role of a process of a run or of a floor by the name that Linux keeps of it, None for others."""
+    return AGENTS if name.startswith("agent_") else _ROLES.get(name)
+
+
+def crew_of(root: int) -> dict[int, str]:
+    """Return the roles of all processes of a run below a process, by process id."""
+    found = {}
+    with suppress(psutil.NoSuchProcess):
+        for child in psutil.Process(root).children(recursive=True):
+            with suppress(OSError):
+                role = role_of((_PROC / str(child.pid) / "comm").read_text(encoding="utf-8").strip())
+                if role is not None:
+                    found[child.pid] = role
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What a process has used since it was started: processor time (s) and context switches of all its threads."""
+
+    cpu: float
+    switches: int
+
+
+def usage(pid: int) -> Usage | None:
+    """Return what a process has used, None if it has ended."""
+    folder = _PROC / str(pid)
+    try:
+        # The name of the process stands in parentheses and may hold anything.
+        fields = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        switches = 0
+        for task in (folder / "task").iterdir():
+            with suppress(FileNotFoundError, ProcessLookupError):
+                lines = (task / "status").read_text(encoding="utf-8").splitlines()
+                switches += sum(int(line.split()[1]) for line in lines if "voluntary_ctxt_switches" in line)
+    except (FileNotFoundError, ProcessLookupError):
+        return None
+    return Usage((int(fields[11]) + int(fields[12])) * _TICK, switches)
+
+
+def proportional_memory(pid: int) -> int | None:
+    """Return the memory of a process, bytes, of what it shares only its share (PSS); None if it has ended."""
+    try:
+        text = (_PROC / str(pid) / "smaps_rollup").read_text(encoding="utf-8")
+    except (FileNotFoundError, ProcessLookupError):
+        return None
+    kilobytes = [int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:")]
+    return 1024 * kilobytes[0] if kilobytes else None
+
+
+def machine_busy() -> float:
+    """Return the processor time, s, that all processes and the hypervisor have taken since the machine was started."""
+    times = psutil.cpu_times()
+    return float(sum(times) - times.idle - getattr(times, "iowait", 0.0) - times.guest - times.guest_nice)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """How far a run is at a time (s), and what its processes have used by then."""
+
+    time: float
+    step: int
+    usages: dict[int, Usage]
+    busy: float
+
+
+def sample(crew: dict[int, str], step: int, when: float | None = None) -> Sample:
+    """Take a sample of these processes; `when` is the time at which they were at this step, if it was not now."""
+    when = time.monotonic() if when is None else when
+    used = {pid: found for pid in crew if (found := usage(pid)) is not None}
+    return Sample(when, step, used, machine_busy())
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What a run cost between two samples.
+
+    Parameters
+    ----------
+    seconds, steps : float, int
+        Time and steps between the samples.
+    cpu_share : dict
+        Share of one core by role; that of the agents is the sum of all.
+    cpu_ms_per_step : float
+        Processor time of all processes together, ms per step.
+    switches_per_agent_step : float
+        Context switches of a robot's process, all its threads, in a step.
+    other_load : float
+        Share of the whole machine that anybody else took at the time, the measurement itself included.
+    """
+
+    seconds: float
+    steps: int
+    cpu_share: dict[str, float]
+    cpu_ms_per_step: float
+    switches_per_agent_step: float
+    other_load: float
+
+
+def load_between(first: Sample, last: Sample, crew: dict[int, str]) -> Load | None:
+    """Compare two samples; None if there is no time or no step between them."""
+    seconds, steps = last.time - first.time, last.step - first.step
+    if seconds <= 0.0 or steps <= 0:
+        return None
+    share: dict[str, float] = {}
+    switches = agents = 0
+    for pid, before in first.usages.items():
+        after = last.usages.get(pid)
+        if after is None:
+            continue
+        role = crew[pid]
+        share[role] = share.get(role, 0.0) + (after.cpu - before.cpu) / seconds
+        if role == AGENTS:
+            agents += 1
+            switches += after.switches - before.switches
+    own = sum(share.values())
+    machine = (last.busy - first.busy) / seconds
+    cores = os.cpu_count() or 1
+    return Load(
+        seconds,
+        steps,
+        share,
+        1000.0 * own * seconds / steps,
+        switches / (agents * steps) if agents else 0.0,
+        max(0.0, machine - own) / cores,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Memory of the processes of a run, bytes: a robot's, each coordinator's, and all together."""
+
+    agent_median: int
+    agent_largest: int
+    coordinators: dict[str, int]
+    total: int
+
+
+def memory_of(crew: dict[int, str]) -> Memory | None:
+    """Measure the memory of a run's processes; None if no robot is among them."""
+    found = [(role, size) for pid, role in crew.items() if (size := proportional_memory(pid)) is not None]
+    agents = [size for role, size in found if role == AGENTS]
+    if not agents:
+        return None
+    coordinators = {role: size for role, size in found if role != AGENTS}
+    return Memory(int(median(agents)), max(agents), coordinators, sum(size for _, size in found))

@@ -1,0 +1,110 @@
+r"""The paper's estimate of the region of attraction of a PD-controlled plane (theorem LQR_SI), printed and corrected.
+
+With the error :math:`z = (\theta, \dot\theta, e_\tau, e_J)` the estimate is the ball
+
+.. math:: S = \{ z : |z|^2 \le \theta_{max}^2 / (2 \eta) \}
+
+for which the paper prints two values of :math:`\eta`: one in the theorem, another in its proof. The latter is the
+right bound of the kinetic energy's coefficient, so it is the corrected one here; see docs/sweep.md. The paper also
+takes the abstract state without g for its error; here :math:`e_a(0) = a_d(0) - a(0)`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core import configure
+from swarmabs_core.abstraction import Weight, abstraction
+from swarmabs_core.controllers.feedback import StateFeedback
+
+if TYPE_CHECKING:
+    from swarmabs_core.manifold import Manifold
+    from swarmabs_core.scenario import Scenario
+
+ANGLE_MAX = 0.2
+"""The paper's bound theta_max of the angle, rad."""
+
+
+def printed_eta(inertia: float, largest_inertia: float) -> float:
+    """Return eta = max{1, (J + J_sd,max)/2} of the theorem.
+
+    Parameters
+    ----------
+    inertia : float
+        Moment of inertia J of the plane alone, kg m^2.
+    largest_inertia : float
+        Largest inertia J_sd,max asked of the swarm, kg m^2.
+    """
+    return max(1.0, 0.5 * (inertia + largest_inertia))
+
+
+def corrected_eta(inertia: float, largest_inertia: float) -> float:
+    """Return eta = max{1/2, (J + J_sd,max)/2} of the theorem's proof; parameters as of `printed_eta`."""
+    return max(0.5, 0.5 * (inertia + largest_inertia))
+
+
+def radius_squared(angle_max: float, eta: float) -> float:
+    """Return theta_max^2/(2 eta), below which |z|^2 lies in the estimate; `angle_max` in rad."""
+    return angle_max * angle_max / (2.0 * eta)
+
+
+class Estimate(NamedTuple):
+    """The estimates for one scenario, as functions of the plane's initial state.
+
+    Parameters
+    ----------
+    k1, k2 : float
+        Gains of the parent controller, N m/rad and N m s/rad.
+    torque, inertia : float
+        The swarm's initial abstract state, N m and kg m^2.
+    manifold : Manifold
+        Where the desired abstract state lies.
+    printed, corrected : float
+        Largest |z|^2 of the printed and of the corrected estimate.
+    """
+
+    k1: float
+    k2: float
+    torque: float
+    inertia: float
+    manifold: Manifold
+    printed: float
+    corrected: float
+
+    def error_squared(self, angle: float, angular_velocity: float) -> float:
+        """Return |z|^2 of an initial state of the plane, in rad and rad/s, with this swarm.
+
+        The desired abstract state starts, unfiltered, at the limited torque that the controller asks for.
+        """
+        wanted = self.manifold.clip(self.k1 * angle + self.k2 * angular_velocity)
+        e_torque = wanted - self.torque
+        e_inertia = self.manifold.inertia(wanted) - self.inertia
+        return angle * angle + angular_velocity * angular_velocity + e_torque * e_torque + e_inertia * e_inertia
+
+
+def estimate(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Estimate | None:
+    """Return the estimates for a scenario; None if its parent controller is no state feedback.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; robots that join later are not in its initial state.
+    angle_max : float
+        Bound theta_max of the angle, rad.
+    """
+    law = configure.parent_controller(scenario)
+    if not isinstance(law, StateFeedback):
+        return None
+    manifold = configure.manifold(scenario)
+    robots = [Weight(agent.mass, agent.position, agent.velocity) for agent in scenario.initial_agents]
+    swarm = abstraction(robots, scenario.plane.gravity)
+    inertias = (scenario.plane.inertia, manifold.inertia(manifold.torque_max))
+    return Estimate(
+        law.k1,
+        law.k2,
+        swarm.torque,
+        swarm.inertia,
+        manifold,
+        radius_squared(angle_max, printed_eta(*inertias)),
+        radius_squared(angle_max, corrected_eta(*inertias)),
+    )

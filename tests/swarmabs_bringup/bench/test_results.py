@@ -1,0 +1,86 @@
+"""Medians, ratios, tables, chart and comparison of results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.swarmabs_bringup.bench.results import document, repeat
+
+from swarmabs_bringup.bench.results import CHART, DOCUMENT, TABLES, read_result, write_result
+from swarmabs_bringup.bench.suites import product_summary, spread
+from swarmabs_bringup.bench.tables import comparison, markdown, shown, tables
+from swarmabs_core.errors import InputError
+
+REPEATS = (
+    repeat(80.0, rclpy_best_effort=100.0, rclpy_reliable=70.0, zeromq=160.0),
+    repeat(30.0, rclpy_best_effort=40.0, rclpy_reliable=90.0, zeromq=60.0),
+    repeat(90.0, rclpy_best_effort=120.0, rclpy_reliable=80.0, zeromq=300.0),
+)
+
+
+def test_a_spread_has_median_and_bounds_and_there_is_none_of_nothing() -> None:
+    assert spread([3.0, 1.0, 2.0, 10.0]) == {"median": 2.5, "smallest": 1.0, "largest": 10.0}
+    assert spread([]) is None
+
+
+def test_the_floor_is_the_better_form_and_ratios_are_within_a_repeat() -> None:
+    summary = product_summary(list(REPEATS))
+    assert summary["floor"] == "rclpy_best_effort"  # its median is 100, the other's 80
+    assert summary["ratio_to_floor"] == {"median": 0.75, "smallest": 0.75, "largest": 0.8}
+    assert summary["ratio_to_zeromq"] == {"median": 0.5, "smallest": 0.3, "largest": 0.5}
+    assert summary["steps_per_second"]["product"]["median"] == 80.0
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (None, "-"),
+        ({"median": 1234.4, "smallest": 1000.0, "largest": 2000.0}, "1234 (1000-2000)"),
+        ({"median": 0.75, "smallest": 0.75, "largest": 0.75}, "0.75"),
+    ],
+)
+def test_a_spread_is_shown_in_three_digits(given: dict[str, float] | None, text: str) -> None:
+    assert shown(given) == text
+
+
+def test_tables_show_the_suites_that_were_measured() -> None:
+    speed, cost = tables(document(*REPEATS))
+    assert speed.rows[0][:2] == ("4", "80 (30-90)")
+    assert speed.rows[0][-2:] == ("0.75 (0.75-0.8)", "0.5 (0.3-0.5)")
+    assert [row[1] for row in cost.rows] == ["swarm run", "bare rclpy", "ZeroMQ"]
+    assert all(len(row) == len(table.headings) for table in (speed, cost) for row in table.rows)
+    assert markdown(speed).splitlines()[0].startswith("| robots | swarm run | ")
+
+
+def test_a_result_is_written_and_read_again(tmp_path: Path) -> None:
+    made = document(*REPEATS)
+    write_result(made, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {DOCUMENT, TABLES, CHART}
+    assert "| 4 | 80 (30-90) |" in (tmp_path / TABLES).read_text(encoding="utf-8")
+    assert read_result(tmp_path) == read_result(tmp_path / DOCUMENT) == made
+
+
+@pytest.mark.parametrize("text", ["no JSON", "[]", json.dumps({"schema": 1})])
+def test_what_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / DOCUMENT).write_text(text)
+    with pytest.raises(InputError, match=r"bench\.json is no result of swarm bench"):
+        read_result(tmp_path)
+
+
+def test_a_result_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        read_result(tmp_path)
+
+
+def test_a_comparison_tells_changes_from_noise() -> None:
+    old = document(repeat(50.0, zeromq=100.0), repeat(60.0, zeromq=110.0))
+    new = document(repeat(90.0, zeromq=105.0), repeat(100.0, zeromq=112.0))
+    rows = {row[2]: row for row in comparison(old, new).rows}
+    assert rows["product"] == ("product", "4", "product", "55 (50-60)", "95 (90-100)", "1.73", "")
+    assert rows["zeromq"][-1] == "within the spread"
+
+
+def test_only_what_both_have_is_compared() -> None:
+    assert not comparison(document(*REPEATS), document(*REPEATS, robots=20)).rows
