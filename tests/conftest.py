@@ -61,12 +61,19 @@ def _descriptors() -> set[str]:
     return found
 
 
+def _shared_memory() -> set[str]:
+    """Return the files of shared memory, without the semaphores of Python's multiprocessing, which no run uses."""
+    if not _SHARED_MEMORY.is_dir():
+        return set()
+    return {path.name for path in _SHARED_MEMORY.iterdir() if not path.name.startswith("sem.mp-")}
+
+
 def _things() -> dict[str, set[Any]]:
     """Return what a test may make and has to take away again."""
     return {
         "children": {child.pid for child in psutil.Process().children(recursive=True)},
         "ports": _own_ports(),
-        "shared memory": {path.name for path in _SHARED_MEMORY.iterdir()} if _SHARED_MEMORY.is_dir() else set(),
+        "shared memory": _shared_memory(),
         "pipes and sockets": _descriptors(),
     }
 

@@ -24,7 +24,7 @@ class Bench:
     reports: Reports
     published: list[tuple[float, Message]]
 
-    def run(self, behaviour: Follower, until: float, **options: Any) -> None:
+    def run(self, behaviour: Follower, until: float, **options: Any) -> Lockstep:
         loop = Lockstep(
             behaviour,
             self.inbox,
@@ -34,6 +34,7 @@ class Bench:
         )
         self.clock.end, self.clock.on_end = until, loop.stop
         loop.run()
+        return loop
 
     def steps(self) -> list[int]:
         return [message.step for _, message in self.published]
@@ -92,7 +93,8 @@ def test_who_waits_too_long_repeats_ever_more(bench: Bench) -> None:
 def test_no_more_is_kept_than_is_repeated(bench: Bench) -> None:
     for step in range(1000):
         bench.inbox.deliver(0.001 * step, plane(step))
-    bench.run(Follower(5000), 60.0)
+    loop = bench.run(Follower(5000), 60.0)
+    assert len(loop._sent) <= WINDOW + 1
     assert min(step for group in bench.repetitions(after=1.0) for step in group) == 1000 - WINDOW
 
 

@@ -48,7 +48,8 @@ def test_control_c_reaches_the_whole_process_group(folder: Path) -> None:
     assert done.code == 1
     assert "Traceback" not in done.err
     assert summary_of(folder)["status"] == "interrupted"
-    assert len(bag_messages(folder)) > 0
+    assert len(bag_messages(folder)) == summary_of(folder)["messages"] > 0
+    assert not [log for log in (folder / "logs").glob("*.log") if "Traceback" in log.read_text(encoding="utf-8")]
 
 
 def test_an_impatient_user(folder: Path) -> None:

@@ -16,6 +16,7 @@ from tests.system.helpers import (
     bag_messages,
     domain_of,
     lockstep,
+    run_log,
     seconds,
     simulated_digest,
     started_swarm,
@@ -104,6 +105,17 @@ def test_lost_packets_change_nothing(folder: Path) -> None:
     same_as_simulated(folder, "pd_het_4", seconds(1.4), arrange=lossy)
     logs = [log.read_text(encoding="utf-8") for log in (folder / "logs").glob("*.log")]
     assert sum(text.count("lost: ") for text in logs) > 10
+
+
+def late(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
+    return [replace(p, module="tests.system.late_node") if p.name == "agent_002" else p for p in processes]
+
+
+@pytest.mark.usefixtures("own_modules")
+def test_a_robot_that_comes_up_only_the_second_time(folder: Path) -> None:
+    same_as_simulated(folder, "pd_het_4", seconds(1.0), arrange=late)
+    assert "agent_002" in run_log(folder)
+    assert "not today" in (folder / "logs" / "agent_002.log").read_text(encoding="utf-8")
 
 
 def test_two_runs_at_the_same_time(tmp_path: Path) -> None:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from swarmabs_bringup.interruption import terminable
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.recorder.recording import Recording
 from swarmabs_core.errors import RunError
 from swarmabs_core.simulation import simulated_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from swarmabs_bringup.orchestration.progress import Phase
     from swarmabs_bringup.run_folder import RunFolder
@@ -69,21 +67,3 @@ def simulate_run(
     except KeyboardInterrupt:
         return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
     return Outcome("ok", None, figures, 0.0, stepping)
-
-
-@contextmanager
-def terminable() -> Iterator[None]:
-    """Make SIGTERM interrupt as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    previous = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

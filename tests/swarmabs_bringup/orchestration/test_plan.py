@@ -249,3 +249,19 @@ def test_only_robots_that_feel_their_tilt_hear_the_plane() -> None:
     processes = planned(scenario_of("faulty"))
     hearing = {name for name, process in processes.items() if PLANE_STATE in process.subscriptions}
     assert hearing == {CONTROLLER, RECORDER, "agent_003", "agent_004"}
+
+
+@pytest.mark.parametrize(("per_process", "groups"), [(3, [(1, 2, 3), (4,)]), (4, [(1, 2, 3, 4)]), (9, [(1, 2, 3, 4)])])
+def test_robots_may_share_processes(per_process: int, groups: list[tuple[int, ...]]) -> None:
+    folder = Path("/runs/x")
+    processes = plan(
+        scenario_of("pd_het_4"),
+        scenario_file=folder / "scenario.yaml",
+        bag=None,
+        logs=folder / "logs",
+        agents_per_process=per_process,
+    )
+    hosts = [process for process in processes if process.agents]
+    assert [process.agents for process in hosts] == groups
+    assert len({process.name for process in processes}) == len(processes)
+    assert {process.module for process in hosts} == {"agent_node.group"}

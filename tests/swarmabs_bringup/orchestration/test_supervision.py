@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
-from swarmabs_bringup.orchestration.supervision import Failure, Supervision, how_it_ended, last_lines
+from swarmabs_bringup.orchestration.supervision import RESTARTS, Failure, Supervision, how_it_ended, last_lines
 
 ROBOTS = ("agent_001", "agent_002", "agent_003", "agent_017")
 NAMES = (PLANE, OBSERVER, CONTROLLER, RECORDER, *ROBOTS)
@@ -219,3 +219,52 @@ def test_last_lines_of_logs() -> None:
         "last lines of agent_003.log:\n  line 18\n  line 19\nlast lines of plane_sim.log:\n  one"
     )
     assert last_lines([]) == ""
+
+
+HOSTS = {1: "agent_001", 2: "agent_002", 3: "agent_003", 17: "agent_017"}
+
+
+def test_a_robot_that_does_not_come_up_is_started_again_but_not_for_ever() -> None:
+    state = started(hosts=HOSTS)
+    for _ in range(RESTARTS):
+        state.take({"node": "agent_002", "event": "ready"})
+        state.take(exited("agent_002", -11))
+        assert state.failure is None
+        assert state.to_restart() == ("agent_002",)
+        assert state.to_restart() == ()
+        assert "agent_002" in state.not_ready()
+    state.take(exited("agent_002", -11))
+    assert state.failure is not None
+    assert state.failure.culprits == ("agent_002",)
+
+
+@pytest.mark.parametrize("name", [OBSERVER, RECORDER])
+def test_a_coordinator_is_not_started_again(name: str) -> None:
+    state = started(hosts=HOSTS)
+    state.take(exited(name, 1))
+    assert state.failure is not None
+    assert state.to_restart() == ()
+
+
+def test_nobody_is_started_again_once_the_run_has_begun() -> None:
+    state = started(hosts=HOSTS, started=True)
+    state.take(exited("agent_002", -11))
+    assert state.failure is not None
+    assert state.to_restart() == ()
+
+
+def test_a_few_that_hang_are_named_but_not_a_majority() -> None:
+    state = started(hosts=HOSTS)
+    for name in (PLANE, OBSERVER, CONTROLLER, RECORDER, *ROBOTS[:1]):
+        state.take({"node": name, "event": "ready"})
+    assert state.hanging() == ()
+    for name in ROBOTS[1:3]:
+        state.take({"node": name, "event": "ready"})
+    assert state.hanging() == ("agent_017",)
+
+
+def test_robots_that_share_a_process_are_named_by_it() -> None:
+    state = Supervision((PLANE, "agents_001_to_003"), hosts=dict.fromkeys((1, 2, 3), "agents_001_to_003"))
+    state.take({"node": "launcher", "event": "spawned", "name": "agents_001_to_003", "child": 77})
+    state.take(stalled(PLANE, ["agent 1", "agent 3"], 4))
+    assert state.diagnose({}).culprits == ("agents_001_to_003",)

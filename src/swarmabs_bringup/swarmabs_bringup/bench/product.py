@@ -65,9 +65,9 @@ class Watch:
             return
         if self.started is None:
             self.started = now
+            self._crew = crew_of(os.getpid())  # takes its time, which must not stand between a step and its sample
         elif self.first is None:
             if progress.step and now - self.started >= self._warm_up:
-                self._crew = crew_of(os.getpid())
                 self.first = sample(self._crew, progress.step, now)
         elif self.last is None and progress.step >= LATE * progress.steps:
             self.last = sample(self._crew, progress.step, now)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import click
 
 from swarmabs_bringup.cli.bench import bench
@@ -48,8 +46,5 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except SwarmabsError as error:
         click.echo(f"error: {error}", err=True)
-        return 1
-    except BrokenPipeError:  # whoever read our output has gone, such as `head`
-        sys.stderr.close()
         return 1
     return int(code or 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from swarmabs_bringup.bench.tables import Table
 
 RUNS = Path("runs")
+WIDTH = 160
+"""Of what is printed into a file or pipe, characters."""
 SUITES = ("product", "start", "memory", "simulate", "recorder")
 
 
@@ -79,8 +82,8 @@ def bench(
     from swarmabs_bringup.bench.results import read_result, write_result  # noqa: PLC0415
     from swarmabs_bringup.bench.suites import SUITES as ALL, Settings, check_prerequisites, run_suites  # noqa: PLC0415
     from swarmabs_bringup.bench.tables import comparison, notes, tables  # noqa: PLC0415
+    from swarmabs_bringup.interruption import terminable  # noqa: PLC0415
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
-    from swarmabs_bringup.simulate import terminable  # noqa: PLC0415
 
     if compare:
         table = comparison(*map(read_result, compare))
@@ -114,7 +117,7 @@ def _show(shown: Iterable[Table]) -> None:
     from rich.console import Console  # noqa: PLC0415 - slow to import
     from rich.table import Table as RichTable  # noqa: PLC0415
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH)
     for table in shown:
         made = RichTable(box=None, header_style="dim")
         for heading in table.headings:

@@ -76,7 +76,7 @@ class SweepFolder:
         try:
             self._journal = os.open(self.journal, os.O_RDWR | os.O_CREAT, 0o666)
             fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._read()
+            self.read()
         except BlockingIOError:
             self._close()
             raise InputError(f"{self.path} is being written by another sweep; wait for it, or name another") from None
@@ -88,6 +88,25 @@ class SweepFolder:
     def __exit__(self, *_: object) -> None:
         """Leave the folder to others."""
         self._close()
+
+    def read(self) -> None:
+        """Read the finished cases, and cut off what a crash has left after them."""
+        os.lseek(self._journal, 0, os.SEEK_SET)
+        self._rows.clear()
+        good = 0
+        with open(self._journal, "rb", closefd=False) as file:
+            for line in file:
+                try:
+                    row = json.loads(line)
+                    index = row["case"]
+                except (ValueError, TypeError, KeyError):
+                    break
+                if not line.endswith(b"\n"):
+                    break
+                self._rows[index] = row
+                good += len(line)
+        os.ftruncate(self._journal, good)
+        os.lseek(self._journal, good, os.SEEK_SET)
 
     def add(self, line: str) -> dict[str, Any]:
         """Keep the row of a finished case, and return it.
@@ -122,23 +141,6 @@ class SweepFolder:
             with contextlib.suppress(OSError):
                 part.unlink()
             raise RunError(f"{path}: {error.strerror}; free space, then go on with --resume") from error
-
-    def _read(self) -> None:
-        """Read the finished cases, and cut off what a crash has left after them."""
-        good = 0
-        with open(self._journal, "rb", closefd=False) as file:
-            for line in file:
-                try:
-                    row = json.loads(line)
-                    index = row["case"]
-                except (ValueError, TypeError, KeyError):
-                    break
-                if not line.endswith(b"\n"):
-                    break
-                self._rows[index] = row
-                good += len(line)
-        os.ftruncate(self._journal, good)
-        os.lseek(self._journal, good, os.SEEK_SET)
 
     def _close(self) -> None:
         if self._journal >= 0:

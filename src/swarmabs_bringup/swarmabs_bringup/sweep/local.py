@@ -43,6 +43,7 @@ class LocalEngine:
     def __init__(self, jobs: int | None = None) -> None:
         self._jobs = jobs or len(os.sched_getaffinity(0))
         self._workers: dict[Connection, _Worker] = {}
+        self._failed_starts = 0
 
     @property
     def description(self) -> str:
@@ -66,7 +67,9 @@ class LocalEngine:
                 except (EOFError, OSError):
                     yield from self._bury(worker, common, again, deaths)
                     continue
-                done, worker.task = worker.task is not None, None
+                done = worker.ready
+                worker.ready, worker.task = True, None
+                self._failed_starts = 0
                 task = again.popleft() if again else next(tasks, None)
                 if task is None:
                     self._end(worker)
@@ -89,7 +92,7 @@ class LocalEngine:
 
     def _give(self, worker: _Worker, task: Task) -> None:
         """Hand a task to a worker; that it has died is noticed when its answer is read."""
-        worker.ready, worker.task = True, task
+        worker.task = task
         try:
             worker.connection.send_bytes(json.dumps([task.index, task.overrides]).encode())
         except OSError:
@@ -108,8 +111,9 @@ class LocalEngine:
         code, task, ready = worker.process.exitcode or 0, worker.task, worker.ready
         self._end(worker)
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        if not ready:
-            raise RunError(f"a worker process {how} while it started; try fewer with --jobs")
+        self._failed_starts += not ready
+        if self._failed_starts == ATTEMPTS:
+            raise RunError(f"worker processes do not start; the last one {how}; try fewer with --jobs")
         self._start(common)
         if task is None:
             return

@@ -57,7 +57,7 @@ MARKERS = {"settled": "o", "unsettled": "s", "off_plane": "^", "failed": "X", "r
 _FEW = 30
 """Values of a parameter up to which the markers that share one are moved apart."""
 _FEW_MARKERS = 500
-_FINE = 401
+_FINE = 201
 """Points per axis at which the outlines of the estimates are computed."""
 
 

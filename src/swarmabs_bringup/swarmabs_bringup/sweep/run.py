@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.simulate import terminable
+from swarmabs_bringup.interruption import terminable
 from swarmabs_bringup.sweep.engine import Common, Task
 from swarmabs_bringup.sweep.evaluate import OUTCOMES
 from swarmabs_bringup.sweep.picture import pictures
@@ -25,12 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass
 class SweepProgress:
-    """How far a sweep is: cases in all, finished, finished by this start, and how they ended."""
+    """How far a sweep is: cases in all, finished, and how they ended."""
 
     cases: int
     done: int
-    new: int = 0
-    outcomes: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str]
 
 
 def run_sweep(
@@ -56,31 +55,34 @@ def run_sweep(
         finished is kept, and another start goes on from there.
     """
     begun = time.monotonic()
-    outcomes = Counter(row["outcome"] for row in folder.rows.values())
-    progress = SweepProgress(study.sweep.count, len(folder.rows), outcomes=outcomes)
-    status, reason = "ok", None
+    before = len(folder.rows)
+    status, reason, computing = "ok", None, None
     try:
         with terminable():
-            _compute(study, folder, engine, lambda: on_progress(progress), progress)
+            _compute(study, folder, engine, on_progress)
             computing = time.monotonic() - begun
             folder.write_whole(folder.results, parquet(study, folder.rows))
             for name, content in pictures(study, folder.rows).items():
                 folder.write_whole(folder.path / name, content)
     except RunError as error:
-        status, reason, computing = "failed", str(error), time.monotonic() - begun
+        status, reason = "failed", str(error)
     except KeyboardInterrupt:
-        status, reason, computing = "interrupted", "interrupted; go on with --resume", time.monotonic() - begun
+        status, reason = "interrupted", "interrupted; go on with --resume"
     finally:
         engine.close()
+    folder.read()  # an interrupt comes at any moment, such as between writing a row and counting it
+    wall_time = time.monotonic() - begun
+    computed = len(folder.rows) - before
+    outcomes = _outcomes(folder)
     summary = {
         "sweep": study.sweep.name,
-        "cases": progress.cases,
-        "finished": progress.done,
-        "outcomes": {name: progress.outcomes[name] for name in OUTCOMES},
+        "cases": study.sweep.count,
+        "finished": len(folder.rows),
+        "outcomes": {name: outcomes[name] for name in OUTCOMES},
         "engine": engine.description,
-        "wall_time": round(time.monotonic() - begun, 3),
-        "computed": progress.new,
-        "cases_per_second": round(progress.new / computing, 3) if progress.new else None,
+        "wall_time": round(wall_time, 3),
+        "computed": computed,
+        "cases_per_second": round(computed / (computing or wall_time), 3) if computed else None,
         "status": status,
         "reason": reason,
     }
@@ -90,17 +92,19 @@ def run_sweep(
     return summary
 
 
-def _compute(
-    study: Study, folder: SweepFolder, engine: Engine, tell: Callable[[], None], progress: SweepProgress
-) -> None:
-    tasks = (Task(case.index, case.overrides()) for case in study.cases() if case.index not in folder.rows)
-    common = Common(study.scenario, study.sweep.attraction.angle_max)
-    tell()
+def _compute(study: Study, folder: SweepFolder, engine: Engine, on_progress: Callable[[SweepProgress], None]) -> None:
+    progress = SweepProgress(study.sweep.count, len(folder.rows), _outcomes(folder))
+    on_progress(progress)
     if progress.done == progress.cases:
         return
-    for line in engine.compute(common, tasks, tell):
+    tasks = (Task(case.index, case.overrides()) for case in study.cases() if case.index not in folder.rows)
+    common = Common(study.scenario, study.sweep.attraction.angle_max)
+    for line in engine.compute(common, tasks, lambda: on_progress(progress)):
         row = folder.add(line)
         progress.done += 1
-        progress.new += 1
         progress.outcomes[row["outcome"]] += 1
-        tell()
+        on_progress(progress)
+
+
+def _outcomes(folder: SweepFolder) -> Counter[str]:
+    return Counter(row["outcome"] for row in folder.rows.values())
