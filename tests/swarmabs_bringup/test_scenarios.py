@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from tests.processes import ROOT
 
 from swarmabs_bringup.run_folder import new_run_folder
-from swarmabs_bringup.scenarios import DEFAULT, builtin_folder, builtin_scenarios, find_scenario
+from swarmabs_bringup.scenarios import DEFAULT, builtin_scenarios, find_scenario
 from swarmabs_bringup.simulate import simulate_run
 from swarmabs_core.errors import InputError
 from swarmabs_core.scenario import dump_scenario, load_scenario
@@ -93,8 +96,15 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
         find_scenario(str(tmp_path))
 
 
-def test_scenarios_are_found_in_the_sources_where_nothing_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("AMENT_PREFIX_PATH", "/nowhere")
-    assert builtin_folder() == ROOT / "src" / "swarmabs_bringup" / "scenarios"
-    monkeypatch.delenv("AMENT_PREFIX_PATH")
-    assert set(builtin_scenarios()) == set(CONTRACT)
+def test_scenarios_are_found_in_the_sources_where_nothing_is_installed() -> None:
+    sources = ROOT / "src"
+    paths = os.pathsep.join(str(sources / name) for name in ("swarmabs_bringup", "swarmabs_core"))
+    code = "from swarmabs_bringup.scenarios import builtin_folder; print(builtin_folder())"
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "AMENT_PREFIX_PATH": "/nowhere", "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert found.stdout.strip() == str(sources / "swarmabs_bringup" / "scenarios")

@@ -17,7 +17,7 @@ from swarmabs_bringup.bench.processes import AGENTS
 from swarmabs_bringup.bench.results import CHART, DOCUMENT, TABLES
 from swarmabs_bringup.cli import main
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
 
 SPREAD = {"median", "smallest", "largest"}
 

@@ -14,7 +14,7 @@ from swarmabs_bringup.bench.floors import FLOORS, Floor, floors_folder, measure_
 from swarmabs_bringup.bench.processes import AGENTS
 from swarmabs_core.errors import RunError
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
 
 BAD = """
 import sys, time

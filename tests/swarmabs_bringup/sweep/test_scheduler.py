@@ -14,7 +14,7 @@ import pytest
 from tests.processes import until
 from tests.swarmabs_bringup.sweep.helpers import finished, summary
 
-pytestmark = [pytest.mark.timeout(90), pytest.mark.usefixtures("nothing_survives")]
+pytestmark = [pytest.mark.full, pytest.mark.timeout(90), pytest.mark.usefixtures("nothing_survives")]
 
 Start = Callable[..., "subprocess.Popen[str]"]
 Sweep = Callable[..., tuple[int, str, str]]

@@ -8,7 +8,7 @@ what it takes back is a line of text.
 from __future__ import annotations
 
 import logging
-from asyncio import CancelledError
+from asyncio import CancelledError, TimeoutError as LateError  # of its own until Python 3.10
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -60,7 +60,7 @@ class SchedulerEngine:
         try:
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER)
             prints: dict[str, str] = self._client.run(libm_fingerprint)
-        except TimeoutError as error:
+        except LateError as error:
             self.close()
             raise InputError(f"the scheduler at {address} has no workers; start some with 'dask worker'") from error
         except ImportError as error:
@@ -123,7 +123,7 @@ class SchedulerEngine:
         """Say in a line that the scheduler is gone, or another one than it was."""
         try:
             yield
-        except (OSError, CancelledError, FutureCancelledError) as error:
+        except (OSError, LateError, CancelledError, FutureCancelledError) as error:
             raise RunError(f"lost the scheduler at {self._address}; go on with --resume") from error
 
     def _count_threads(self) -> int:
