@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import ipaddress
+import os
+import socket
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -10,16 +14,21 @@ from swarmabs_bringup.orchestration.dds_profile import (
     COORDINATORS,
     FIRST_FREE,
     FROM_ENVIRONMENT,
+    GROUP_VARIABLE,
     PARTICIPANT_VARIABLE,
     dds_environment,
+    multicast_group,
+    multicast_works,
     profile_xml,
 )
 from swarmabs_bringup.orchestration.domain import (
     GUARD_OFFSET,
     LARGEST_DOMAIN,
+    METATRAFFIC_OFFSET,
     PARTICIPANT_GAIN,
     SPACING,
     metatraffic_port,
+    multicast_port,
 )
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
@@ -96,3 +105,50 @@ def test_the_environment_puts_a_process_into_the_domain_and_no_transport_beside_
     assert variables["ROS_DOMAIN_ID"] == "15"
     assert variables["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/somewhere/fastdds.xml"
     assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+
+
+def test_a_profile_without_multicast_names_no_group() -> None:
+    root = parsed()
+    assert root.find(".//d:defaultMulticastLocatorList", NAMESPACE) is None
+    assert root.find(".//d:defaultUnicastLocatorList", NAMESPACE) is None
+
+
+def test_a_profile_with_multicast_keeps_unicast_beside_the_group() -> None:
+    root = parsed(multicast=True)
+    group = root.find(".//d:defaultMulticastLocatorList/d:locator/d:udpv4", NAMESPACE)
+    assert group is not None
+    assert group.findtext("d:address", namespaces=NAMESPACE) == f"${{{GROUP_VARIABLE}}}"
+    assert int(group.findtext("d:port", namespaces=NAMESPACE) or "") == multicast_port(5)
+    unicast = root.findall(".//d:defaultUnicastLocatorList//d:address", NAMESPACE)
+    assert [address.text for address in unicast] == ["127.0.0.1"]
+
+
+def test_the_groups_port_is_nobody_elses() -> None:
+    assert multicast_port(5) not in used_ports(5, LARGE_SWARM)
+    assert multicast_port(5) != metatraffic_port(5, 0) - METATRAFFIC_OFFSET + GUARD_OFFSET
+
+
+def test_robots_and_coordinators_are_two_groups() -> None:
+    coordinators = {multicast_group(participant) for participant in range(COORDINATORS)}
+    robots = {multicast_group(participant) for participant in range(COORDINATORS, LARGE_SWARM)}
+    assert len(coordinators) == len(robots) == 1
+    assert coordinators != robots
+    assert all(ipaddress.ip_address(group).is_multicast for group in coordinators | robots)
+
+
+def test_multicast_is_found_wanting_where_it_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    class NoMulticast(socket.socket):
+        def setsockopt(self, *arguments: object) -> None:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+
+    monkeypatch.setattr(socket, "socket", NoMulticast)
+    assert not multicast_works()
+
+
+def test_multicast_that_never_arrives_is_found_wanting(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Swallowing(socket.socket):
+        def sendto(self, *arguments: object) -> int:
+            return 8
+
+    monkeypatch.setattr(socket, "socket", Swallowing)
+    assert not multicast_works(timeout=0.01)

@@ -3,10 +3,14 @@
 Every participant announces itself to the coordinators alone, so discovery grows with the number of robots and not
 with its square: that is what lets 200 processes find each other in seconds. Only UDP is used: a process that is
 killed leaves no file of shared memory behind.
+
+Where the machine can multicast on loopback, a broadcast is sent once for all robots, and a robot's state once for all
+coordinators. Both are groups of their own, so nobody is woken by what is not for it.
 """
 
 from __future__ import annotations
 
+import socket
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.orchestration.domain import (
@@ -16,6 +20,7 @@ from swarmabs_bringup.orchestration.domain import (
     PARTICIPANT_GAIN,
     PORT_BASE,
     metatraffic_port,
+    multicast_port,
 )
 
 if TYPE_CHECKING:
@@ -31,6 +36,10 @@ FIRST_FREE = ""
 
 COORDINATORS = 8
 """Participant ids below belong to the coordinators (plane, observer, controller, recorder, spares)."""
+
+GROUP_VARIABLE = "SWARMABS_GROUP"
+"""Environment variable that holds the address of a process's multicast group."""
+_GROUPS = ("239.255.83.1", "239.255.83.2")
 
 _BUFFER = 4 * 2**20
 
@@ -59,6 +68,7 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
           <offsetd2>1</offsetd2>
           <offsetd3>{data_offset}</offsetd3>
         </port>
+        {multicast}
         <userTransports><transport_id>loopback</transport_id></userTransports>
         <useBuiltinTransports>false</useBuiltinTransports>
         <builtin>
@@ -86,8 +96,46 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 </dds>
 """
 
+# Unicast must be listed too: naming a group would otherwise replace it.
+_MULTICAST = """<defaultUnicastLocatorList>
+          <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
+        </defaultUnicastLocatorList>
+        <defaultMulticastLocatorList>
+          <locator><udpv4><address>${{{group}}}</address><port>{port}</port></udpv4></locator>
+        </defaultMulticastLocatorList>"""
 
-def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), participant: str = FROM_ENVIRONMENT) -> str:
+
+def multicast_group(participant: int) -> str:
+    """Return the address of the group to which a participant listens: that of the robots, or of the coordinators."""
+    return _GROUPS[participant < COORDINATORS]
+
+
+def multicast_works(timeout: float = 0.5) -> bool:
+    """Try whether this machine carries multicast on loopback, by sending itself a datagram; `timeout` in s."""
+    loopback = socket.inet_aton("127.0.0.1")
+    group = _GROUPS[0]
+    try:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as hear,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as speak,
+        ):
+            hear.bind((group, 0))
+            hear.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + loopback)
+            hear.settimeout(timeout)
+            speak.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            speak.sendto(b"swarmabs", (group, hear.getsockname()[1]))
+            return hear.recv(16) == b"swarmabs"
+    except OSError:
+        return False
+
+
+def profile_xml(
+    domain: int,
+    *,
+    peers: Iterable[int] = range(COORDINATORS),
+    participant: str = FROM_ENVIRONMENT,
+    multicast: bool = False,
+) -> str:
     """Return the profile.
 
     Parameters
@@ -99,6 +147,8 @@ def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), part
         a tool that wants to see everybody needs everybody.
     participant : str
         How the participant id is found: `FROM_ENVIRONMENT` or `FIRST_FREE`.
+    multicast : bool
+        Whether to listen to the group whose address is in the environment variable `GROUP_VARIABLE`.
     """
     locators = "\n".join(
         f"            <locator><udpv4><address>127.0.0.1</address><port>{metatraffic_port(domain, peer)}</port>"
@@ -108,6 +158,7 @@ def profile_xml(domain: int, *, peers: Iterable[int] = range(COORDINATORS), part
     return _PROFILE.format(
         buffer=_BUFFER,
         participant=participant,
+        multicast=_MULTICAST.format(group=GROUP_VARIABLE, port=multicast_port(domain)) if multicast else "",
         port_base=PORT_BASE,
         domain_gain=DOMAIN_GAIN,
         participant_gain=PARTICIPANT_GAIN,

@@ -17,6 +17,8 @@ DOMAIN_GAIN = 100
 PARTICIPANT_GAIN = 2
 METATRAFFIC_OFFSET = 10
 DATA_OFFSET = 11
+MULTICAST_OFFSET = 5
+"""No participant uses this offset; the groups of a run have the UDP port there."""
 GUARD_OFFSET = 9
 """No participant uses this offset; a run holds the TCP port there as its claim on the domain."""
 
@@ -35,6 +37,11 @@ def domains_spanned(participants: int) -> int:
     """Return over how many domains the ports of a run with this many participant ids reach, in whole claims."""
     ports = DATA_OFFSET + PARTICIPANT_GAIN * participants
     return -(-ports // (DOMAIN_GAIN * SPACING)) * SPACING
+
+
+def multicast_port(domain: int) -> int:
+    """Return the UDP port of a run's multicast groups."""
+    return PORT_BASE + DOMAIN_GAIN * domain + MULTICAST_OFFSET
 
 
 @contextmanager

@@ -20,7 +20,7 @@ import traceback
 import warnings
 from typing import Any, NoReturn
 
-from swarmabs_bringup.orchestration.dds_profile import PARTICIPANT_VARIABLE
+from swarmabs_bringup.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
@@ -96,6 +96,7 @@ class Launcher:
             os.close(log)
             os.close(null)
             os.environ[PARTICIPANT_VARIABLE] = str(command["participant"])
+            os.environ[GROUP_VARIABLE] = multicast_group(command["participant"])
             code = importlib.import_module(command["module"]).main(command["arguments"])
         except BaseException:  # noqa: BLE001 - whatever it is belongs into the node's log, and must end here
             traceback.print_exc()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from swarmabs_bringup.orchestration.dds_profile import dds_environment, profile_xml
+from swarmabs_bringup.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
 from swarmabs_bringup.orchestration.domain import claimed_domain, domains_spanned
 from swarmabs_bringup.orchestration.launcher_client import LauncherClient
 from swarmabs_bringup.orchestration.looking_in import write_network
@@ -118,7 +118,7 @@ class LockstepRun:
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
             self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
-            profile.write_text(profile_xml(domain), encoding="utf-8")
+            profile.write_text(profile_xml(domain, multicast=multicast_works()), encoding="utf-8")
             write_network(self._folder.logs, domain, participants)
             wake = stack.enter_context(self._interruptible())
             environment = dds_environment(domain, str(profile.resolve()))
