@@ -1,4 +1,4 @@
-"""Membership and faults in whole simulations, message by message (design.md, section 3)."""
+"""Membership and faults in whole simulations, message by message (docs/design.md, Membership and faults)."""
 
 from __future__ import annotations
 

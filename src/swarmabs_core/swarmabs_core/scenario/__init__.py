@@ -1,4 +1,4 @@
-"""Scenarios: the one description of a run that everything is started from (design.md, section 4)."""
+"""Scenarios: the one description of a run that everything is started from (docs/design.md, Scenario)."""
 
 from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
 from .checks import largest_position, spread
