@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.interruption import terminable
+from swarmabs_bringup.interruption import end_asked
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.recorder.recording import Recording
 from swarmabs_core.errors import RunError
@@ -52,9 +52,11 @@ def simulate_run(
             on_progress(Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error))
 
     try:
-        with terminable():
+        with end_asked() as asked:
             for step in simulated_steps(scenario):
                 recording.add(step)
+                if asked():
+                    return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
                 now = time.monotonic()
                 if now - told >= _TELL_EVERY:
                     told = now
@@ -64,6 +66,4 @@ def simulate_run(
             figures = recording.close()
     except RunError as error:
         return Outcome("failed", str(error), recording.abort(str(error)))
-    except KeyboardInterrupt:
-        return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
     return Outcome("ok", None, figures, 0.0, stepping)
