@@ -6,6 +6,7 @@ import sys
 from math import inf
 
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
+from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
@@ -14,8 +15,6 @@ from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
-
-KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
 
 PARAMETERS = (
     Parameter("agent_id", 1, "id of the robot", minimum=1, maximum=65535),

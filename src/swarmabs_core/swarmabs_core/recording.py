@@ -238,9 +238,8 @@ class RunCollector:
         if self.finished:
             return ()
         slot = self._slots.get(self._step, _Slot())
-        agents = [i for i in self._membership.publishing(self._step) if i not in slot.agents]
         topics = [topic.name for topic in _COORDINATED if topic not in slot.main]
-        return (*(f"agent {i}" for i in agents), *topics)
+        return (*(f"agent {i}" for i in self.missing_agents()), *topics)
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state of the current step is missing."""

@@ -20,6 +20,7 @@ from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
+    FRAME_ID,
     NEVER,
     TOPIC_OF,
     AbstractState,
@@ -130,8 +131,9 @@ class _Swarm:
         self.rows["head"] = np.void(_HEAD)
         payload = self.rows["payload"]
         payload["encapsulation"] = np.void(b"\0\1")
-        payload["frame_length"] = len(b"plane\0")
-        payload["frame"] = np.void(b"plane\0")
+        frame = FRAME_ID.encode() + b"\0"
+        payload["frame_length"] = len(frame)
+        payload["frame"] = np.void(frame)
         payload["agent_id"] = self.ids
         payload["kind"] = kinds
         payload["status"] = Status.ACTIVE

@@ -133,11 +133,12 @@ def main() -> int:
     # The ROS tracing library keeps two idle listeners of its own, which a fork may leave behind.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
     with tracing_files_removed():
+        from swarmabs_ros.endpoints import ros_type  # noqa: PLC0415 - imports rclpy, whose tracing makes the files
+
         for module in NODES:
             importlib.import_module(module)
         for topic in TOPICS:
-            package, _, name = topic.ros_type.split("/")
-            getattr(importlib.import_module(f"{package}.msg"), name).__class__.__import_type_support__()
+            ros_type(topic).__class__.__import_type_support__()
         gc.collect()
         gc.freeze()  # memory that no collection touches stays shared with the children
         launcher = Launcher(int(os.environ[REPORT_FD]))

@@ -24,7 +24,7 @@ from swarmabs_core import configure
 from swarmabs_core.membership import ChangeKind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from swarmabs_bringup.orchestration.progress import Phase
     from swarmabs_bringup.run_folder import RunFolder
@@ -153,7 +153,7 @@ class LockstepRun:
     def _supervise(self, launcher: LauncherClient, wake: int) -> Failure | None:
         """Drive the run until it is complete, fails or is interrupted."""
         state = self._supervision
-        self._spawn(launcher)
+        self._spawn(launcher, self._plan)
         news = time.monotonic()
         known = 0
         while not self._interrupted:
@@ -187,17 +187,16 @@ class LockstepRun:
             self._tell("starting" if self._started is None else "running")
         return None
 
-    def _spawn(self, launcher: LauncherClient) -> None:
-        for process in self._plan:
+    def _spawn(self, launcher: LauncherClient, processes: Iterable[ProcessPlan]) -> None:
+        for process in processes:
             launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
 
     def _restart_lost(self, launcher: LauncherClient) -> bool:
         """Start again the robots' processes that have ended before the run began; tell whether there were any."""
         names = self._supervision.to_restart()
-        for process in self._plan:
-            if process.name in names:
-                self._note(f"{process.name} (process {self._supervision.pids[process.name]}) did not come up: again")
-                launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
+        for name in names:
+            self._note(f"{name} (process {self._supervision.pids[name]}) did not come up: again")
+        self._spawn(launcher, (process for process in self._plan if process.name in names))
         return bool(names)
 
     def _listen(self, launcher: LauncherClient, wake: int) -> None:
