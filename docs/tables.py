@@ -22,7 +22,7 @@ from swarmabs_bringup.orchestration.plan import plan
 from swarmabs_bringup.recorder import node as recorder
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.messages import TOPICS
+from swarmabs_core.messages import BROADCAST, TOPICS
 from swarmabs_core.scenario import (
     AGENT_KINDS,
     CONTROLLER_CONFIGS,
@@ -94,11 +94,13 @@ def parameters(declared: Iterable[Parameter], prefix: str = "") -> str:
 
 def topics() -> str:
     """Return the table of topics: type, QoS offered, who publishes and who subscribes."""
-    processes = plan(
-        find_scenario("pd_het_4").resolved(), scenario_file=Path("scenario.yaml"), bag=Path("bag"), logs=Path("logs")
+    scenario, files = find_scenario("pd_het_4").resolved(), (Path("scenario.yaml"), Path("bag"), Path("logs"))
+    usual, packed = (
+        plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2], packed=packed) for packed in (False, True)
     )
 
     def names(relation: str, topic: object) -> str:
+        processes = packed if topic is BROADCAST else usual
         found = (p.module.split(".")[-2] for p in processes if topic in getattr(p, relation))
         return ", ".join(dict.fromkeys(found))
 

@@ -6,9 +6,12 @@ import pytest
 from tests.swarmabs_ros.nodes import given, settings_from, started_node
 
 from parent_controller.node import LAW, make, table
-from swarmabs_core.behaviours import Controller
+from swarmabs_core.behaviours import Controller, PackingController
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AUXILIARY_STATE,
+    BROADCAST,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     PLANE_STATE,
@@ -49,6 +52,13 @@ def test_it_hears_the_plane_and_says_what_it_wants(law: str) -> None:
 def test_it_hears_a_recorder_only_if_there_is_one() -> None:
     spec = make(settings_of("pd", recording_window=100), CHANNEL)
     assert set(spec.subscriptions) == {PLANE_STATE, RECORDING_PROGRESS}
+
+
+def test_it_packs_the_broadcasts_if_asked_to() -> None:
+    spec = make(settings_of("pd", packed=True), CHANNEL)
+    assert isinstance(spec.behaviour, PackingController)
+    assert set(spec.publications) == {DESIRED_ABSTRACT_STATE, BROADCAST, EVENTS}
+    assert set(spec.subscriptions) == {PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE}
 
 
 def test_gains_and_manifold_reach_the_law() -> None:

@@ -17,6 +17,7 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Broadcast,
     DesiredAbstractState,
     Message,
     PlaneState,
@@ -72,6 +73,14 @@ CASES = [
     ),
     Case(RecordingProgress(STAMP, STEP, 1230), b"\xce\x04\x00\x00\x00\x00\x00\x00"),
 ]
+PARTS = [CASES[2], CASES[3], CASES[4]]
+CASES.append(
+    Case(
+        Broadcast(STAMP, STEP, *(case.message for case in PARTS)),  # type: ignore[arg-type]
+        b"".join(HEAD[4:] + case.body for case in PARTS),
+        (18, 6),
+    )
+)
 each = pytest.mark.parametrize("case", CASES, ids=lambda case: type(case.message).__name__)
 
 stamps = st.integers(0, (2**31 - 1) * 10**9)
@@ -85,6 +94,14 @@ messages = st.one_of(
     st.builds(DesiredAbstractState, stamps, u64, u8, *[f64] * 8),
     st.builds(SwarmEvent, stamps, u64, u16, u8, f64, st.text(max_size=30)),
     st.builds(RecordingProgress, stamps, u64, u64),
+    st.builds(
+        Broadcast,
+        stamps,
+        u64,
+        st.builds(AbstractState, stamps, u64, u16, f64, f64, f64, f64),
+        st.builds(AuxiliaryState, stamps, u64, *[f64] * 8),
+        st.builds(DesiredAbstractState, stamps, u64, u8, *[f64] * 8),
+    ),
 )
 message_types = st.sampled_from([topic.message for topic in TOPICS])
 

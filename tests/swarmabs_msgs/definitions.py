@@ -67,13 +67,20 @@ def significant_bytes(definition: Definition, detail: bytes) -> list[bool]:
     detail : bytes
         Content of its string, where it has one.
     """
-    # Seconds, nanoseconds, length and characters of the frame id; encapsulation apart, alignment counts from here.
-    content = [True] * (4 + 4 + 4 + len("plane") + 1)
+    content: list[bool] = []  # the encapsulation apart, from where alignment counts
+    _add_message(content, definition, detail)
+    # Of the encapsulation's two option bytes the last may say how much padding follows.
+    return [True, True, True, False, *content]
+
+
+def _add_message(content: list[bool], definition: Definition, detail: bytes) -> None:
+    content += [False] * (-len(content) % 4)
+    content += [True] * (4 + 4 + 4 + len("plane") + 1)  # seconds, nanoseconds, length and characters of the frame id
     for field in definition.fields[1:]:
-        if field.type == "string":
+        if field.type in DEFINITIONS:
+            _add_message(content, DEFINITIONS[field.type], detail)
+        elif field.type == "string":
             content += [False] * (-len(content) % 4) + [True] * (4 + len(detail) + 1)
         else:
             size = SIZES[field.type]
             content += [False] * (-len(content) % size) + [True] * size
-    # Of the encapsulation's two option bytes the last may say how much padding follows.
-    return [True, True, True, False, *content]

@@ -13,7 +13,7 @@ from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definiti
 from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Status
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
-PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str}
+PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
 CONSTANTS: dict[str, tuple[type[IntEnum], ...]] = {
     "AgentState": (Kind, Status),
     "DesiredAbstractState": (Mode,),
@@ -33,6 +33,7 @@ CONTRACT = {
     ],
     "SwarmEvent": ["agent_id", "kind", "value", "detail"],
     "RecordingProgress": ["written_step"],
+    "Broadcast": ["abstract", "auxiliary", "desired"],
 }
 UNIT = re.compile(r"^(kg|m|rad|N|s|1)\b[\w^/() ]*(,| along|$)|\bkg\^?\d?\b|\bm/s\b|\bN\b|\bin the unit\b")
 

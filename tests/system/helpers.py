@@ -148,12 +148,13 @@ def lockstep(
     arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
     on_progress: Callable[[Progress], None] | None = None,
     agents_per_process: int = 1,
+    packed: bool = False,
 ) -> Outcome:
     """Run a scenario as processes."""
     loaded = find_scenario(scenario, overrides).resolved()
     made = new_run_folder(folder)
     options: dict[str, Any] = {"arrange": arrange, "on_progress": on_progress}
-    return LockstepRun(loaded, made, agents_per_process=agents_per_process, **options).run()
+    return LockstepRun(loaded, made, agents_per_process=agents_per_process, packed=packed, **options).run()
 
 
 @cache

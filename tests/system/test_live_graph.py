@@ -72,6 +72,24 @@ def test_every_robot_is_a_process_that_hears_the_three_broadcasts_and_nothing_el
         assert command.wait().code == 1
 
 
+def test_robots_with_packed_broadcasts_hear_these_and_nothing_else(folder: Path) -> None:
+    with started_swarm("run", "pd_het_4", "--packed", "--duration", 100_000, "-o", folder) as command:
+        until_stepping(folder)
+        seen = seen_graph(folder, 8)
+        command.process.terminate()
+        command.wait()
+    assert isinstance(seen, dict)
+    controller, packed = OTHERS["parent_controller"], "/swarm/broadcast"
+    assert seen == OTHERS | {
+        "parent_controller": {
+            "publishes": sorted([*controller["publishes"], packed]),
+            "hears": sorted([*controller["hears"], *BROADCASTS[:2]]),
+            "serves": [],
+        },
+        **{f"agent_{index:03d}": ROBOT | {"hears": [packed]} for index in range(1, 5)},
+    }
+
+
 def test_the_command_env_gives_the_same_view(folder: Path) -> None:
     with started_swarm("run", "--duration", 100_000, "-o", folder) as command:
         until_stepping(folder)

@@ -87,6 +87,22 @@ def test_robots_that_share_processes(folder: Path, scenario: str) -> None:
     same_as_simulated(folder, scenario, seconds(2.0), agents_per_process=3)
 
 
+@pytest.mark.parametrize(
+    ("scenario", "overrides", "agents_per_process"),
+    [
+        ("arise_het_4", (), 1),
+        ("pd_het_4", ("plane.robot_gravity=true",), 1),
+        ("pd_het_4", ("faults=[{at: 0.5, kind: kill, agent: 1}, {at: 1.0, kind: leave, agent: 4}]",), 1),
+        ("pd_het_4", ("faults=[{at: 0.7, kind: join, agent: 3}, {kind: delay, steps: 2}]",), 1),
+        ("arise_het_20", (), 7),
+    ],
+    ids=["plain", "gravity", "robots that go", "a robot that comes", "shared"],
+)
+def test_packed_broadcasts(folder: Path, scenario: str, overrides: tuple[str, ...], agents_per_process: int) -> None:
+    options = {"packed": True, "agents_per_process": agents_per_process}
+    same_as_simulated(folder, scenario, *overrides, seconds(2.0), **options)
+
+
 @pytest.fixture
 def full_load() -> Iterator[None]:
     """Keep every core busy twice over."""
@@ -107,9 +123,10 @@ def lossy(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
 
 
 @pytest.mark.usefixtures("own_modules")
-def test_lost_packets_change_nothing(folder: Path) -> None:
+@pytest.mark.parametrize("options", [{}, {"packed": True}], ids=["three broadcasts", "packed"])
+def test_lost_packets_change_nothing(folder: Path, options: dict[str, object]) -> None:
     """Every node loses one message in a hundred: whoever lacks one waits until it is repeated."""
-    same_as_simulated(folder, "pd_het_4", seconds(1.4), arrange=lossy)
+    same_as_simulated(folder, "pd_het_4", seconds(1.4), arrange=lossy, **options)
     logs = [log.read_text(encoding="utf-8") for log in (folder / "logs").glob("*.log")]
     assert sum(text.count("lost: ") for text in logs) > 10
 

@@ -6,18 +6,19 @@ import sys
 from pathlib import Path
 
 from swarmabs_core import configure
-from swarmabs_core.behaviours import AgentGroup
+from swarmabs_core.behaviours import AgentGroup, Unpacking
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, EVENTS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.runner import PACKED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
     Parameter("agent_ids", (1,), "ids of the robots in this process", minimum=1, maximum=65535),
+    PACKED,
 )
 
 
@@ -35,7 +36,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     missing = [agent_id for agent_id in settings.integers("agent_ids") if agent_id not in configs]
     if missing:
         raise InputError(f"parameter agent_ids: the scenario has no robot {missing[0]}")
-    group = AgentGroup([configs[agent_id] for agent_id in settings.integers("agent_ids")])
+    group: AgentGroup | Unpacking = AgentGroup([configs[agent_id] for agent_id in settings.integers("agent_ids")])
+    if settings.flag(PACKED.name):
+        group = Unpacking(group)
     return NodeSpec(group, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in group.needs})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from math import inf
 
-from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
+from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits, Unpacking
 from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
@@ -13,7 +13,7 @@ from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import GRAVITY, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import GRAVITY, PACKED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
@@ -38,6 +38,7 @@ PARAMETERS = (
     Parameter("loss_probability", 0.0, "injected probability of missing the broadcasts", minimum=0.0, maximum=1.0),
     Parameter("seed", 1, "seed of the injected losses", minimum=0),
     Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
+    PACKED,
 )
 
 
@@ -87,7 +88,9 @@ def config(settings: Settings) -> AgentConfig:
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    agent = Agent(config(settings))
+    agent: Agent | Unpacking = Agent(config(settings))
+    if settings.flag(PACKED.name):
+        agent = Unpacking(agent)
     return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})
 
 

@@ -6,15 +6,23 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import Controller, ControllerConfig
+from swarmabs_core.behaviours import Controller, ControllerConfig, PackingController
 from swarmabs_core.controllers import CONTROLLERS, ParentContext, controller_type, make_controller
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
-from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, RECORDING_PROGRESS
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AUXILIARY_STATE,
+    BROADCAST,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    RECORDING_PROGRESS,
+)
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.runner import PACKED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -34,6 +42,7 @@ PARAMETERS = (
     Parameter("manifold.offset", 0.025, "B of J_sd = A tau^2 + B, kg m^2", above=0.0),
     Parameter("manifold.torque_max", 5.0, "limit of the desired torque, N m", above=0.0),
     Parameter("recording_window", 0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0),
+    PACKED,
 )
 
 
@@ -58,11 +67,11 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     subscriptions = {PLANE_STATE: requested(PLANE_STATE, depth=10)}
     if window:
         subscriptions[RECORDING_PROGRESS] = requested(RECORDING_PROGRESS, depth=1)
-    return NodeSpec(
-        Controller(ControllerConfig(period_ns, manifold, window, settings.last_step()), law),
-        (EVENTS, DESIRED_ABSTRACT_STATE),
-        subscriptions,
-    )
+    controller = Controller(ControllerConfig(period_ns, manifold, window, settings.last_step()), law)
+    if not settings.flag(PACKED.name):
+        return NodeSpec(controller, (EVENTS, DESIRED_ABSTRACT_STATE), subscriptions)
+    subscriptions |= {topic: requested(topic, depth=10) for topic in (ABSTRACT_STATE, AUXILIARY_STATE)}
+    return NodeSpec(PackingController(controller), (EVENTS, DESIRED_ABSTRACT_STATE, BROADCAST), subscriptions)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -2,7 +2,8 @@
 
 A message is encapsulation header, ``std_msgs/Header``, ``uint64 step`` and the message's own fields; since
 the frame id is always ``plane``, all but `SwarmEvent` have a fixed layout, and one `struct.Struct` each says
-it all. That these layouts are what ROS 2 itself writes for ``swarmabs_msgs`` is a test.
+it all; a `Broadcast` is three of them in a row. That these layouts are what ROS 2 itself writes for ``swarmabs_msgs``
+is a test.
 """
 
 from __future__ import annotations
@@ -11,19 +12,30 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, SwarmEvent
+from swarmabs_core.messages import (
+    FRAME_ID,
+    TOPICS,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    Broadcast,
+    DesiredAbstractState,
+    SwarmEvent,
+)
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
-_FRAME = FRAME_ID.encode() + b"\x00"
+_FRAME = struct.pack(f"<I{len(FRAME_ID) + 1}s", len(FRAME_ID) + 1, FRAME_ID.encode())
+"""The frame id as it stands in a message: length, characters, zero."""
 _SECOND = 1_000_000_000
 _TRANSPORT_PADDING = 4
 """Fast DDS pads a serialised payload to a multiple of this."""
 
-# encapsulation | sec, nanosec | frame id: length, characters, padding to 8 | step
-_PREFIX = f"<4siII{len(_FRAME)}s6xQ"
+# sec, nanosec | frame id, padding to 8 | step
+_HEAD = f"iI{len(_FRAME)}s6xQ"
+_PREFIX = f"<4s{_HEAD}"
 _FIELDS = {
     "PlaneState": "2d",
     "AgentState": "QHBB4x5d",
@@ -33,10 +45,14 @@ _FIELDS = {
     "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
     "RecordingProgress": "Q",
 }
+_PARTS = ("AbstractState", "AuxiliaryState", "DesiredAbstractState")
+_FIELDS["Broadcast"] = "".join(_HEAD + _FIELDS[part] for part in _PARTS)
 _LAYOUT: dict[type[Message], struct.Struct] = {
     topic.message: struct.Struct(_PREFIX + _FIELDS[topic.message.__name__]) for topic in TOPICS
 }
 _EVENT = _LAYOUT[SwarmEvent]
+_BROADCAST = _LAYOUT[Broadcast]
+_new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` and `_make` are Python functions around it
 
 
 def encode(message: Message) -> bytes:
@@ -57,11 +73,11 @@ def encode(message: Message) -> bytes:
     MalformedMessageError
         If a field does not fit its type.
     """
-    if isinstance(message, SwarmEvent):
-        return _encode_event(message)
+    if isinstance(message, (SwarmEvent, Broadcast)):
+        return _encode_event(message) if isinstance(message, SwarmEvent) else _encode_broadcast(message)
     seconds, nanoseconds = divmod(message[0], _SECOND)
     try:
-        return _LAYOUT[type(message)].pack(_ENCAPSULATION, seconds, nanoseconds, len(_FRAME), _FRAME, *message[1:])
+        return _LAYOUT[type(message)].pack(_ENCAPSULATION, seconds, nanoseconds, _FRAME, *message[1:])
     except struct.error as error:
         raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
 
@@ -74,7 +90,6 @@ def _encode_event(event: SwarmEvent) -> bytes:
             _ENCAPSULATION,
             seconds,
             nanoseconds,
-            len(_FRAME),
             _FRAME,
             event.step,
             event.agent_id,
@@ -102,23 +117,49 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     MalformedMessageError
         If the length, the encapsulation or the frame id is not that of a message of this swarm.
     """
+    if message_type is SwarmEvent or message_type is Broadcast:
+        return _decode_event(data) if message_type is SwarmEvent else _decode_broadcast(data)
     layout = _LAYOUT[message_type]
     size = layout.size
-    if message_type is SwarmEvent:
-        return _decode_event(data)
     if not size <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
-    encapsulation, seconds, nanoseconds, length, frame, *fields = layout.unpack_from(data)
-    _check_head(message_type, encapsulation, length, frame)
-    make: Any = message_type
-    return make(seconds * _SECOND + nanoseconds, *fields)  # type: ignore[no-any-return]
+    values = layout.unpack_from(data)
+    if values[0] != _ENCAPSULATION or values[3] != _FRAME:
+        _check_head(message_type, values[0], values[3])
+    return _new(message_type, (values[1] * _SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
+
+
+def _encode_broadcast(broadcast: Broadcast) -> bytes:
+    values: list[object] = [_ENCAPSULATION, *divmod(broadcast.stamp, _SECOND), _FRAME, broadcast.step]
+    for part in broadcast[2:]:
+        values += (*divmod(part[0], _SECOND), _FRAME, *part[1:])
+    try:
+        return _BROADCAST.pack(*values)
+    except struct.error as error:
+        raise MalformedMessageError("Broadcast", f"{error} in {broadcast}") from error
+
+
+def _decode_broadcast(data: bytes) -> Broadcast:
+    if not _BROADCAST.size <= len(data) < _BROADCAST.size + _TRANSPORT_PADDING:
+        raise MalformedMessageError("Broadcast", f"{len(data)} bytes, expected {_BROADCAST.size}")
+    values = _BROADCAST.unpack_from(data)
+    for frame in (values[3], values[7], values[16], values[28]):
+        if values[0] != _ENCAPSULATION or frame != _FRAME:
+            _check_head(Broadcast, values[0], frame)
+    return Broadcast(
+        values[1] * _SECOND + values[2],
+        values[4],
+        _new(AbstractState, (values[5] * _SECOND + values[6], *values[8:14])),
+        _new(AuxiliaryState, (values[14] * _SECOND + values[15], *values[17:26])),
+        _new(DesiredAbstractState, (values[26] * _SECOND + values[27], *values[29:])),
+    )
 
 
 def _decode_event(data: bytes) -> SwarmEvent:
     if len(data) < _EVENT.size:
         raise MalformedMessageError("SwarmEvent", f"{len(data)} bytes, expected at least {_EVENT.size}")
-    encapsulation, seconds, nanoseconds, length, frame, step, agent_id, kind, value, count = _EVENT.unpack_from(data)
-    _check_head(SwarmEvent, encapsulation, length, frame)
+    encapsulation, seconds, nanoseconds, frame, step, agent_id, kind, value, count = _EVENT.unpack_from(data)
+    _check_head(SwarmEvent, encapsulation, frame)
     text = data[_EVENT.size : _EVENT.size + count]
     if count < 1 or len(text) != count or text[-1:] != b"\x00":
         raise MalformedMessageError("SwarmEvent", "`detail` is cut off or not terminated")
@@ -131,10 +172,10 @@ def _decode_event(data: bytes) -> SwarmEvent:
     return SwarmEvent(seconds * _SECOND + nanoseconds, step, agent_id, kind, value, detail)
 
 
-def _check_head(message_type: type[Message], encapsulation: bytes, length: int, frame: bytes) -> None:
+def _check_head(message_type: type[Message], encapsulation: bytes, frame: bytes) -> None:
     if encapsulation[:2] != _ENCAPSULATION[:2]:
         raise MalformedMessageError(message_type.__name__, "not little-endian CDR")
-    if length != len(_FRAME) or frame != _FRAME:
+    if frame != _FRAME:
         raise MalformedMessageError(message_type.__name__, f"frame_id is not {FRAME_ID!r}")
 
 

@@ -153,8 +153,25 @@ class RecordingProgress(NamedTuple):
     written_step: int
 
 
+class Broadcast(NamedTuple):
+    """The three broadcasts of a step in one message, for robots that ask for them so."""
+
+    stamp: int
+    step: int
+    abstract: AbstractState
+    auxiliary: AuxiliaryState
+    desired: DesiredAbstractState
+
+
 Message = (
-    PlaneState | AgentState | AbstractState | AuxiliaryState | DesiredAbstractState | SwarmEvent | RecordingProgress
+    PlaneState
+    | AgentState
+    | AbstractState
+    | AuxiliaryState
+    | DesiredAbstractState
+    | SwarmEvent
+    | RecordingProgress
+    | Broadcast
 )
 """Any message of the swarm."""
 
@@ -180,6 +197,7 @@ DESIRED_ABSTRACT_STATE = Topic(
 )
 EVENTS = Topic("swarm/events", SwarmEvent, "swarmabs_msgs/msg/SwarmEvent")
 RECORDING_PROGRESS = Topic("recording/progress", RecordingProgress, "swarmabs_msgs/msg/RecordingProgress")
+BROADCAST = Topic("swarm/broadcast", Broadcast, "swarmabs_msgs/msg/Broadcast")
 
 MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """The five topics that make up a run, in the order in which a bag holds them within a step."""
@@ -187,6 +205,6 @@ MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRE
 BROADCASTS = (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """All that a robot hears from the swarm."""
 
-TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS)
+TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST)
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
 """The topic on which a message of a class is published."""

@@ -158,9 +158,13 @@ class ExecutorReceiver:
         return arrived.popleft() if arrived else None
 
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
-        """Wait until a message has arrived; return False if none was in time (s)."""
+        """Wait until a message has arrived, and take what else is there; return False if none was in time (s)."""
         try:
-            self._executor.spin_once(timeout_sec=timeout)
+            before = -1
+            while (kept := sum(map(len, self._arrived.values()))) > before:
+                before = kept
+                self._executor.spin_once(timeout_sec=timeout)
+                timeout = 0.0
         except ExternalShutdownException:
             return False
         return any(self._arrived[topic] for topic in topics)

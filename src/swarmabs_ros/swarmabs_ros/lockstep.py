@@ -43,6 +43,8 @@ class Lockstep:
         What the behaviour answers to a stall, such as dropping robots.
     lingers : bool
         Whether to go on repeating the last messages when the behaviour has finished.
+    gather : float
+        Time, s, for which messages may gather once the first has come, before they are handled.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Lockstep:
         stall_timeout: float,
         on_stall: Callable[[], Messages] | None = None,
         lingers: bool = True,
+        gather: float = 0.0,
     ) -> None:
         self._behaviour = behaviour
         self._receiver = receiver
@@ -63,6 +66,7 @@ class Lockstep:
         self._stall_timeout = stall_timeout
         self._on_stall = on_stall
         self._lingers = lingers
+        self._gather = gather
         self._sent: deque[tuple[int, Publisher, bytes]] = deque()
         self._stalled = False
         self._stopping = False
@@ -93,6 +97,8 @@ class Lockstep:
             now = time.monotonic()
             if topics:
                 if receiver.wait(topics, min(SLICE, repeater.wait(now))):
+                    if self._gather:
+                        time.sleep(self._gather)
                     continue
                 now = time.monotonic()
                 self._check_stall(repeater.silence(now))

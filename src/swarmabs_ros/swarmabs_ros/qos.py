@@ -16,6 +16,7 @@ from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
+    BROADCAST,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     PLANE_STATE,
@@ -41,6 +42,7 @@ OFFERED: dict[Topic, Qos] = {
     DESIRED_ABSTRACT_STATE: Qos("reliable", 100),
     EVENTS: Qos("reliable", 1000, "transient_local"),
     RECORDING_PROGRESS: Qos("best_effort", 10),
+    BROADCAST: Qos("best_effort", 10),
 }
 """What the publishers of a topic offer."""
 

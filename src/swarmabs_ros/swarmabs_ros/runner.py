@@ -45,6 +45,7 @@ SCHEDULE = Parameter(
     "schedule", (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'"
 )
 MEMBERS = Parameter("members", (1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
+PACKED = Parameter("packed", default=False, description="whether robots hear the three broadcasts as one message")
 GRAVITY = Parameter("gravity", 9.81, "acceleration of gravity, m/s^2", above=0.0)
 
 
@@ -121,6 +122,8 @@ class NodeSpec:
         What to do at the end, whatever it is; the argument says what went wrong, if something did.
     lingers : bool
         Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
+    gather : float
+        Time, s, for which messages may gather before they are handled, for a node that nobody waits for.
     """
 
     behaviour: Behaviour
@@ -129,6 +132,7 @@ class NodeSpec:
     on_stall: Callable[[], Messages] | None = None
     on_exit: Callable[[str | None], None] = field(default=lambda _: None)
     lingers: bool = True
+    gather: float = 0.0
 
 
 class SwarmNode(Node):
@@ -206,6 +210,7 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         stall_timeout=settings.number("stall_timeout"),
         on_stall=spec.on_stall,
         lingers=spec.lingers,
+        gather=spec.gather,
     )
     stopped = False
 

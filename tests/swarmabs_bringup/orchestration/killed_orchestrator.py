@@ -12,7 +12,7 @@ from swarmabs_bringup.orchestration.launcher_client import LauncherClient
 
 if __name__ == "__main__":
     logs = Path(sys.argv[1])
-    client = LauncherClient({}, logs / "launcher.log")
+    client = LauncherClient({}, logs / "launcher.log", processes=2)
     for name in ("one", "two"):
         client.spawn(child(name), ["ignore-sigterm"], logs / f"{name}.log")
     while True:

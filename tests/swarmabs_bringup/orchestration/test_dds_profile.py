@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from swarmabs_bringup.orchestration.dds_profile import (
+    CONTROLLER_PARTICIPANT,
     COORDINATORS,
     FIRST_FREE,
     FROM_ENVIRONMENT,
@@ -128,12 +129,13 @@ def test_the_groups_port_is_nobody_elses() -> None:
     assert multicast_port(5) != metatraffic_port(5, 0) - METATRAFFIC_OFFSET + GUARD_OFFSET
 
 
-def test_robots_and_coordinators_are_two_groups() -> None:
-    coordinators = {multicast_group(participant) for participant in range(COORDINATORS)}
+def test_robots_the_controller_and_who_hears_the_robots_are_three_groups() -> None:
+    controller = multicast_group(CONTROLLER_PARTICIPANT)
+    gatherers = {multicast_group(n) for n in range(COORDINATORS) if n != CONTROLLER_PARTICIPANT}
     robots = {multicast_group(participant) for participant in range(COORDINATORS, LARGE_SWARM)}
-    assert len(coordinators) == len(robots) == 1
-    assert coordinators != robots
-    assert all(ipaddress.ip_address(group).is_multicast for group in coordinators | robots)
+    assert len(gatherers) == len(robots) == 1
+    assert len({controller} | gatherers | robots) == 3
+    assert all(ipaddress.ip_address(group).is_multicast for group in {controller} | gatherers | robots)
 
 
 def test_multicast_is_found_wanting_where_it_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.usefixtures("nothing_survives"), pytest.mark.timeout(6
 
 @pytest.fixture
 def client(nothing_survives: str, tmp_path: Path) -> Iterator[LauncherClient]:
-    with LauncherClient(SEARCH_PATH, tmp_path / "launcher.log") as client:
+    with LauncherClient(SEARCH_PATH, tmp_path / "launcher.log", processes=2) as client:
         yield client
 
 

@@ -27,7 +27,10 @@ from swarmabs_bringup.orchestration.plan import (
 from swarmabs_bringup.scenarios import builtin_scenarios
 from swarmabs_core import configure
 from swarmabs_core.messages import (
+    ABSTRACT_STATE,
     AGENT_STATE,
+    AUXILIARY_STATE,
+    BROADCAST,
     BROADCASTS,
     EVENTS,
     MAIN_TOPICS,
@@ -240,9 +243,29 @@ def test_everything_published_is_heard_and_everything_heard_is_published(key: st
     processes = planned(scenario_of(key)).values()
     published = {topic for process in processes for topic in process.publications}
     heard = {topic for process in processes for topic in process.subscriptions}
-    assert published == heard == set(TOPICS)
+    assert published == heard == set(TOPICS) - {BROADCAST}
     assert {*MAIN_TOPICS, EVENTS} <= set(planned(scenario_of(key))[RECORDER].subscriptions)
     assert RECORDING_PROGRESS in planned(scenario_of(key))[CONTROLLER].subscriptions
+
+
+@pytest.mark.parametrize("agents_per_process", [1, 3])
+def test_packed_broadcasts_stand_between_controller_and_robots(agents_per_process: int) -> None:
+    folder = Path("/runs/x")
+    processes = plan(
+        scenario_of("faulty"),
+        scenario_file=folder / "scenario.yaml",
+        bag=folder / "bag",
+        logs=folder / "logs",
+        agents_per_process=agents_per_process,
+        packed=True,
+    )
+    robots = [process for process in processes if process.agents]
+    assert all({*process.subscriptions} - {PLANE_STATE} == {BROADCAST} for process in robots)
+    assert {p.name for p in processes if BROADCAST in p.publications} == {CONTROLLER}
+    controller = next(process for process in processes if process.name == CONTROLLER)
+    assert {ABSTRACT_STATE, AUXILIARY_STATE} <= {*controller.subscriptions}
+    told = [process.name for process in processes if process.parameters.get("packed")]
+    assert told == [CONTROLLER, *(process.name for process in robots)]
 
 
 def test_only_robots_that_feel_their_tilt_hear_the_plane() -> None:

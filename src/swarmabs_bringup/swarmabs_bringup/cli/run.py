@@ -53,7 +53,8 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
     show_default=True,
     help="Robots that share a process, for large simulations.",
 )
-def run(agents_per_process: int, **options: Any) -> int:
+@click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
+def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: FBT001 - click names it
     """Run a scenario as one process per robot over DDS, in lockstep.
 
     SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
@@ -63,7 +64,12 @@ def run(agents_per_process: int, **options: Any) -> int:
         from swarmabs_bringup.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
 
         return LockstepRun(
-            scenario, folder, record=record, on_progress=show, agents_per_process=agents_per_process
+            scenario,
+            folder,
+            record=record,
+            on_progress=show,
+            agents_per_process=agents_per_process,
+            packed=packed,
         ).run()
 
     return _carry_out(execute, **options)

@@ -5,7 +5,8 @@ with its square: that is what lets 200 processes find each other in seconds. Onl
 killed leaves no file of shared memory behind.
 
 Where the machine can multicast on loopback, a broadcast is sent once for all robots, and a robot's state once for all
-coordinators. Both are groups of their own, so nobody is woken by what is not for it.
+who gather the states. These are groups of their own, and so is the parent controller: nobody is woken by the many
+messages that are not for it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ COORDINATORS = 8
 
 GROUP_VARIABLE = "SWARMABS_GROUP"
 """Environment variable that holds the address of a process's multicast group."""
-_GROUPS = ("239.255.83.1", "239.255.83.2")
+_ROBOTS, _CONTROLLER, _GATHERERS = "239.255.83.1", "239.255.83.2", "239.255.83.3"
+
+CONTROLLER_PARTICIPANT = 2
+"""Participant id of the parent controller, the one coordinator that does not hear the robots."""
 
 _BUFFER = 4 * 2**20
 
@@ -106,14 +110,16 @@ _MULTICAST = """<defaultUnicastLocatorList>
 
 
 def multicast_group(participant: int) -> str:
-    """Return the address of the group to which a participant listens: that of the robots, or of the coordinators."""
-    return _GROUPS[participant < COORDINATORS]
+    """Return the address of the group to which a participant listens."""
+    if participant >= COORDINATORS:
+        return _ROBOTS
+    return _CONTROLLER if participant == CONTROLLER_PARTICIPANT else _GATHERERS
 
 
 def multicast_works(timeout: float = 0.5) -> bool:
     """Try whether this machine carries multicast on loopback, by sending itself a datagram; `timeout` in s."""
     loopback = socket.inet_aton("127.0.0.1")
-    group = _GROUPS[0]
+    group = _ROBOTS
     try:
         with (
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as hear,

@@ -9,6 +9,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from swarmabs_bringup.orchestration.launcher import CROWDED
 from swarmabs_ros.status import REPORT_FD, START_FD
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
     from swarmabs_bringup.orchestration.plan import ProcessPlan
 
+CROWD = 8
+"""More nodes per core than this share the cores in turn, without interrupting each other for every message."""
 END_SECONDS = 10.0
 """Longest time, s, that the launcher may take to end its children; then it is killed, and the kernel ends them."""
 
@@ -33,6 +36,8 @@ class LauncherClient:
         Environment variables to add for launcher and nodes.
     log : Path
         File for what the launcher itself prints.
+    processes : int
+        How many nodes there will be.
 
     Attributes
     ----------
@@ -40,13 +45,14 @@ class LauncherClient:
         File descriptor from which the reports of launcher and nodes are read.
     """
 
-    def __init__(self, environment: Mapping[str, str], log: Path) -> None:
+    def __init__(self, environment: Mapping[str, str], log: Path, *, processes: int) -> None:
         self.reports, report_write = os.pipe()
         start_read, self._start = os.pipe()
         self._pending = b""
+        crowded = [CROWDED] if processes > CROWD * len(os.sched_getaffinity(0)) else []
         with log.open("ab") as stream:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher"],
+                [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher", *crowded],
                 stdin=subprocess.PIPE,
                 stdout=stream,
                 stderr=stream,

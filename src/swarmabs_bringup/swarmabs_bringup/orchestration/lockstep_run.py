@@ -61,6 +61,8 @@ class LockstepRun:
         Changes the processes before any is started, such as their order or parameters.
     agents_per_process : int
         How many robots share a process.
+    packed : bool
+        Whether the robots hear the three broadcasts as one message, which costs less where they are many.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class LockstepRun:
         namespace: str = "/",
         arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
         agents_per_process: int = 1,
+        packed: bool = False,
     ) -> None:
         self._scenario = scenario
         self._folder = folder
@@ -85,6 +88,7 @@ class LockstepRun:
             bag=bag,
             logs=folder.logs,
             agents_per_process=agents_per_process,
+            packed=packed,
         )
         self._plan = tuple(arrange(planned))
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
@@ -122,7 +126,9 @@ class LockstepRun:
             write_network(self._folder.logs, domain, participants)
             wake = stack.enter_context(self._interruptible())
             environment = dds_environment(domain, str(profile.resolve()))
-            launcher = stack.enter_context(LauncherClient(environment, self._folder.logs / "launcher.log"))
+            launcher = stack.enter_context(
+                LauncherClient(environment, self._folder.logs / "launcher.log", processes=len(self._plan))
+            )
             failure = self._supervise(launcher, wake)
             return self._conclude(launcher, wake, failure)
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from math import isinf
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.orchestration.dds_profile import COORDINATORS
+from swarmabs_bringup.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
 from swarmabs_core import configure
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
+    BROADCAST,
     BROADCASTS,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
@@ -97,7 +98,13 @@ def group_name(agent_ids: tuple[int, ...]) -> str:
 
 
 def plan(
-    scenario: Scenario, *, scenario_file: Path, bag: Path | None, logs: Path, agents_per_process: int = 1
+    scenario: Scenario,
+    *,
+    scenario_file: Path,
+    bag: Path | None,
+    logs: Path,
+    agents_per_process: int = 1,
+    packed: bool = False,
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
@@ -113,6 +120,8 @@ def plan(
         Folder of the processes' logs, for the recorder.
     agents_per_process : int
         How many robots share a process.
+    packed : bool
+        Whether the robots hear the three broadcasts as one message.
     """
     common: dict[str, object] = {
         "period_ns": scenario.step_ns,
@@ -156,7 +165,7 @@ def plan(
         ProcessPlan(
             CONTROLLER,
             "parent_controller.node",
-            2,
+            CONTROLLER_PARTICIPANT,
             common
             | {
                 "plane.inertia": plane.inertia,
@@ -166,10 +175,11 @@ def plan(
                 "manifold.torque_max": manifold.torque_max,
                 "recording_window": configure.RECORDING_WINDOW,
                 "controller.type": scenario.controller.type,
+                "packed": packed,
             }
             | {f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
-            (EVENTS, DESIRED_ABSTRACT_STATE),
-            (PLANE_STATE, RECORDING_PROGRESS),
+            (EVENTS, DESIRED_ABSTRACT_STATE, *((BROADCAST,) if packed else ())),
+            (PLANE_STATE, RECORDING_PROGRESS, *((ABSTRACT_STATE, AUXILIARY_STATE) if packed else ())),
         ),
         ProcessPlan(
             RECORDER,
@@ -179,7 +189,7 @@ def plan(
             (RECORDING_PROGRESS,),
             (*MAIN_TOPICS, EVENTS),
         ),
-        *_agent_processes(scenario, common, scenario_file, agents_per_process),
+        *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process),
     ]
     _expect_counterparts(processes)
     return tuple(processes)
@@ -189,6 +199,7 @@ def _agent_processes(
     scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int
 ) -> list[ProcessPlan]:
     configs = configure.agent_configs(scenario)
+    heard = (BROADCAST,) if common["packed"] else BROADCASTS
     processes = []
     for index, first in enumerate(range(0, len(configs), per_process)):
         hosted = configs[first : first + per_process]
@@ -206,7 +217,7 @@ def _agent_processes(
                 COORDINATORS + index,
                 common | parameters,
                 (EVENTS, AGENT_STATE),
-                (*BROADCASTS, PLANE_STATE) if feels else BROADCASTS,
+                (*heard, PLANE_STATE) if feels else heard,
                 ids,
             )
         )

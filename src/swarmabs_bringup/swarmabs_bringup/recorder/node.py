@@ -44,6 +44,9 @@ CREDIT_EVERY = 10
 """Steps between two reports of how far the recording is."""
 REPORT_SECONDS = 0.1
 """Time between two reports to the orchestrator, s."""
+GATHER_SECONDS = 0.005
+"""Time for which messages gather, s: waking up for each costs more than recording it, and the run waits for nothing
+here as long as the credit of 100 steps lasts."""
 
 
 class Recorder:
@@ -169,7 +172,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     subscriptions = {
         topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=True) for topic in _EVERYTHING
     }
-    return NodeSpec(recorder, (RECORDING_PROGRESS,), subscriptions, on_exit=finish, lingers=False)
+    return NodeSpec(
+        recorder, (RECORDING_PROGRESS,), subscriptions, on_exit=finish, lingers=False, gather=GATHER_SECONDS
+    )
 
 
 def main(args: list[str] | None = None) -> int:

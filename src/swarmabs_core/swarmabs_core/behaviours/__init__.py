@@ -5,6 +5,7 @@ from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.group import AgentGroup
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
+from swarmabs_core.behaviours.packing import PackingController, Unpacking
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
 
 __all__ = [
@@ -18,6 +19,8 @@ __all__ = [
     "Limits",
     "Observer",
     "ObserverConfig",
+    "PackingController",
     "Plane",
     "PlaneConfig",
+    "Unpacking",
 ]
