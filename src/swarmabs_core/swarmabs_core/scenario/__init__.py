@@ -1,7 +1,9 @@
 """Scenarios: the one description of a run that everything is started from (docs/design.md, Scenario)."""
 
+from swarmabs_core.theory.constraint_sets import largest_position
+
 from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
-from .checks import largest_position, spread
+from .checks import spread
 from .controllers import (
     CONTROLLER_CONFIGS,
     TRAJECTORY_CONFIGS,

@@ -1,11 +1,13 @@
 """Checks that look at several fields of a scenario at once, and warnings about legal but doubtful ones."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
+
+from swarmabs_core.theory.constraint_sets import largest_position
 
 from .faults import AgentFault, DelayFault, JoinFault, LeaveFault, LossFault
 from .fields import SMALLEST, Finding, Location
@@ -40,29 +42,6 @@ def spread(agents: Iterable["Agent"]) -> tuple[float, float]:
     s0 = math.fsum(square for square, _ in members)
     centre = math.fsum(square * position for square, position in members) / s0
     return s0, s0 * math.fsum(square * (position - centre) ** 2 for square, position in members)
-
-
-def largest_position(torque: float, inertia: float, masses: Sequence[float], gravity: float) -> float:
-    """Return the largest |p_i| (m) that any robot can have in the preimage of an abstract state.
-
-    With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
-    attained; it is infinite where the preimage is empty.
-
-    Parameters
-    ----------
-    torque, inertia : float
-        The abstract state: tau_s in N m, Js in kg m^2.
-    masses : sequence of float
-        The robots' masses in kg.
-    gravity : float
-        g in m/s^2.
-    """
-    total = math.fsum(masses)
-    moment = torque / gravity
-    free = inertia - moment * moment / total
-    if free < 0:
-        return math.inf
-    return abs(moment) / total + math.sqrt(free * max(0.0, 1 / min(masses) - 1 / total))
 
 
 def _timing(scenario: "Scenario") -> Iterator[Finding]:

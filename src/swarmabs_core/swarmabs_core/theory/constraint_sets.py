@@ -1,0 +1,377 @@
+r"""Which abstract states the robots can give without leaving the plane (def. absConstrained to partConstrained).
+
+A state (tau, J) of a swarm stands for all positions with g sum m p = tau and sum m p^2 = J: its preimage. With
+T = tau/g, M = sum m, h = L/2 and the box |p_i| <= h, three curves over T divide the abstract space:
+
+.. math::
+
+    J_{min} = T^2/M \qquad J_A = J_{min} + (h - |T|/M)^2 / (1/m_{min} - 1/M) \qquad
+    J_{max} = \max \{ \sum m p^2 : |p_i| \le h, \sum m p = T \}
+
+Below J_min nothing gives the state. Up to J_A every preimage is in the box (A_A), up to J_max some are (A_P), above,
+and for |T| > M h, none is (A_U). A state on a curve, or off it by rounding, counts to the set below it.
+
+J_max is attained at a vertex of the box's slice: all robots at an end of the plane but at most one. It is thus the
+upper envelope of the edges of the box, each of which is a parabola in the abstract space, and asks for a signed sum of
+masses near a given one. That is exact for up to 20 different masses, and for any number of equal ones; beyond, a
+vertex near the best one and M h^2 bracket it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from enum import Enum
+from functools import lru_cache
+from math import copysign, fsum, inf, prod, sqrt
+from typing import NamedTuple
+
+_ROUNDING = 1e-12
+"""Relative: a state beyond a boundary by less counts as on it."""
+_LARGEST_HALF = 1 << 10
+"""J_max is exact where the robots split into two halves with at most this many signed sums of masses each."""
+_FREE = 14
+"""Robots whose signs are all tried where they are too many for exactness."""
+_MOST_EDGES = 1 << 16
+"""Edges of the box that are looked at to follow a curve below their envelope."""
+
+
+class StateClass(Enum):
+    """What the preimage of an abstract state has to do with the plane."""
+
+    ADMISSIBLE = "A_A"
+    """All positions in the preimage are on the plane."""
+    PARTIAL = "A_P"
+    """Some are, some are not."""
+    UNREACHABLE = "A_U"
+    """There are positions in the preimage, but none on the plane."""
+    EMPTY = "empty"
+    """No positions give this torque and inertia, on the plane or off it."""
+    UNDECIDED = "A_P or A_U"
+    """One of these two: the robots are too many for an exact answer, and the bracket of J_max holds the state."""
+
+
+class Bracket(NamedTuple):
+    """Two bounds of a number; equal where it is known exactly."""
+
+    lower: float
+    upper: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether the bounds are equal."""
+        return self.lower == self.upper
+
+
+class Edge(NamedTuple):
+    """An edge of the box: one robot moves across the plane while all others stand at its ends.
+
+    Over x from -1 to 1 it gives T = h (rest + mass x) and J = h^2 (M - mass (1 - x^2)).
+    """
+
+    mass: float
+    """Of the robot that moves, kg."""
+    rest: float
+    """Sum of the other masses, kg, negative for those at the negative end."""
+
+
+class ManifoldReach(NamedTuple):
+    """Up to which |tau| (N m) a manifold J = curvature tau^2 + offset stays in which set, from tau = 0 on.
+
+    -inf where it is outside at tau = 0 already, inf where it never leaves.
+    """
+
+    admissible: float
+    """It lies in A_A."""
+    reachable: Bracket
+    """It lies in A_A or A_P; exact for up to 13 different masses."""
+    nonempty: float
+    """There are positions, on the plane or off it."""
+
+
+def largest_position(torque: float, inertia: float, masses: Sequence[float], gravity: float) -> float:
+    """Return the largest |p_i| (m) that any robot can have in the preimage of an abstract state.
+
+    With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
+    attained; it is infinite where the preimage is empty.
+
+    Parameters
+    ----------
+    torque, inertia : float
+        The abstract state: tau_s in N m, Js in kg m^2.
+    masses : sequence of float
+        The robots' masses in kg.
+    gravity : float
+        g in m/s^2.
+    """
+    total = fsum(masses)
+    moment = torque / gravity
+    free = inertia - moment * moment / total
+    if free < 0:
+        return inf
+    return abs(moment) / total + sqrt(free * max(0.0, 1 / min(masses) - 1 / total))
+
+
+def smallest_inertia(torque: float, masses: Sequence[float], gravity: float) -> float:
+    """Return J_min = T^2/M (kg m^2), below which no positions have this torque (N m): the domain's lower bound."""
+    moment = torque / gravity
+    return moment * moment / fsum(masses)
+
+
+def largest_admissible_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> float:
+    """Return J_A (kg m^2), the upper boundary of A_A, at a torque.
+
+    It is where `largest_position` equals L/2; -inf where no state with this torque lies in A_A.
+
+    Parameters
+    ----------
+    torque : float
+        N m.
+    masses : sequence of float
+        kg, of at least two robots.
+    length : float
+        Of the plane, m.
+    gravity : float
+        m/s^2.
+    """
+    total = _total(masses)
+    left = length / 2 - abs(torque) / (gravity * total)
+    if left < -_ROUNDING * length:
+        return -inf
+    return smallest_inertia(torque, masses, gravity) + max(left, 0.0) ** 2 / (1 / min(masses) - 1 / total)
+
+
+def largest_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> Bracket:
+    """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque.
+
+    It is exact for up to 20 different masses, for any number of equal ones, and for torques so large that hardly a
+    robot can stand on the other side. Both bounds are -inf where no positions on the plane have this torque.
+
+    Parameters
+    ----------
+    torque : float
+        N m.
+    masses : sequence of float
+        kg, of at least two robots.
+    length : float
+        Of the plane, m.
+    gravity : float
+        m/s^2.
+    """
+    half, total = length / 2, _total(masses)
+    wanted = abs(torque) / (gravity * half)
+    if wanted > total * (1 + _ROUNDING):
+        return Bracket(-inf, -inf)
+    wanted = min(wanted, total)
+    members = sorted(masses)
+    if all(_sums(part) <= _LARGEST_HALF for part in _halves(members)):
+        exact, missing = True, _least_missing(wanted, tuple(members))
+    else:
+        # If the torque is large enough, every robot that can be on the other side is among the lightest. Else robots
+        # of all masses are free, and the others stand such that these have little left to do.
+        exact = total - wanted <= 2 * members[_FREE - 1]
+        free = range(_FREE) if exact else range(0, len(members), len(members) // _FREE)[:_FREE]
+        left = wanted
+        for index in reversed(range(len(members))):
+            if index not in free:
+                left -= members[index] if left >= 0 else -members[index]
+        least = _least_missing(left, tuple(members[index] for index in free))
+        missing = min(least, _missing(wanted, _chain(members, total), _ROUNDING * total))
+    lower = half * half * (total - missing)
+    return Bracket(lower, lower if exact else half * half * total)
+
+
+def classify(torque: float, inertia: float, masses: Sequence[float], length: float, gravity: float) -> StateClass:
+    """Return the class of an abstract state: A_A, A_P, A_U, or empty.
+
+    UNDECIDED occurs only where `largest_inertia` is not exact.
+
+    Parameters
+    ----------
+    torque, inertia : float
+        The abstract state: tau_s in N m, Js in kg m^2.
+    masses : sequence of float
+        kg, of at least two robots.
+    length : float
+        Of the plane, m.
+    gravity : float
+        m/s^2.
+    """
+    slack = _ROUNDING * length * length * _total(masses) / 4
+    if inertia < smallest_inertia(torque, masses, gravity) * (1 - _ROUNDING):
+        return StateClass.EMPTY
+    if inertia <= largest_admissible_inertia(torque, masses, length, gravity) + slack:
+        return StateClass.ADMISSIBLE
+    bound = largest_inertia(torque, masses, length, gravity)
+    if inertia <= bound.lower + slack:
+        return StateClass.PARTIAL
+    return StateClass.UNREACHABLE if inertia > bound.upper + slack else StateClass.UNDECIDED
+
+
+def manifold_reach(
+    curvature: float, offset: float, masses: Sequence[float], length: float, gravity: float
+) -> ManifoldReach:
+    """Return how far along a manifold J = curvature tau^2 + offset its states stay in A_A, and in A_A or A_P.
+
+    Parameters
+    ----------
+    curvature : float
+        kg m^2/(N m)^2, not negative.
+    offset : float
+        kg m^2, positive.
+    masses : sequence of float
+        kg, of at least two robots.
+    length : float
+        Of the plane, m.
+    gravity : float
+        m/s^2.
+    """
+    half, total = length / 2, _total(masses)
+    # All over s = T/h, in kg, with inertias divided by h^2.
+    rise, start, unit = curvature * gravity**2, offset / half**2, gravity * half
+    spread = 1 / min(masses) - 1 / total
+    shortage = 1 / total - rise
+    nonempty = sqrt(start / shortage) if shortage > 0 else inf
+    # In A_A: (1 - s/M)^2 - spread (start - shortage s^2) >= 0, on s <= M.
+    inside = _nonnegative(1 / total**2 + spread * shortage, -2 / total, 1 - spread * start, 0.0, total)
+    admissible = _first_gap(inside, total)
+    ceiling = total if start <= total else -inf
+    if rise > 0 and start <= total:
+        ceiling = min(ceiling, sqrt((total - start) / rise))
+    complete = _edge_count(masses) <= _MOST_EDGES
+    edges = box_edges(masses) if complete else _chains(sorted(masses))
+    below = (
+        interval
+        for mass, rest in edges
+        for interval in _nonnegative(
+            1 / mass - rise,
+            -2 * rest / mass,
+            rest * rest / mass + total - mass - start,
+            max(rest - mass, 0.0),
+            rest + mass,
+        )
+    )
+    lower = min(_first_gap(below, total), nonempty)
+    upper = lower if complete else min(ceiling, nonempty)
+    return ManifoldReach(unit * min(admissible, nonempty), Bracket(unit * lower, unit * upper), unit * nonempty)
+
+
+def box_edges(masses: Sequence[float]) -> Iterator[Edge]:
+    """Yield all N 2^(N-1) edges of the box of positions; of robots with equal masses each different one once."""
+    groups = Counter(masses)
+    for mass in groups:
+        for rest in _signed_sums(groups - Counter((mass,))):
+            yield Edge(mass, rest)
+
+
+def _total(masses: Sequence[float]) -> float:
+    if len(masses) < 2:
+        raise ValueError(f"the constraint sets need at least two robots, got {len(masses)}")
+    return fsum(masses)
+
+
+def _signed_sums(groups: Counter[float]) -> list[float]:
+    """Return the different sums of +-mass over groups of equal masses, ascending; kg."""
+    sums = {0.0}
+    for mass, count in sorted(groups.items()):
+        sums = {rest + mass * (2 * positive - count) for rest in sums for positive in range(count + 1)}
+    return sorted(sums)
+
+
+def _sums(groups: Counter[float]) -> int:
+    return prod(count + 1 for count in groups.values())
+
+
+def _edge_count(masses: Sequence[float]) -> int:
+    groups = Counter(masses)
+    return sum(_sums(groups) // (count + 1) * count for count in groups.values())
+
+
+def _halves(masses: Sequence[float]) -> tuple[Counter[float], Counter[float]]:
+    """Split the robots such that both parts have about as many signed sums; equal masses stay together."""
+    halves: tuple[Counter[float], Counter[float]] = (Counter(), Counter())
+    for mass, count in sorted(Counter(masses).items(), key=lambda group: (-group[1], group[0])):
+        min(halves, key=_sums)[mass] = count
+    return halves
+
+
+@lru_cache(maxsize=16)
+def _rests(masses: tuple[float, ...]) -> tuple[tuple[float, list[float], list[float]], ...]:
+    """Return for each different mass two lists; the sums of one of each are the signed sums of all others."""
+    parts = _halves(masses)
+    lists = [_signed_sums(part) for part in parts]
+    return tuple(
+        (mass, _signed_sums(parts[index] - Counter((mass,))), lists[1 - index])
+        for index in (0, 1)
+        for mass in parts[index]
+    )
+
+
+def _least_missing(wanted: float, masses: tuple[float, ...]) -> float:
+    """Return the smallest (M h^2 - J)/h^2 (kg) over all vertices of a slice T = h wanted; inf if there is none."""
+    slack = _ROUNDING * fsum(masses)
+    least = inf
+    for mass, some, others in _rests(masses):
+        # The one that moves shall be near an end: the rest just above wanted - mass, or just below wanted + mass.
+        low, high = wanted - mass - slack, wanted + mass + slack
+        for rest in some:
+            near = []
+            if (after := bisect_left(others, low - rest)) < len(others):
+                near.append(Edge(mass, rest + others[after]))
+            if (before := bisect_right(others, high - rest)) > 0:
+                near.append(Edge(mass, rest + others[before - 1]))
+            least = min(least, _missing(wanted, near, slack))
+    return least
+
+
+def _missing(wanted: float, edges: Iterable[Edge], slack: float) -> float:
+    """Return the smallest (M h^2 - J)/h^2 (kg) over the edges that have a point with T = h wanted."""
+    least = inf
+    for mass, rest in edges:
+        moment = abs(wanted - rest)
+        if moment <= mass + slack:
+            moment = min(moment, mass)
+            least = min(least, (mass - moment) * (mass + moment) / mass)
+    return least
+
+
+def _chain(masses: Iterable[float], total: float) -> Iterator[Edge]:
+    """Yield the edges from the corner where all are at the negative end to the opposite one, robot by robot."""
+    moment = -total
+    for mass in masses:
+        yield Edge(mass, moment + mass)
+        moment += 2 * mass
+
+
+def _chains(masses: Sequence[float]) -> Iterator[Edge]:
+    """Yield the edges of chains in which the robots move in turn, each beginning with another one."""
+    total = fsum(masses)
+    for first in range(max(1, min(len(masses), _MOST_EDGES // len(masses)))):
+        yield from _chain([*masses[first:], *masses[:first]], total)
+
+
+def _nonnegative(a: float, b: float, c: float, low: float, high: float) -> Iterator[tuple[float, float]]:
+    """Yield the intervals of [low, high] in which a s^2 + b s + c >= 0."""
+    discriminant = b * b - 4 * a * c
+    if a == 0 != b:
+        ends = [(-c / b, high)] if b > 0 else [(low, -c / b)]
+    elif a == 0 or discriminant < 0:
+        ends = [(low, high)] if c >= 0 else []
+    else:
+        q = -(b + copysign(sqrt(discriminant), b)) / 2
+        first, last = sorted((q / a, c / q if q else 0.0))
+        ends = [(low, first), (last, high)] if a > 0 else [(first, last)]
+    for start, end in ends:
+        if max(start, low) <= min(end, high):
+            yield max(start, low), min(end, high)
+
+
+def _first_gap(intervals: Iterable[tuple[float, float]], scale: float) -> float:
+    """Return the end of what the intervals cover without a gap from 0 on, -inf if they do not cover 0."""
+    covered = -inf
+    for start, end in sorted(intervals):
+        if start > max(covered, 0.0) + _ROUNDING * scale:
+            break
+        covered = max(covered, end)
+    return covered
