@@ -13,7 +13,7 @@ and for |T| > M h, none is (A_U). A state on a curve, or off it by rounding, cou
 
 J_max is attained at a vertex of the box's slice: all robots at an end of the plane but at most one. It is thus the
 upper envelope of the edges of the box, each of which is a parabola in the abstract space, and asks for a signed sum of
-masses near a given one. That is exact for up to 20 different masses, and for any number of equal ones; beyond, a
+masses near a given one. That is exact for up to 21 different masses, and for any number of equal ones; beyond, a
 vertex near the best one and M h^2 bracket it.
 """
 
@@ -29,8 +29,8 @@ from typing import NamedTuple
 
 _ROUNDING = 1e-12
 """Relative: a state beyond a boundary by less counts as on it."""
-_LARGEST_HALF = 1 << 10
-"""J_max is exact where the robots split into two halves with at most this many signed sums of masses each."""
+_MOST_SUMS = 1 << 15
+"""J_max is exact where at most so many sums of masses have to be looked up at a torque."""
 _FREE = 14
 """Robots whose signs are all tried where they are too many for exactness."""
 _MOST_EDGES = 1 << 16
@@ -145,7 +145,7 @@ def largest_admissible_inertia(torque: float, masses: Sequence[float], length: f
 def largest_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> Bracket:
     """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque.
 
-    It is exact for up to 20 different masses, for any number of equal ones, and for torques so large that hardly a
+    It is exact for up to 21 different masses, for any number of equal ones, and for torques so large that hardly a
     robot can stand on the other side. Both bounds are -inf where no positions on the plane have this torque.
 
     Parameters
@@ -165,7 +165,7 @@ def largest_inertia(torque: float, masses: Sequence[float], length: float, gravi
         return Bracket(-inf, -inf)
     wanted = min(wanted, total)
     members = sorted(masses)
-    if all(_sums(part) <= _LARGEST_HALF for part in _halves(members)):
+    if len(set(members)) * min(_sums(part) for part in _halves(members)) <= _MOST_SUMS:
         exact, missing = True, _least_missing(wanted, tuple(members))
     else:
         # If the torque is large enough, every robot that can be on the other side is among the lightest. Else robots
@@ -203,6 +203,8 @@ def classify(torque: float, inertia: float, masses: Sequence[float], length: flo
         return StateClass.EMPTY
     if inertia <= largest_admissible_inertia(torque, masses, length, gravity) + slack:
         return StateClass.ADMISSIBLE
+    if inertia <= _chain_inertia(torque, masses, length, gravity):
+        return StateClass.PARTIAL  # as are nearly all states of robots on the plane, without a search
     bound = largest_inertia(torque, masses, length, gravity)
     if inertia <= bound.lower + slack:
         return StateClass.PARTIAL
@@ -271,6 +273,13 @@ def _total(masses: Sequence[float]) -> float:
     return fsum(masses)
 
 
+def _chain_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> float:
+    """Return a lower bound of J_max (kg m^2) at a torque (N m) from one chain of edges; -inf off the plane."""
+    half, total = length / 2, fsum(masses)
+    chain = _chain(sorted(masses), total)
+    return half * half * (total - _missing(abs(torque) / (gravity * half), chain, 0.0))
+
+
 def _signed_sums(groups: Counter[float]) -> list[float]:
     """Return the different sums of +-mass over groups of equal masses, ascending; kg."""
     sums = {0.0}
@@ -301,11 +310,12 @@ def _rests(masses: tuple[float, ...]) -> tuple[tuple[float, list[float], list[fl
     """Return for each different mass two lists; the sums of one of each are the signed sums of all others."""
     parts = _halves(masses)
     lists = [_signed_sums(part) for part in parts]
-    return tuple(
-        (mass, _signed_sums(parts[index] - Counter((mass,))), lists[1 - index])
-        for index in (0, 1)
-        for mass in parts[index]
-    )
+    found = []
+    for part, other in ((parts[0], lists[1]), (parts[1], lists[0])):
+        for mass in part:
+            shorter, longer = sorted((_signed_sums(part - Counter((mass,))), other), key=len)
+            found.append((mass, shorter, longer))
+    return tuple(found)
 
 
 def _least_missing(wanted: float, masses: tuple[float, ...]) -> float:
