@@ -28,7 +28,7 @@ from math import copysign, fsum, inf, prod, sqrt
 from typing import NamedTuple
 
 _ROUNDING = 1e-12
-"""Relative: a state beyond a boundary by less counts as on it."""
+"""Relative to M h^2 or M: a state beyond a boundary by less counts as on it."""
 _MOST_SUMS = 1 << 15
 """J_max is exact where at most so many sums of masses have to be looked up at a torque."""
 _FREE = 14
@@ -199,7 +199,7 @@ def classify(torque: float, inertia: float, masses: Sequence[float], length: flo
         m/s^2.
     """
     slack = _ROUNDING * length * length * _total(masses) / 4
-    if inertia < smallest_inertia(torque, masses, gravity) * (1 - _ROUNDING):
+    if inertia < smallest_inertia(torque, masses, gravity) - slack:
         return StateClass.EMPTY
     if inertia <= largest_admissible_inertia(torque, masses, length, gravity) + slack:
         return StateClass.ADMISSIBLE

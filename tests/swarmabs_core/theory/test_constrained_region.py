@@ -1,0 +1,109 @@
+"""Room around the desired state and S_c, against boundaries and level sets drawn point by point."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from swarmabs_core.theory.constrained_region import (
+    Ball,
+    clearance,
+    constrained_region,
+    manifold_clearance,
+)
+from swarmabs_core.theory.constraint_sets import (
+    StateClass,
+    classify,
+    largest_admissible_inertia,
+    manifold_reach,
+    smallest_inertia,
+)
+
+G = 9.81
+PAPER = (0.3552, 0.3532, 0.6762, 0.4596)
+
+
+def around(torque: float, inertia: float, radius: float) -> set[StateClass]:
+    angles = np.linspace(0, 2 * math.pi, 721)
+    return {
+        classify(torque + radius * math.cos(a), inertia + radius * math.sin(a), PAPER, 1.0, G) for a in angles.tolist()
+    }
+
+
+@settings(max_examples=60)
+@given(st.floats(-8.0, 8.0), st.floats(0.02, 0.98))
+def test_ball_of_the_clearance_touches_the_boundary(torque: float, share: float) -> None:
+    least, most = smallest_inertia(torque, PAPER, G), largest_admissible_inertia(torque, PAPER, 1.0, G)
+    inertia = least + share * (most - least)
+    found = clearance(torque, inertia, PAPER, 1.0, G)
+    assert around(torque, inertia, found.radius * (1 - 1e-6)) == {StateClass.ADMISSIBLE}
+    assert len(around(torque, inertia, found.radius * 1.001)) > 1
+
+
+@pytest.mark.parametrize(("torque", "inertia"), [(0.0, 0.025), (1.0, 0.0375), (-2.0, 0.2), (5.0, 0.3375), (3.0, 0.01)])
+def test_clearance_is_the_distance_to_the_nearest_point_of_each_curve(torque: float, inertia: float) -> None:
+    found = clearance(torque, inertia, PAPER, 1.0, G)
+    taus = np.linspace(-9.04, 9.04, 200_001)
+    lower = np.hypot(taus - torque, (taus / G) ** 2 / sum(PAPER) - inertia).min()
+    left = 0.5 - np.abs(taus) / G / sum(PAPER)
+    upper_curve = (taus / G) ** 2 / sum(PAPER) + left**2 / (1 / min(PAPER) - 1 / sum(PAPER))
+    upper = np.hypot(taus - torque, upper_curve - inertia).min()
+    assert [abs(x) for x in found] == pytest.approx([lower, upper], rel=1e-6)
+    inside = classify(torque, inertia, PAPER, 1.0, G) is StateClass.ADMISSIBLE
+    assert (found.radius >= 0) == inside
+
+
+def test_room_of_the_papers_manifold() -> None:
+    # 0.025 is the manifold's height at 0, where the lower bound is 0.
+    for torque_max in (0.32, 1.0, 2.0):
+        found = manifold_clearance(0.0125, 0.025, torque_max, PAPER, 1.0, G)
+        grid = [clearance(t, 0.0125 * t * t + 0.025, PAPER, 1.0, G) for t in np.linspace(0, torque_max, 1999).tolist()]
+        assert found.lower == pytest.approx(min(x.lower for x in grid), rel=1e-6) == pytest.approx(0.025)
+        assert found.upper == pytest.approx(min(x.upper for x in grid), rel=1e-6)
+    # No room up to 5; the room ends where the manifold leaves A_A.
+    assert manifold_clearance(0.0125, 0.025, 5.0, PAPER, 1.0, G).radius < -0.1
+    end = manifold_reach(0.0125, 0.025, PAPER, 1.0, G).admissible
+    assert manifold_clearance(0.0125, 0.025, end, PAPER, 1.0, G).upper == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_papers_first_error_has_no_room() -> None:
+    """By the letter, D_ac leaves out the errors with which the paper's PD run starts, for any torque_max."""
+    initial = math.hypot(0.0482, -0.0026)
+    assert initial > manifold_clearance(0.0125, 0.025, 0.01, PAPER, 1.0, G).radius
+    # What remains inside A_A is larger if the run's torques, at most 0.32, are taken.
+    assert initial < manifold_clearance(0.0125, 0.025, 0.32, PAPER, 1.0, G).upper
+
+
+@pytest.mark.parametrize(("level", "decides"), [(0.02, "S"), (9.0, "parent"), (9.1, "abstract")])
+def test_level_of_s_c_is_the_least_on_the_boundary(level: float, decides: str) -> None:
+    p = np.array([[2.0, 0.4], [0.4, 1.0]])
+    kappa = 3.0
+    radii = (0.2, 0.5) if decides == "parent" else (0.5, 0.2)
+    growths = (float(np.linalg.eigvalsh(p)[0]), kappa / 2)
+    region = constrained_region(level, Ball(radii[0], growths[0]), Ball(radii[1], growths[1]))
+    # Points on the boundary of S and both balls, along rays in all directions.
+    rays = np.random.default_rng(1).standard_normal((200_000, 4))
+    rays[:5000, :2] = 0.0
+    rays[5000:10000, 2:] = 0.0
+    value = np.einsum("ki,ij,kj->k", rays[:, :2], p, rays[:, :2]) + kappa / 2 * (rays[:, 2:] ** 2).sum(axis=1)
+    norms = np.hypot(rays[:, 0], rays[:, 1]), np.hypot(rays[:, 2], rays[:, 3])
+    with np.errstate(divide="ignore"):
+        reach = np.minimum(np.sqrt(level / value), np.minimum(radii[0] / norms[0], radii[1] / norms[1]))
+    assert region.level == pytest.approx((value * reach**2).min(), rel=1e-5)
+    # What it contains is inside all three, and states beyond the level are not.
+    at_level = np.sqrt(region.level / value)
+    for scale, expected in ((1 - 1e-9, True), (1.01, False)):
+        k = at_level * scale
+        inside = [region.contains(*x) for x in zip(value * k**2, norms[0] * k, norms[1] * k, strict=True)]
+        assert set(inside) == {expected}
+    assert not region.contains(0.0, radii[0] * 1.01, 0.0)
+    assert not region.contains(0.0, 0.0, radii[1] * 1.01)
+
+
+def test_without_room_s_c_is_empty() -> None:
+    region = constrained_region(1.0, Ball(0.2, 1.0), Ball(-0.1, 1.0))
+    assert not region.contains(0.0, 0.0, 0.0)
+    assert constrained_region(1.0, Ball(0.2, 1.0), Ball(0.0, 1.0)).contains(0.0, 0.0, 0.0)
