@@ -71,6 +71,8 @@ def test_room_of_the_papers_manifold() -> None:
 
 def test_the_papers_first_error_has_no_room() -> None:
     """By the letter, D_ac leaves out the errors with which the paper's PD run starts, for any torque_max."""
+    # Of the errors that the paper accepts, |e_tau| < 2 and |e_J| <= 0.03, some belong to no positions.
+    assert classify(0.0, 0.025 - 0.03, PAPER, 1.0, G) is StateClass.EMPTY
     initial = math.hypot(0.0482, -0.0026)
     assert initial > manifold_clearance(0.0125, 0.025, 0.01, PAPER, 1.0, G).radius
     # What remains inside A_A is larger if the run's torques, at most 0.32, are taken.
