@@ -156,10 +156,22 @@ def test_any_number_of_equal_robots_is_exact() -> None:
     assert largest_inertia(0.25 * G, [0.5] * 1000, 1.0, G) == Bracket(124.875, 124.875)
 
 
+def test_all_robots_at_ends_give_the_largest_inertia_of_all() -> None:
+    # Corners of the box, where rounding decides whether the slice has a vertex.
+    rng = np.random.default_rng(6)
+    for count in (2, 3) * 100:
+        weights = rng.uniform(0.25, 0.75, count).tolist()
+        for signs in product((-1, 1), repeat=count):
+            torque = G * math.fsum(m * sign / 2 for m, sign in zip(weights, signs, strict=True))
+            assert largest_inertia(torque, weights, 1.0, G).lower == pytest.approx(sum(weights) / 4, rel=1e-9)
+
+
 def test_beyond_the_largest_torque_there_is_none() -> None:
     end = G * sum(PAPER) / 2
     assert largest_inertia(end, PAPER, 1.0, G) == pytest.approx((sum(PAPER) / 4,) * 2, rel=1e-12)
     assert largest_inertia(1.0001 * end, PAPER, 1.0, G) == (-math.inf, -math.inf)
+    assert largest_admissible_inertia(end, PAPER, 1.0, G) == pytest.approx(sum(PAPER) / 4, rel=1e-12)
+    assert largest_admissible_inertia(1.0001 * end, PAPER, 1.0, G) == -math.inf
 
 
 def test_its_curve_is_the_upper_envelope_of_the_edges() -> None:
@@ -334,6 +346,29 @@ def test_reach_separates_the_classes(masses: list[float], curvature: float, offs
     if reach.nonempty < math.inf:
         assert at(reach.nonempty * (1 + 1e-7)) is StateClass.EMPTY
         assert at(reach.nonempty * (1 - 1e-7)) is not StateClass.EMPTY
+
+
+def test_reach_of_two_robots() -> None:
+    # By hand: on the slice T = 0 the light robot stands at an end and the heavy one a third as far on the other side.
+    middle = (0.25 + 0.75 / 9) / 4
+    end = G * math.sqrt(0.999 * middle)
+    assert manifold_reach(0.0, 0.999 * middle, (0.25, 0.75), 1.0, G).reachable == pytest.approx((end, end), rel=1e-12)
+    assert manifold_reach(0.0, 1.001 * middle, (0.25, 0.75), 1.0, G).reachable == (-math.inf, -math.inf)
+
+
+def test_reach_ends_at_a_gap_however_narrow() -> None:
+    # Manifolds from 0.1 at torque 0 that just touch J_max, or just do not, where it has a dip.
+    torques = np.linspace(0.5, 9.0, 1701).tolist()
+    steepness = [(enumerated_largest_inertia(t, list(PAPER), 1.0) - 0.1) / t**2 for t in torques]
+    dips = [
+        (torques[i], steepness[i])
+        for i in range(1, len(torques) - 1)
+        if steepness[i] < min(steepness[:i]) and steepness[i] < steepness[i + 1]
+    ]
+    assert dips
+    for torque, curvature in dips:
+        assert manifold_reach(curvature * (1 + 1e-6), 0.1, PAPER, 1.0, G).reachable.upper < torque
+        assert manifold_reach(curvature * (1 - 1e-3), 0.1, PAPER, 1.0, G).reachable.lower > torque + 0.01
 
 
 def test_reach_of_many_robots_is_bracketed() -> None:
