@@ -160,8 +160,8 @@ def _distance(
     """Return the distance to the parabola J = c2 tau^2 + c1 tau + c0, tau within bounds."""
     c2, c1, c0 = coefficients
     below = c0 - inertia
-    # Where the squared distance is stationary; real parts of complex roots are further points of the curve only.
+    # Where the squared distance is stationary; real parts of complex roots are further points of the curve only. If an
+    # end of the bounds is nearest, a stationary point lies beyond it.
     stationary = np.roots([2 * c2 * c2, 3 * c1 * c2, 1 + c1 * c1 + 2 * c2 * below, c1 * below - torque]).real.tolist()
     feet = [min(max(foot, bounds[0]), bounds[1]) for foot in stationary]
-    feet += [end for end in bounds if end < inf]
     return min(hypot(foot - torque, (c2 * foot + c1) * foot + below) for foot in feet)
