@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.sweep.attraction import estimate
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.recording import Digest, Metrics
 from swarmabs_core.scenario import parse_scenario
 from swarmabs_core.simulation import simulated_steps
+from swarmabs_core.theory.attraction import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from swarmabs_bringup.sweep.attraction import ANGLE_MAX
 from swarmabs_core.scenario.errors import describe, show
 from swarmabs_core.scenario.fields import (
     AsPair,
@@ -26,6 +25,7 @@ from swarmabs_core.scenario.fields import (
     raise_findings,
 )
 from swarmabs_core.scenario.model import LONGEST_NAME, SCHEMA_VERSION, is_name
+from swarmabs_core.theory.attraction import ANGLE_MAX
 
 MOST_CASES = 1_000_000
 LONGEST_PATH = 80

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from swarmabs_bringup.sweep.attraction import Estimate, estimate
 from swarmabs_bringup.sweep.evaluate import OUTCOMES
 from swarmabs_core.scenario import parse_scenario
+from swarmabs_core.theory.attraction import Estimate, estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

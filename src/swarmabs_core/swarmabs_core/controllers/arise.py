@@ -108,6 +108,16 @@ class Arise:
         self._mu2: Vector = (0.0, 0.0, 0.0, 0.0)
         self._initial: tuple[float, Vector] | None = None
 
+    @property
+    def gains(self) -> AriseGains:
+        """The gains of the law."""
+        return self._gains
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The reference of the angle."""
+        return self._trajectory
+
     def reference(self, time: float) -> float:
         """Return th_d, rad."""
         return self._trajectory.derivatives(time)[0]

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_core.theory.constraint_sets import largest_position
+from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .faults import AgentFault, DelayFault, JoinFault, LeaveFault, LossFault
 from .fields import SMALLEST, Finding, Location
@@ -237,12 +238,10 @@ def _underdamped(scenario: "Scenario") -> Iterator[str]:
     if all(agent.kind != "double_integrator" for agent in scenario.initial_agents):
         return
     kp, kd = scenario.swarm.gains.kp[1], scenario.swarm.gains.kd[1]
-    ratio = kd / (2 * math.sqrt(kp))
-    if ratio >= 1:
-        return
     initial = math.fsum(agent.mass * agent.position**2 for agent in scenario.initial_agents)
-    overshoot = math.exp(-math.pi * ratio / math.sqrt(1 - ratio * ratio))
-    undershoot = overshoot * (initial - scenario.manifold.offset)
+    undershoot = -deepest_swing(kp, kd, initial - scenario.manifold.offset, 0.0)
+    if kd >= 2 * math.sqrt(kp) or initial <= scenario.manifold.offset:
+        return
     if undershoot >= scenario.manifold.offset / 2:
         yield (
             f"swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, {initial:.4g} kg m^2 at the start, undershoot "

@@ -1,0 +1,192 @@
+r"""How long the control period and how old the broadcasts may be: linear loops in sampled time.
+
+The paper's system is continuous; a run holds every command for a period h and may act on broadcasts that are n periods
+old. Each loop here is the exact discretisation of a linear system under held inputs,
+
+.. math:: x_{k+1} = F x_k + G u_k, \qquad u_k = -H x_{k-n},
+
+and is stable if the spectral radius of its companion matrix is below 1. The limits are found by bisection. They say
+nothing about large errors, limits of drives, lost broadcasts and sums in which robots are missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from swarmabs_core.command_filter import BANDWIDTH
+from swarmabs_core.drive import DoubleIntegratorDrive
+
+Matrix: TypeAlias = NDArray[np.float64]
+Loop: TypeAlias = Callable[[float, int], Matrix]
+"""From period (s) and delay (periods) to the matrix of the loop."""
+
+LONGEST_PERIOD = 10.0
+LONGEST_DELAY = 100
+
+
+def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matrix:
+    """Return the matrix of x' = free x + entry u, u = -feedback x `delay` steps ago, over its whole history.
+
+    Parameters
+    ----------
+    free, entry, feedback : numpy.ndarray
+        (n, n), (n, m) and (m, n).
+    delay : int
+        In steps.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n (delay + 1), n (delay + 1)).
+    """
+    size = len(free)
+    matrix = np.zeros((size * (delay + 1), size * (delay + 1)))
+    matrix[:size, :size] = free
+    matrix[:size, -size:] -= entry @ feedback
+    matrix[size:, :-size] += np.eye(size * delay)
+    return matrix
+
+
+def is_stable(matrix: Matrix) -> bool:
+    """Whether the spectral radius is below 1."""
+    return bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
+
+
+def largest_period(loop: Loop, delay: int = 0) -> float | None:
+    """Return the period (s) from which on the loop is unstable.
+
+    Returns
+    -------
+    float or None
+        0 if no period is stable; None if all up to 10 s are.
+    """
+    shortest = 1e-5
+    periods = np.geomspace(shortest, LONGEST_PERIOD, 241)
+    low = 0.0
+    for high in map(float, periods):
+        if not is_stable(loop(high, delay)):
+            break
+        low = high
+    else:
+        return None
+    if low == 0.0:
+        return 0.0
+    while high - low > 1e-9 * high:
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if is_stable(loop(middle, delay)) else (low, middle)
+    return low
+
+
+def largest_delay(loop: Loop, period: float) -> int | None:
+    """Return the largest delay, in steps of `period` (s), up to which the loop is stable.
+
+    Returns
+    -------
+    int or None
+        -1 if it is unstable without delay; None if it is stable up to 100 steps.
+    """
+    for delay in range(LONGEST_DELAY + 1):
+        if not is_stable(loop(period, delay)):
+            return delay - 1
+    return None
+
+
+def single_integrator_loop(gain: float) -> Loop:
+    """Return the loop of one axis of single integrators: e' = -K e, so e[k+1] = e[k] - K h e[k-n]."""
+
+    def loop(period: float, delay: int) -> Matrix:
+        return companion(np.eye(1), np.array([[period]]), np.array([[gain]]), delay)
+
+    return loop
+
+
+def double_integrator_loop(kp: float, kd: float) -> Loop:
+    """Return the loop of one axis of double integrators: e'' = -kp e - kd e', the acceleration held."""
+
+    def loop(period: float, delay: int) -> Matrix:
+        free = np.array([[1.0, period], [0.0, 1.0]])
+        return companion(free, np.array([[period * period / 2.0], [period]]), np.array([[kp, kd]]), delay)
+
+    return loop
+
+
+def added_damping_loop(mass: float, damping: float, ksd: float) -> Loop:
+    """Return the loop of a double integrator's own damping force -k_sd v, held; its velocity is never old.
+
+    Parameters
+    ----------
+    mass, damping, ksd : float
+        kg, N s/m, N s/m.
+    """
+
+    def loop(period: float, delay: int) -> Matrix:  # noqa: ARG001
+        drive = DoubleIntegratorDrive(period, mass, damping)
+        return np.array([[drive.decay - ksd * drive.force_to_velocity]])
+
+    return loop
+
+
+def parent_loop(
+    inertia: float,
+    slope: float,
+    feedback: tuple[float, float],
+    integral: tuple[float, float],
+    swarm: tuple[float, float | None],
+) -> Loop:
+    """Return the loop of plane, parent controller, command filter and swarm, linearised about rest at 0.
+
+    The plane is I w' = -c w - tau_s; the controller asks for k1 th + k2 w + z with z' = i1 th + i2 w (by Euler's
+    method), which the filter smooths and the swarm follows by its law for the torque. A delay is that of the broadcasts
+    to the robots.
+
+    Parameters
+    ----------
+    inertia, slope : float
+        I in kg m^2, slope c of the friction in N m s/rad.
+    feedback, integral : tuple of float
+        k1 and k2 in N m/rad and N m s/rad; i1 and i2 in these units per s.
+    swarm : tuple of float
+        K and None of single integrators; kp and kd of double integrators.
+    """
+    gain, derivative = swarm
+    second = derivative is not None
+    # Plane and swarm: th, w, tau_s and, of double integrators, tau_s'; input: tau_s' or tau_s''.
+    order = 4 if second else 3
+    continuous = np.zeros((order + 1, order + 1))
+    continuous[0, 1] = 1.0
+    continuous[1, 1], continuous[1, 2] = -slope / inertia, -1.0 / inertia
+    continuous[2:order, 3 : order + 1] = np.eye(order - 2)
+
+    def loop(period: float, delay: int) -> Matrix:
+        held = expm(continuous * period)
+        filtered = expm(np.array([[0, 1, 0], [-(BANDWIDTH**2), -2 * BANDWIDTH, BANDWIDTH**2], [0, 0, 0]]) * period)
+        # State: plane and swarm, filter's value and rate, integral.
+        size = order + 3
+        value, rate, total = order, order + 1, order + 2
+        command = np.zeros(size)
+        command[0], command[1], command[total] = *feedback, 1.0
+        free = np.eye(size)
+        free[:order, :order] = held[:order, :order]
+        free[value : rate + 1] = 0.0
+        free[value : rate + 1, value : rate + 1] = filtered[:2, :2]
+        free[value : rate + 1] += np.outer(filtered[:2, 2], command)
+        free[total, 0], free[total, 1] = period * integral[0], period * integral[1]
+        free[total, total] = float(any(integral))
+        asked = -free[value] / period if not second else -free[rate] / period
+        now = value if not second else rate
+        asked[now] += 1.0 / period
+        asked[value] -= gain
+        asked[2] += gain
+        if derivative is not None:
+            asked[rate] -= derivative
+            asked[3] += derivative
+        entry = np.zeros((size, 1))
+        entry[:order, 0] = held[:order, order]
+        return companion(free, entry, asked[np.newaxis], delay)
+
+    return loop

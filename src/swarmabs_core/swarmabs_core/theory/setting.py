@@ -1,0 +1,154 @@
+"""What the conditions of all theorems are evaluated for: a scenario and its initial state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, sin
+from typing import TYPE_CHECKING, Literal
+
+from swarmabs_core import configure
+from swarmabs_core.abstraction import Abstraction, Weight, abstraction
+from swarmabs_core.theory.error_dynamics import (
+    ErrorDynamics,
+    epsilon_bound,
+    first_order,
+    first_order_energy,
+    second_order,
+    second_order_energy,
+)
+
+if TYPE_CHECKING:
+    from swarmabs_core.controllers import ParentController
+    from swarmabs_core.friction import Friction
+    from swarmabs_core.manifold import Manifold
+    from swarmabs_core.scenario import Scenario
+
+SwarmKind = Literal["SI", "DI", "noHomo"]
+"""Single integrators, double integrators or both, as in the labels of the theorems."""
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A scenario as the theory sees it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario. Robots that join later are not in its initial state.
+    angle_max : float
+        theta_max, rad.
+    """
+
+    scenario: Scenario
+    angle_max: float
+
+    @cached_property
+    def law(self) -> ParentController:
+        """The parent controller."""
+        return configure.parent_controller(self.scenario)
+
+    @cached_property
+    def manifold(self) -> Manifold:
+        """The manifold of the desired abstract state."""
+        return configure.manifold(self.scenario)
+
+    @cached_property
+    def friction(self) -> Friction:
+        """The friction of the bearing."""
+        return configure.friction(self.scenario)
+
+    @cached_property
+    def kind(self) -> SwarmKind:
+        """The kind of the swarm, with the robots that join later."""
+        kinds = {agent.kind for agent in self.scenario.agents}
+        if len(kinds) > 1:
+            return "noHomo"
+        return "SI" if "single_integrator" in kinds else "DI"
+
+    @property
+    def has_single(self) -> bool:
+        """Whether there are single integrators."""
+        return self.kind != "DI"
+
+    @property
+    def has_double(self) -> bool:
+        """Whether there are double integrators."""
+        return self.kind != "SI"
+
+    @cached_property
+    def initial(self) -> Abstraction:
+        """The initial abstract state."""
+        robots = [Weight(agent.mass, agent.position, agent.velocity) for agent in self.scenario.initial_agents]
+        return abstraction(robots, self.scenario.plane.gravity)
+
+    @cached_property
+    def initial_error(self) -> Pair:
+        """The initial error e_a = a_d - a of torque (N m) and inertia (kg m^2); the filter starts at the command."""
+        return self.desired_torque - self.initial.torque, self.manifold.inertia(
+            self.desired_torque
+        ) - self.initial.inertia
+
+    @cached_property
+    def initial_error_rate(self) -> Pair:
+        """The initial rate of the error; that of the desired state is 0, as the filter starts at rest."""
+        return -self.initial.torque_rate, -self.initial.inertia_rate
+
+    @cached_property
+    def desired_torque(self) -> float:
+        """The torque (N m) that a fresh controller asks for at the start, limited."""
+        from swarmabs_core.messages import PlaneState  # noqa: PLC0415 - only here
+
+        plane = self.scenario.plane
+        law = configure.parent_controller(self.scenario)
+        return self.manifold.clip(law.torque(0.0, PlaneState(0, 0, plane.angle, plane.angular_velocity)))
+
+    @cached_property
+    def initial_acceleration(self) -> float:
+        """The initial angular acceleration of the plane, rad/s^2; the disturbance begins at 0."""
+        plane = self.scenario.plane
+        opposing = (
+            cos(plane.angle) * self.initial.torque
+            + self.initial.inertia_rate * plane.angular_velocity
+            + self.friction.torque(plane.angular_velocity)
+        )
+        return -opposing / (plane.inertia + self.initial.inertia)
+
+    @cached_property
+    def epsilon_bound(self) -> float:
+        """The corrected bound of epsilon over both axes, 1/s."""
+        gains = self.scenario.swarm.gains
+        return min(epsilon_bound(kp, kd) for kp, kd in zip(gains.kp, gains.kd, strict=True))
+
+    @property
+    def epsilon(self) -> float:
+        """The epsilon that is used, half of its bound, 1/s."""
+        return self.epsilon_bound / 2.0
+
+    @cached_property
+    def errors(self) -> ErrorDynamics:
+        """How the swarm follows its desired state; of a mixed swarm what holds for both parts."""
+        gains = self.scenario.swarm.gains
+        single, double = first_order(gains.k), second_order(gains.kp, gains.kd, self.epsilon)
+        if self.kind == "noHomo":
+            return single.with_other(double)
+        return single if self.kind == "SI" else double
+
+    @cached_property
+    def error_energy(self) -> float:
+        """V_a at the start, of a mixed swarm the sum of both parts' functions, each with the whole error."""
+        total = 0.0
+        if self.has_single:
+            total += first_order_energy(self.initial_error)
+        if self.has_double:
+            total += second_order_energy(
+                self.scenario.swarm.gains.kp, self.epsilon, self.initial_error, self.initial_error_rate
+            )
+        return total
+
+    def disturbance(self, time: float) -> float:
+        """Return tau_d (N m) at a time in s."""
+        wave = self.scenario.plane.disturbance
+        return wave.amplitude * sin(wave.angular_frequency * time)
