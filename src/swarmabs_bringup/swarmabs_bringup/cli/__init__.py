@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from swarmabs_bringup.cli.bench import bench
+from swarmabs_bringup.cli.check import check
 from swarmabs_bringup.cli.environment import doctor, env
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
@@ -23,7 +24,7 @@ def swarm() -> None:
     """
 
 
-for command in (run, simulate, info, scenario, env, doctor, bench, sweep, test):
+for command in (run, simulate, check, info, scenario, env, doctor, bench, sweep, test):
     swarm.add_command(command)
 
 

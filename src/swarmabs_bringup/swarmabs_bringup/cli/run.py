@@ -102,12 +102,14 @@ def _carry_out(
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.scenarios import find_scenario  # noqa: PLC0415
     from swarmabs_bringup.summary import summarise, summary_table  # noqa: PLC0415
+    from swarmabs_core.theory.check import check_scenario  # noqa: PLC0415
+    from swarmabs_core.theory.warnings import theory_warnings  # noqa: PLC0415
 
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     loaded = find_scenario(scenario, overrides)
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
-    for warning in loaded.warnings():
+    for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded))):
         click.echo(f"warning: {warning}", err=True)
     loaded = loaded.resolved()
     try:

@@ -248,8 +248,8 @@ def _uncovered(ks: float, slope: float, eta3: float) -> str:
     if ks > needed:
         return ""
     return (
-        f"with ks = {ks:.6g} the theorem does not cover this run: the friction's slope at rest, {slope:.6g} N m s/rad, "
-        f"alone asks for ks > {needed:.6g}"
+        f"with ks = {ks:.6g} the ARISE theorem does not cover this run: the friction's slope at rest, "
+        f"{slope:.6g} N m s/rad, alone asks for ks > {needed:.6g}"
     )
 
 
