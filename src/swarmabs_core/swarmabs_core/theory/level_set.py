@@ -14,7 +14,7 @@ where :math:`\gamma` is the least slope :math:`f_f(w)/w`. That is negative unles
 :math:`4 \kappa a D > 1`, and by LaSalle's principle the state tends to 0 from every level set
 :math:`V \le c = k_1 (\theta_{max} \sin\theta_{max} + \cos\theta_{max} - 1)`. The rate :math:`\dot J_{max}` is that of
 this set. A small :math:`\kappa` makes the set large and :math:`\dot J_{max}` with it; the one taken is the least that
-leaves half of the D that there is without errors of the swarm, and :math:`4 \kappa a D \ge 2`.
+leaves a tenth of the D that there is without errors of the swarm, and :math:`4 \kappa a D \ge 2`.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def level_set(loop: Loop, angle_max: float) -> LevelSet:
 
     def suffices(weight: float) -> bool:  # the rate falls with the weight, so D and the coupling grow
         found = _with_weight(loop, angle_max, level, weight)
-        return found.damping >= best.damping / 2.0 and found.coupling >= 2.0
+        return found.damping >= best.damping / 10.0 and found.coupling >= 2.0
 
     low = high = 1.0
     while not suffices(high):
