@@ -52,6 +52,8 @@ class AriseCheck:
         eta3 - c_max/(4 ks), with the friction's slope for c_max.
     largest_angle : float
         Largest abs(th_d), rad.
+    printed_square : float
+        Largest square of the norm in S as printed.
     attraction : dict
         The estimates of the region of attraction.
     """
@@ -60,6 +62,7 @@ class AriseCheck:
     decay: float
     printed_decay: float
     largest_angle: float
+    printed_square: float
     attraction: dict[str, Document]
 
 
@@ -227,7 +230,7 @@ def check_arise(setting: Setting) -> AriseCheck | None:
     }
     decay = eta3 - least * least / (4.0 * g.ks) if g.ks > 0.0 else -inf
     printed_decay = eta3 - slope / (4.0 * g.ks) if g.ks > 0.0 else -inf
-    return AriseCheck(conditions, decay, printed_decay, bounds.angle, attraction)
+    return AriseCheck(conditions, decay, printed_decay, bounds.angle, printed, attraction)
 
 
 def _simple(law: Arise) -> tuple[tuple[str, Form], ...]:

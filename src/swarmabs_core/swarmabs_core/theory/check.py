@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from swarmabs_core.scenario import Scenario
+    from swarmabs_core.theory.general_conditions import Constraints
     from swarmabs_core.theory.report import Document
     from swarmabs_core.theory.setting import SwarmKind
 
@@ -48,7 +49,7 @@ def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
         scenario.controller.type,
         _SWARMS[setting.kind],
         angle_max,
-        (*_six(setting, feedback, arise), *_general(setting, feedback, arise)),
+        (*_six(setting, feedback, arise), *_general(setting, found, feedback, arise)),
         Theorem(
             "sampled_time",
             "what the paper leaves out: sampled time and the singularity S3 = 0",
@@ -86,7 +87,9 @@ def _six(setting: Setting, feedback: FeedbackCheck | None, arise: AriseCheck | N
             yield Theorem(label, title, check.conditions, dropped if kind == "noHomo" else "")
 
 
-def _general(setting: Setting, feedback: FeedbackCheck | None, arise: AriseCheck | None) -> Iterator[Theorem]:
+def _general(
+    setting: Setting, found: Constraints, feedback: FeedbackCheck | None, arise: AriseCheck | None
+) -> Iterator[Theorem]:
     names = (
         ("GeneralStability", "the set S of parent system and swarm"),
         ("GeneralConstrainedStability", "the set S_c within the constraints"),
@@ -99,17 +102,14 @@ def _general(setting: Setting, feedback: FeedbackCheck | None, arise: AriseCheck
     (initial,) = [condition for condition in parent.conditions if condition.name == "initial state"]
     yield Theorem(*names[0], (_definite(feedback, arise), initial))
     if feedback is not None:
-        level, energy, growth, angle = feedback.level, feedback.energy, feedback.growth, 0.0
-        torque = feedback.torque
+        level, energy, growths, angle = feedback.level, feedback.energy, feedback.growths, 0.0
     else:
         assert arise is not None  # noqa: S101 - one of them is there
-        level, energy, growth, angle = -1.0, initial.corrected.value, 0.0, arise.largest_angle
-        torque = setting.manifold.torque_max
+        # S is a ball: its function is the square of the norm.
+        level, energy, growths, angle = arise.printed_square, initial.corrected.value, (1.0, 1.0), arise.largest_angle
     yield Theorem(
         *names[1],
-        constrained_conditions(
-            setting, constraints(setting, torque), largest_angle=angle, level=level, energy=energy, growth=growth
-        ),
+        constrained_conditions(setting, found, largest_angle=angle, level=level, energy=energy, growths=growths),
     )
 
 

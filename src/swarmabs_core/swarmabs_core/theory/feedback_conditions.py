@@ -43,8 +43,8 @@ class FeedbackCheck:
         The smaller one of the symmetric part of M, with J'max = 0.
     level, energy : float
         Of S, and V at the start, N m.
-    growth : float
-        kappa V_a >= growth abs(e_a)^2.
+    growths : tuple of float
+        g_p and g_a of ``V_p >= g_p abs(z_p)^2`` in S, ``kappa V_a >= g_a abs(e_a)^2``.
     attraction : dict
         The estimates of the region of attraction.
     """
@@ -55,7 +55,7 @@ class FeedbackCheck:
     eigenvalue: float
     level: float
     energy: float
-    growth: float
+    growths: tuple[float, float]
     attraction: dict[str, Document]
 
 
@@ -147,7 +147,7 @@ def check_feedback(setting: Setting) -> FeedbackCheck | None:
         "largest_torque": region.torque,
         "largest_inertia_rate": finite(region.inertia_rate),
     }
-    reached = largest_torque(loop, setting.angle_max, min(energy, region.level))
+    reached = largest_torque(loop, setting.angle_max, min(max(energy, 0.0), region.level))
     return FeedbackCheck(
         conditions,
         min(reached, manifold.torque_max),
@@ -155,7 +155,7 @@ def check_feedback(setting: Setting) -> FeedbackCheck | None:
         matrix_eigenvalues(law.k1, law.k2, setting.angle_max, 0.0)[0],
         region.level,
         energy,
-        region.weight / (2.0 * setting.errors.torque**2),
+        (min(plane.inertia / 2.0, region.level / setting.angle_max**2), region.weight * setting.error_growth),
         attraction,
     )
 

@@ -66,7 +66,13 @@ def _largest_error(setting: Setting, axis: int) -> float:
 
 
 def constrained_conditions(
-    setting: Setting, found: Constraints, *, largest_angle: float, level: float, energy: float, growth: float
+    setting: Setting,
+    found: Constraints,
+    *,
+    largest_angle: float,
+    level: float,
+    energy: float,
+    growths: tuple[float, float],
 ) -> tuple[Condition, ...]:
     """Return the conditions of thm. GeneralConstrainedStability.
 
@@ -79,9 +85,9 @@ def constrained_conditions(
     largest_angle : float
         Largest abs(th_d), rad.
     level, energy : float
-        Of S, and V at the start, N m; S is empty if `level` is not positive.
-    growth : float
-        V_a >= growth abs(e_a)^2.
+        Of S, and V at the start.
+    growths : tuple of float
+        g_p and g_a of ``V_p >= g_p abs(z_p)^2`` and ``V_a >= g_a abs(e_a)^2``.
     """
     plane, manifold = setting.scenario.plane, setting.manifold
     masses = [agent.mass for agent in setting.scenario.initial_agents]
@@ -89,7 +95,7 @@ def constrained_conditions(
         manifold.curvature, manifold.offset, manifold.torque_max, masses, plane.length, plane.gravity
     )
     angle_room = STEEPEST - largest_angle
-    region = constrained_region(level, Ball(angle_room, 0.5 * plane.inertia), Ball(room.radius, growth))
+    region = constrained_region(level, Ball(angle_room, growths[0]), Ball(room.radius, growths[1]))
     error = hypot(*setting.initial_error)
     return (
         Condition(

@@ -30,31 +30,36 @@ LONGEST_DELAY = 100
 
 
 def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matrix:
-    """Return the matrix of x' = free x + entry u, u = -feedback x `delay` steps ago, over its whole history.
+    """Return the matrix of x' = free x + entry u, u = -feedback x `delay` steps ago.
+
+    Its state is x and the commands that are under way.
 
     Parameters
     ----------
     free, entry, feedback : numpy.ndarray
-        (n, n), (n, m) and (m, n).
+        (n, n), (n, 1) and (1, n).
     delay : int
         In steps.
 
     Returns
     -------
     numpy.ndarray
-        (n (delay + 1), n (delay + 1)).
+        (n + delay, n + delay).
     """
+    if delay == 0:
+        return free - entry @ feedback
     size = len(free)
-    matrix = np.zeros((size * (delay + 1), size * (delay + 1)))
+    matrix = np.zeros((size + delay, size + delay))
     matrix[:size, :size] = free
-    matrix[:size, -size:] -= entry @ feedback
-    matrix[size:, :-size] += np.eye(size * delay)
+    matrix[:size, -1:] = entry
+    matrix[size, :size] = -feedback[0]
+    matrix[size + 1 :, size:-1] = np.eye(delay - 1)
     return matrix
 
 
 def is_stable(matrix: Matrix) -> bool:
-    """Whether the spectral radius is below 1."""
-    return bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
+    """Whether the spectral radius is below 1; a matrix that has overflowed is not stable."""
+    return bool(np.isfinite(matrix).all()) and bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
 
 
 def largest_period(loop: Loop, delay: int = 0) -> float | None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from swarmabs_core import configure
 from swarmabs_core.abstraction import Abstraction, Weight, abstraction
+from swarmabs_core.messages import PlaneState
 from swarmabs_core.theory.error_dynamics import (
     ErrorDynamics,
     epsilon_bound,
@@ -99,8 +100,6 @@ class Setting:
     @cached_property
     def desired_torque(self) -> float:
         """The torque (N m) that a fresh controller asks for at the start, limited."""
-        from swarmabs_core.messages import PlaneState  # noqa: PLC0415 - only here
-
         plane = self.scenario.plane
         law = configure.parent_controller(self.scenario)
         return self.manifold.clip(law.torque(0.0, PlaneState(0, 0, plane.angle, plane.angular_velocity)))
@@ -147,6 +146,14 @@ class Setting:
                 self.scenario.swarm.gains.kp, self.epsilon, self.initial_error, self.initial_error_rate
             )
         return total
+
+    @cached_property
+    def error_growth(self) -> float:
+        """The largest g of V_a >= g abs(e_a)^2."""
+        growths = [0.5] if self.has_single else []
+        if self.has_double:
+            growths.append((min(self.scenario.swarm.gains.kp) - self.epsilon**2) / 2.0)
+        return min(growths)
 
     def disturbance(self, time: float) -> float:
         """Return tau_d (N m) at a time in s."""

@@ -48,7 +48,7 @@ def inertia_swing(setting: Setting) -> Condition | None:
     kp, kd = gains.kp[1], gains.kd[1]
     excess, rate = -setting.initial_error[1], -setting.initial_error_rate[1]
     swing = deepest_swing(kp, kd, excess, rate)
-    lowest = offset + min(swing, 0.0) if excess >= 0 or swing < excess else offset
+    lowest = offset + swing if swing < min(excess, 0.0) else offset  # a start below J_sd is no swing
     return Condition(
         "inertia swing",
         None,
