@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from math import inf
+from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits, Unpacking
 from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
+from swarmabs_core.law_registry import LAWS, PAPER, law_type
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, PACKED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+LAW = Parameter("law.type", PAPER.name, "law of the swarm", choices=tuple(LAWS))
 PARAMETERS = (
     Parameter("agent_id", 1, "id of the robot", minimum=1, maximum=65535),
     Parameter("kind", "single_integrator", "dynamics of the robot", choices=tuple(KINDS)),
@@ -39,7 +47,16 @@ PARAMETERS = (
     Parameter("seed", 1, "seed of the injected losses", minimum=0),
     Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
     PACKED,
+    LAW,
 )
+
+
+def table(node: Node) -> tuple[Parameter, ...]:
+    """Return the node's parameters, among them those of the law that is asked for."""
+    law = law_type(str(given_values(node).get(LAW.name, LAW.default)))
+    chosen = replace(LAW, choices=tuple(dict.fromkeys((*LAWS, law.name))))
+    own = (chosen if parameter is LAW else parameter for parameter in PARAMETERS)
+    return (*own, *(replace(setting, name=f"law.{setting.name}") for setting in law.settings))
 
 
 def config(settings: Settings) -> AgentConfig:
@@ -61,6 +78,7 @@ def config(settings: Settings) -> AgentConfig:
         settings.number("gains.ksd"),
     )
     end = settings.text("end")
+    law = settings.within("law.")
     return AgentConfig(
         agent_id=settings.integer("agent_id"),
         kind=kind,
@@ -82,6 +100,8 @@ def config(settings: Settings) -> AgentConfig:
         loss_probability=settings.number("loss_probability"),
         seed=settings.integer("seed"),
         feels_gravity=settings.flag("feels_gravity"),
+        law=str(law.pop("type")),
+        law_settings=law,
         last_step=settings.last_step(),
     )
 
@@ -96,7 +116,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("agent_node", PARAMETERS, make, args)
+    return run_node("agent_node", table, make, args)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,8 @@ PARAMETERS = (
 def table(node: Node) -> tuple[Parameter, ...]:
     """Return the node's parameters, among them those of the law that is asked for."""
     law = controller_type(str(given_values(node).get(LAW.name, LAW.default)))
-    return (LAW, *PARAMETERS, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
+    chosen = replace(LAW, choices=tuple(dict.fromkeys((*CONTROLLERS, law.name))))
+    return (chosen, *PARAMETERS, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report

@@ -24,6 +24,8 @@ from swarmabs_core.swarm_law import SwarmGains
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pydantic import BaseModel
+
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.parameters import Settings, Value
     from swarmabs_core.scenario import Scenario
@@ -104,6 +106,15 @@ def controller_config(scenario: Scenario, *, recording_window: int) -> Controlle
 
 def controller_settings(scenario: Scenario) -> Settings:
     """Return the settings of the control law, nested names joined by dots."""
+    return _settings(scenario.controller)
+
+
+def law_settings(scenario: Scenario) -> Settings:
+    """Return the settings of the swarm's law besides the gains, nested names joined by dots."""
+    return _settings(scenario.swarm.law)
+
+
+def _settings(part: BaseModel) -> Settings:
     found: dict[str, Value] = {}
 
     def flatten(prefix: str, values: Mapping[str, object]) -> None:
@@ -113,7 +124,7 @@ def controller_settings(scenario: Scenario) -> Settings:
             else:
                 found[prefix + key] = cast("Value", value)
 
-    flatten("", scenario.controller.model_dump(exclude={"type"}))
+    flatten("", part.model_dump(exclude={"type"}, by_alias=True))
     return found
 
 
@@ -127,6 +138,7 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
     g = scenario.swarm.gains
     gains = SwarmGains(g.k, g.kp, g.kd, g.ksd)
+    law = law_settings(scenario)
     limits = Limits(scenario.limits.velocity or inf, scenario.limits.force or inf)
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
@@ -159,6 +171,8 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
             loss_probability=probability,
             seed=scenario.seed,
             feels_gravity=scenario.plane.robot_gravity,
+            law=scenario.swarm.law.type,
+            law_settings=law,
             last_step=scenario.steps,
         )
         for agent in scenario.agents

@@ -17,6 +17,7 @@ from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.behaviours import Controller
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.law_registry import PAPER
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -57,9 +58,10 @@ class NotVectorisableError(Exception):
 
 
 def vectorisable(scenario: Scenario) -> bool:
-    """Tell whether all robots of a scenario do the same all the time."""
+    """Tell whether all robots of a scenario do the same all the time, by the laws that are computed on arrays."""
     limits = scenario.limits
-    return not (scenario.faults or limits.velocity or limits.force or scenario.plane.robot_gravity)
+    special = scenario.faults or limits.velocity or limits.force or scenario.plane.robot_gravity
+    return not special and scenario.swarm.law.type == PAPER.name
 
 
 class ArrayStep(NamedTuple):

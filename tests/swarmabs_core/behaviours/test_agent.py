@@ -176,8 +176,8 @@ def test_gravity_along_the_plane_acts_over_the_period() -> None:
 @pytest.mark.parametrize(
     ("wish", "reason"),
     [
-        ({"desired": nan}, "the broadcasts are not finite"),
-        ({"torque": inf}, "the broadcasts are not finite"),
+        ({"desired": nan}, "the law gives no finite command"),
+        ({"torque": inf}, "the law gives no finite command"),
         ({"s3": 0.0}, "the swarm has no spread (S3 vanishes)"),
         ({"s3": 0.8e-12}, "the swarm has no spread (S3 vanishes)"),
         ({"s3": nan}, "the swarm has no spread (S3 vanishes)"),

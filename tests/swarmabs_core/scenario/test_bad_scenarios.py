@@ -194,13 +194,13 @@ CASES = [
     (
         HEAD + "controller: {type: pd, trajectory: {type: sine}}",
         (
-            "f:4: controller.trajectory: the pd controller regulates to 0 and follows no trajectory; "
+            "f:4: controller.trajectory: the pd controller follows no trajectory; "
             "remove 'trajectory', or use 'type: arise'"
         ),
     ),
     (
         HEAD + "controller: {type: lqr, trajectory: 0}",
-        "f:4: controller.trajectory: the lqr controller regulates to 0",
+        "f:4: controller.trajectory: the lqr controller follows no trajectory",
     ),
     (
         HEAD + "controller:\n  type: arise\n  trajectory: {type: cosine}",

@@ -125,6 +125,8 @@ controller:
     type: constant
     angle: 0.0
 swarm:
+  law:
+    type: paper
   gains:
     k: [10.0, 10.0]
     kp: [10.0, 10.0]

@@ -246,7 +246,9 @@ def _agent_parameters(config: AgentConfig) -> dict[str, object]:
         "loss_probability": config.loss_probability,
         "seed": config.seed,
         "feels_gravity": config.feels_gravity,
+        "law.type": config.law,
     }
+    parameters |= {f"law.{name}": value for name, value in config.law_settings.items()}
     if life.end is not None:
         parameters |= {"end": life.end.value, "end_step": life.end_step}
     return parameters

@@ -11,6 +11,7 @@ from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflict
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.faults import lost
+from swarmabs_core.law_registry import PAPER, Robot, make_command
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -33,9 +34,9 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.swarm_law import double_integrator_command, single_integrator_command
 
 if TYPE_CHECKING:
+    from swarmabs_core.parameters import Settings
     from swarmabs_core.swarm_law import SwarmGains
 
 BRAKING_TIME = 0.1
@@ -95,6 +96,10 @@ class AgentConfig:
         Seed of the injected losses.
     feels_gravity : bool
         Whether a double integrator feels the plane's tilt and rotation, which the paper's model neglects.
+    law : str
+        Name of the law.
+    law_settings : Settings
+        Settings of the law besides the gains; those left out have their defaults.
     last_step : int, optional
         The step with which the run ends.
     """
@@ -115,6 +120,8 @@ class AgentConfig:
     loss_probability: float = 0.0
     seed: int = 1
     feels_gravity: bool = False
+    law: str = PAPER.name
+    law_settings: Settings = field(default_factory=dict, hash=False)
     last_step: int | None = None
 
 
@@ -133,6 +140,11 @@ class Agent:
     ----------
     needs : tuple of Topic
         The topics to which the robot listens.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or it refuses its settings.
     """
 
     def __init__(self, config: AgentConfig) -> None:
@@ -143,6 +155,8 @@ class Agent:
             self._drive = SingleIntegratorDrive(period)
         else:
             self._drive = DoubleIntegratorDrive(period, config.mass, config.damping)
+        robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
+        self._command_of = make_command(config.law, config.law_settings, robot)
         self._braking_time = max(BRAKING_TIME, period)
         # The message that comes last is waited for first: then the others are there already.
         self.needs: tuple[Topic, ...] = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
@@ -272,29 +286,13 @@ class Agent:
 
     def _law(self, broadcasts: _Broadcasts) -> tuple[float, str]:
         """Return the command that the law asks for, or why none may be computed."""
-        config = self._config
         abstract, sums, desired = broadcasts
         if self._stopped:
             return 0.0, "stop commanded"
-        if is_degenerate(sums.s0, sums.s3, config.plane_length):
+        if is_degenerate(sums.s0, sums.s3, self._config.plane_length):
             return 0.0, "the swarm has no spread (S3 vanishes)"
-        if config.kind is Kind.SINGLE_INTEGRATOR:
-            command = single_integrator_command(
-                config.mass, self._position, config.gains, config.gravity, abstract, sums, desired
-            )
-        else:
-            command = double_integrator_command(
-                config.mass,
-                config.damping,
-                self._position,
-                self._velocity,
-                config.gains,
-                config.gravity,
-                abstract,
-                sums,
-                desired,
-            )
-        return command, "" if isfinite(command) else "the broadcasts are not finite"
+        command = self._command_of(self._position, self._velocity, abstract, sums, desired)
+        return command, "" if isfinite(command) else "the law gives no finite command"
 
     def _brake(self) -> float:
         config = self._config

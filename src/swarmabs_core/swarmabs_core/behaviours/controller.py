@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError, refuse_conflict
@@ -121,6 +122,11 @@ class Controller:
             )
         stamp = step * self._config.period_ns
         raw = self._law.torque(stamp / 1e9, plane)
+        if not isfinite(raw):
+            raise RunError(
+                f"step {step}: the parent controller asks for a torque of {raw} N m at an angle of "
+                f"{plane.angle:.4g} rad; its law must give a finite number"
+            )
         command = manifold.clip(raw)
         torque, rate = self._state or (command, 0.0)
         next_torque, next_rate = self._filter.advance(torque, rate, command)

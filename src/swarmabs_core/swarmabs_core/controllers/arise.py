@@ -22,10 +22,10 @@ from math import cos, tanh
 from typing import cast
 
 from swarmabs_core.controllers.base import ControllerType, ParentContext, Trajectory
+from swarmabs_core.controllers.reference import TRAJECTORY, make_trajectory
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.parameters import Parameter, Settings
-from swarmabs_core.trajectory import Constant, Sine
 
 Vector = tuple[float, float, float, float]
 
@@ -161,12 +161,7 @@ def _make(settings: Settings, context: ParentContext) -> Arise:
         smoothing=number("smoothing"),
         adaptive_initial=cast("Vector", settings["adaptive_initial"]),
     )
-    trajectory: Trajectory
-    if settings["trajectory.type"] == "sine":
-        trajectory = Sine(number("trajectory.amplitude"), number("trajectory.angular_frequency"))
-    else:
-        trajectory = Constant(number("trajectory.angle"))
-    return Arise(gains, trajectory, context.friction, context.period)
+    return Arise(gains, make_trajectory(settings), context.friction, context.period)
 
 
 ARISE = ControllerType(
@@ -184,10 +179,7 @@ ARISE = ControllerType(
             "initial estimates of J (kg m^2), g1, g4 (N m), g6 (N m s/rad)",
             length=4,
         ),
-        Parameter("trajectory.type", "sine", "reference trajectory of the angle", choices=("sine", "constant")),
-        Parameter("trajectory.amplitude", 0.7, "amplitude of the sine, rad", minimum=-1.5, maximum=1.5),
-        Parameter("trajectory.angular_frequency", 0.0471238898038469, "angular frequency of the sine, rad/s"),
-        Parameter("trajectory.angle", 0.0, "the constant reference, rad", minimum=-1.5, maximum=1.5),
+        *TRAJECTORY,
     ),
     _make,
 )

@@ -62,7 +62,17 @@ class ParentController(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ControllerType:
-    """An entry of the registry: name, declared settings and how to make a controller from them, checked."""
+    """A parent controller as the registry holds it; this one object is all that a package brings.
+
+    Parameters
+    ----------
+    name : str
+        Value of ``controller.type`` in a scenario.
+    settings : tuple of Parameter
+        What a scenario may set below ``controller``; the node's ROS parameters and the scenario's schema follow.
+    make : callable
+        Makes the controller from all its settings, checked, and from what it may know of the plane.
+    """
 
     name: str
     settings: tuple[Parameter, ...]

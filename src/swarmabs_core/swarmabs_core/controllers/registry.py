@@ -1,18 +1,25 @@
-"""Parent controllers by name."""
+"""Parent controllers by name: built-in ones, and those that installed packages bring."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from swarmabs_core.controllers.arise import ARISE
+from swarmabs_core.controllers.base import ControllerType
 from swarmabs_core.controllers.feedback import LQR, PD
-from swarmabs_core.errors import InputError
-from swarmabs_core.parameters import Settings, resolve
+from swarmabs_core.registry import Registry
 
 if TYPE_CHECKING:
-    from swarmabs_core.controllers.base import ControllerType, ParentContext, ParentController
+    from swarmabs_core.controllers.base import ParentContext, ParentController
+    from swarmabs_core.parameters import Settings
 
 CONTROLLERS: dict[str, ControllerType] = {entry.name: entry for entry in (PD, LQR, ARISE)}
+"""The built-in ones."""
+
+ALL_CONTROLLERS = Registry(
+    "parent controller", "swarmabs.parent_controllers", ControllerType, CONTROLLERS, ("torque", "reference")
+)
+"""Those of installed packages too."""
 
 
 def controller_type(name: str) -> ControllerType:
@@ -21,12 +28,9 @@ def controller_type(name: str) -> ControllerType:
     Raises
     ------
     InputError
-        If there is none of this name.
+        If there is none of this name, or the package that brings it is unfit.
     """
-    try:
-        return CONTROLLERS[name]
-    except KeyError:
-        raise InputError(f"no parent controller {name!r}; there are {', '.join(sorted(CONTROLLERS))}") from None
+    return ALL_CONTROLLERS.find(name)
 
 
 def make_controller(name: str, settings: Settings, context: ParentContext) -> ParentController:
@@ -44,7 +48,6 @@ def make_controller(name: str, settings: Settings, context: ParentContext) -> Pa
     Raises
     ------
     InputError
-        If the type is unknown or a setting is refused.
+        If the type is unknown, a setting is refused, or the package that brings the type is unfit.
     """
-    entry = controller_type(name)
-    return entry.make(resolve(entry.settings, settings, owner=f"parent controller {name!r}"), context)
+    return cast("ParentController", ALL_CONTROLLERS.make(name, settings, context))

@@ -1,8 +1,6 @@
-"""Configurations of the parent controllers and of their reference trajectories.
+"""Configurations of the built-in parent controllers and of their reference trajectories.
 
-Both are looked up by their ``type`` in a registry. A package that brings its own controller derives a model
-from `ControllerConfig` and enters it into `CONTROLLER_CONFIGS` before a scenario is loaded; the same holds
-for trajectories and `TRAJECTORY_CONFIGS`.
+Both are looked up by their ``type``. The models of controllers that other packages bring are derived, see `plugins`.
 """
 
 from typing import Annotated, Literal, TypeAlias
@@ -70,7 +68,7 @@ class ControllerConfig(Model):
         """Say of a trajectory that this controller cannot follow one."""
         if key == "trajectory":
             return problem(
-                f"the {cls.model_fields['type'].default} controller regulates to 0 and follows no trajectory",
+                f"the {cls.model_fields['type'].default} controller follows no trajectory",
                 "remove 'trajectory', or use 'type: arise'",
             )
         return super().unknown_key(key)
@@ -131,4 +129,4 @@ CONTROLLER_CONFIGS: dict[str, type[ControllerConfig]] = {
     "lqr": LqrConfig,
     "arise": AriseConfig,
 }
-"""The model of each ``controller.type``."""
+"""The model of each built-in ``controller.type``."""

@@ -19,6 +19,8 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from swarmabs_core.registry import PluginError
+
 from .errors import describe, shorten, show
 
 Location: TypeAlias = tuple[str | int, ...]
@@ -127,7 +129,9 @@ NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=LARGEST), WithoutNegati
 Positive: TypeAlias = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_not_tiny)]
 
 
-def _as_tuple(length: int | None) -> Callable[[object], object]:
+def as_tuple(length: int | None) -> Callable[[object], object]:
+    """Return a validator that makes a tuple of a list, of any length or of a given one."""
+
     def convert(value: object) -> object:
         wanted = "a list" if length is None else f"a list of {length} numbers"
         if not isinstance(value, list | tuple):
@@ -139,17 +143,18 @@ def _as_tuple(length: int | None) -> Callable[[object], object]:
     return convert
 
 
-AsTuple = BeforeValidator(_as_tuple(None))
-AsPair = BeforeValidator(_as_tuple(2))
-AsFour = BeforeValidator(_as_tuple(4))
-AsSix = BeforeValidator(_as_tuple(6))
+AsTuple = BeforeValidator(as_tuple(None))
+AsPair = BeforeValidator(as_tuple(2))
+AsFour = BeforeValidator(as_tuple(4))
+AsSix = BeforeValidator(as_tuple(6))
 
 
 @dataclass(frozen=True, eq=False)
 class Tagged:
     """Annotation of a field whose model is looked up in a registry by the value of its tag key.
 
-    The registry is read at every validation, so models that are registered later are accepted from then on.
+    The registry is read at every validation, so models that are registered later are accepted from then on. Of a model
+    that is asked for by its name no other is looked at.
 
     Parameters
     ----------
@@ -167,24 +172,32 @@ class Tagged:
 
     def validate(self, value: object) -> Model:
         """Return the registered model that `value` describes."""
-        models: tuple[type[Model], ...] = tuple(self.registry.values())
-        if isinstance(value, models):
-            return value
+        if isinstance(value, Model):
+            model = self._find(getattr(value, self.tag, None))
+            if model is not None and isinstance(value, model):
+                return value
         if not isinstance(value, Mapping):
             raise problem(
                 f"expected a mapping, found {describe(value)}",
                 f"write {{{self.tag}: {next(iter(self.registry))}, ...}}",
             )
-        known = list(self.registry)
         name = value.get(self.tag, self.default)
-        if isinstance(name, str) and name in self.registry:
-            return self.registry[name].model_validate(value)
+        model = self._find(name)
+        if model is not None:
+            return model.model_validate(value)
+        known = list(self.registry)
         if name is None and self.tag not in value:
             raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known)}")
         text = show(name) if isinstance(name, str) else f"({describe(name)})"
         remedy = nearest(name if isinstance(name, str) else "", known)
         error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
         raise as_error(self.tag, [error])
+
+    def _find(self, name: object) -> type[Model] | None:
+        try:
+            return self.registry.get(name) if isinstance(name, str) else None
+        except PluginError as error:
+            raise as_error(self.tag, [Finding.of((self.tag,), error.problem, error.remedy)]) from error
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate by the registry and serialise by the model found."""

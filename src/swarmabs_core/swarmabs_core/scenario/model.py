@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, field_validator, model_
 
 from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
-from .controllers import CONTROLLER_CONFIGS, DEFAULT_CONTROLLER, Angle, ControllerConfig, PdConfig
+from .controllers import DEFAULT_CONTROLLER, Angle, ControllerConfig, PdConfig
 from .errors import describe
 from .faults import FAULT_KINDS, Fault, JoinFault
 from .fields import (
@@ -22,6 +22,7 @@ from .fields import (
     problem,
     raise_findings,
 )
+from .plugins import ALL_CONTROLLER_CONFIGS, ALL_LAW_CONFIGS, DEFAULT_LAW, LawConfig, PaperLaw
 from .timing import NANOSECONDS, Duration, nearest_step, to_nanoseconds
 
 SCHEMA_VERSION = 1
@@ -86,6 +87,9 @@ class Swarm(Model):
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]})
 
+    law: Annotated[LawConfig, Tagged("type", ALL_LAW_CONFIGS, DEFAULT_LAW)] = Field(
+        default=PaperLaw(), description="the robots' control law"
+    )
     gains: SwarmGains = Field(default=SwarmGains(), description="gains of the robots' control laws")
     agents: Annotated[tuple[Annotated[Agent, Tagged("kind", AGENT_KINDS)], ...], AsTuple] | None = Field(
         default=None, description="the robots, one by one"
@@ -154,7 +158,7 @@ class Scenario(Model):
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the losses drawn during the run")
     plane: Plane = Field(default=Plane(), description="the tilting plane")
     manifold: Manifold = Field(default=Manifold(), description="the curve Js(tau) on which the swarm is held")
-    controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
+    controller: Annotated[ControllerConfig, Tagged("type", ALL_CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
         default=PdConfig(), description="the parent controller"
     )
     swarm: Swarm = Field(description="the robots and their gains")

@@ -7,10 +7,15 @@ from .controllers import DEFAULT_CONTROLLER, DEFAULT_TRAJECTORY
 from .errors import describe, shorten
 from .fields import Location
 from .model import Scenario
+from .plugins import DEFAULT_LAW
 from .yaml_tree import Entry, Mark, Node, read_tree
 
 _LONGEST_SHOWN = 100
-_TYPED = {("controller",): DEFAULT_CONTROLLER, ("controller", "trajectory"): DEFAULT_TRAJECTORY}
+_TYPED = {
+    ("controller",): DEFAULT_CONTROLLER,
+    ("controller", "trajectory"): DEFAULT_TRAJECTORY,
+    ("swarm", "law"): DEFAULT_LAW,
+}
 """The mappings whose keys depend on their ``type``, with the type they have when it is left out."""
 
 
@@ -19,9 +24,9 @@ def apply_overrides(root: Node, overrides: Sequence[str]) -> Node:
 
     An override is ``path=value``: the path dotted, list elements by index (the index after the last element
     appends), the value YAML. Mappings that are missing on the way are created; so are lists that have a
-    default. Where ``controller.type`` (or ``controller.trajectory.type``) is set to another type than the
-    file's, the file's other keys of that mapping are dropped, because they belong to the old type; keys that
-    overrides have set stay.
+    default. Where ``controller.type`` (or ``controller.trajectory.type``, ``swarm.law.type``) is set to another
+    type than the file's, the file's other keys of that mapping are dropped, because they belong to the old type;
+    keys that overrides have set stay.
 
     Raises
     ------
@@ -95,10 +100,14 @@ def _missing(root: Node, done: Location, rest: Sequence[str], mark: Mark) -> Nod
 def _default(root: Node, location: Location) -> object:
     """Return the default of a field, given the types that the tree names."""
     tree = root.plain()
-    data: dict[str, object] = {"schema": 1, "swarm": {"generate": {"single_integrator": 2}}}
-    named = tree.get("controller") if isinstance(tree, dict) else None
-    if isinstance(named, dict) and "type" in named:
-        data["controller"] = {"type": named["type"]}
+    swarm: dict[str, object] = {"generate": {"single_integrator": 2}}
+    data: dict[str, object] = {"schema": 1, "swarm": swarm}
+    given = tree if isinstance(tree, dict) else {}
+    given_swarm = given.get("swarm")
+    laws = given_swarm.get("law") if isinstance(given_swarm, dict) else None
+    for key, named, target in (("controller", given.get("controller"), data), ("law", laws, swarm)):
+        if isinstance(named, dict) and "type" in named:
+            target[key] = {"type": named["type"]}
     try:
         default: object = Scenario.model_validate(data).model_dump(mode="json", by_alias=True)
     except ValueError:  # the controller's type is unknown: said when the scenario is checked

@@ -1,0 +1,134 @@
+"""Swarm laws by name: the paper's, and those that installed packages bring.
+
+A law is chosen once for the whole swarm. Each robot binds it to its own constants when it is made; from then on it is a
+function of its state and of the broadcasts of one step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias, cast
+
+from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState, Kind
+from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.registry import Registry
+from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Command: TypeAlias = Callable[[float, float, AbstractState, AuxiliaryState, DesiredAbstractState], float]
+"""Position (m), velocity (m/s) and the three broadcasts in, the command (m/s or N, by the robot's kind) out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """What a law may know of its robot, besides position and velocity.
+
+    Parameters
+    ----------
+    kind : Kind
+        How it is driven: the command of a single integrator is a velocity, that of a double integrator a force.
+    mass : float
+        kg.
+    damping : float
+        N s/m; 0 of a single integrator.
+    gains : SwarmGains
+        The swarm's gains; the sums D that are broadcast contain their `ksd`.
+    gravity : float
+        m/s^2.
+    period : float
+        Control period for which a command is held, s.
+    """
+
+    kind: Kind
+    mass: float
+    damping: float
+    gains: SwarmGains
+    gravity: float
+    period: float
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmLaw:
+    """A swarm law as the registry holds it; this one object is all that a package brings.
+
+    Parameters
+    ----------
+    name : str
+        Value of ``swarm.law.type`` in a scenario.
+    settings : tuple of Parameter
+        What a scenario may set below ``swarm.law``; the robots' ROS parameters and the scenario's schema follow.
+    make : callable
+        Makes the function of one robot from all settings, checked, and from what it may know of that robot.
+    """
+
+    name: str
+    settings: tuple[Parameter, ...]
+    make: Callable[[Settings, Robot], Command]
+
+
+def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - its gains are the swarm's
+    kind, mass, damping, gains, gravity = robot.kind, robot.mass, robot.damping, robot.gains, robot.gravity
+
+    def single(
+        position: float,
+        velocity: float,  # noqa: ARG001 - it is the command of the step before
+        abstract: AbstractState,
+        sums: AuxiliaryState,
+        desired: DesiredAbstractState,
+    ) -> float:
+        return single_integrator_command(mass, position, gains, gravity, abstract, sums, desired)
+
+    def double(
+        position: float,
+        velocity: float,
+        abstract: AbstractState,
+        sums: AuxiliaryState,
+        desired: DesiredAbstractState,
+    ) -> float:
+        return double_integrator_command(mass, damping, position, velocity, gains, gravity, abstract, sums, desired)
+
+    return single if kind is Kind.SINGLE_INTEGRATOR else double
+
+
+PAPER = SwarmLaw("paper", (), _make_paper)
+"""The laws of `swarmabs_core.swarm_law`, each robot by its kind."""
+
+LAWS: Mapping[str, SwarmLaw] = {PAPER.name: PAPER}
+"""The built-in ones."""
+
+ALL_LAWS = Registry("swarm law", "swarmabs.swarm_laws", SwarmLaw, LAWS, ("__call__",))
+"""Those of installed packages too."""
+
+
+def law_type(name: str) -> SwarmLaw:
+    """Look up a swarm law.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name, or the package that brings it is unfit.
+    """
+    return ALL_LAWS.find(name)
+
+
+def make_command(name: str, settings: Settings, robot: Robot) -> Command:
+    """Bind a law to a robot.
+
+    Parameters
+    ----------
+    name : str
+        Its type, such as ``paper``.
+    settings : Settings
+        Its settings; those left out have their defaults.
+    robot : Robot
+        The robot.
+
+    Raises
+    ------
+    InputError
+        If the type is unknown, a setting is refused, or the package that brings the type is unfit.
+    """
+    return cast("Command", ALL_LAWS.make(name, settings, robot))

@@ -1,0 +1,215 @@
+"""Parts of the system that are looked up by name: built-in ones, then those that installed packages bring.
+
+A package brings a part by an entry point. Nothing is read of the installed packages until somebody asks for a name that
+is not built in, so a run with built-in parts alone does not pay for it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.parameters import Parameter, resolve
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from importlib.metadata import EntryPoint
+
+    from swarmabs_core.parameters import Settings
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_PATH = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
+_REMEDY = "repair the package, or uninstall it"
+
+
+class PluginError(InputError):
+    """What an installed package brings cannot be used."""
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem = " ".join(problem.split())
+        self.remedy = remedy
+        super().__init__(f"{self.problem}; {remedy}")
+
+
+class Part(Protocol):
+    """What a registry holds: a name, declared settings, and how to make the thing itself from them."""
+
+    @property
+    def name(self) -> str:
+        """Name by which it is selected."""
+        ...
+
+    @property
+    def settings(self) -> tuple[Parameter, ...]:
+        """Its settings."""
+        ...
+
+    @property
+    def make(self) -> Callable[[Settings, Any], object]:
+        """Make the thing from checked settings and from what it may know of the system."""
+        ...
+
+
+PartT = TypeVar("PartT", bound=Part)
+
+
+class Registry(Mapping[str, PartT], Generic[PartT]):
+    """Parts of one sort by name.
+
+    Looking up loads one package at most; iterating gives all names without loading any.
+
+    Parameters
+    ----------
+    noun : str
+        What errors call such a part.
+    group : str
+        Group of the entry points by which packages bring parts.
+    shape : type
+        What the object behind an entry point must be.
+    built_in : mapping
+        The built-in parts, which no package can replace.
+    duties : tuple of str
+        Methods that what a part makes must have.
+    """
+
+    def __init__(
+        self, noun: str, group: str, shape: type[PartT], built_in: Mapping[str, PartT], duties: tuple[str, ...]
+    ) -> None:
+        self._noun = noun
+        self._group = group
+        self._shape = shape
+        self._built_in = built_in
+        self._duties = duties
+        self._loaded: dict[str, PartT] = {}
+
+    def __getitem__(self, name: str) -> PartT:
+        """Return a part.
+
+        Raises
+        ------
+        KeyError
+            If there is none of this name.
+        PluginError
+            If the package that brings it is unfit; the text names the package and what is wrong.
+        """
+        if name in self._built_in:
+            return self._built_in[name]
+        if name not in self._loaded:
+            self._loaded[name] = self._load(name, self._brought()[name])
+        return self._loaded[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._built_in or name in self._loaded or name in self._brought()
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._built_in
+        yield from sorted(self._brought())
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def find(self, name: str) -> PartT:
+        """Look up a part that a user has named.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name, or the package that brings it is unfit.
+        """
+        try:
+            return self[name]
+        except KeyError:
+            raise InputError(f"no {self._noun} {name!r}; there are {', '.join(sorted(self))}") from None
+
+    def make(self, name: str, settings: Settings, context: object) -> Any:
+        """Make what a part stands for.
+
+        Parameters
+        ----------
+        name : str
+            Name of the part.
+        settings : Settings
+            Its settings; those left out have their defaults.
+        context : object
+            What it may know of the system.
+
+        Raises
+        ------
+        InputError
+            If the name is unknown, a setting is refused, or what is made is not what it should be.
+        """
+        part = self.find(name)
+        made = part.make(resolve(part.settings, settings, owner=f"{self._noun} {name!r}"), context)
+        for duty in self._duties:
+            if not callable(getattr(made, duty, None)):
+                what = f"{self._noun} {name!r} makes an object of type {type(made).__name__}"
+                raise PluginError(f"{what}, which has no method {duty}", _REMEDY)
+        return made
+
+    def package(self, name: str) -> tuple[str, str] | None:
+        """Return name and version of the package that brings a part; None for a built-in one."""
+        if name in self._built_in:
+            return None
+        distribution = self._brought()[name][0].dist
+        return None if distribution is None else (distribution.name, distribution.version)
+
+    def _brought(self) -> dict[str, list[EntryPoint]]:
+        """Return the entry points of all installed packages by name."""
+        from importlib.metadata import entry_points  # noqa: PLC0415 - built-in parts do without
+
+        found: dict[str, list[EntryPoint]] = {}
+        for point in entry_points(group=self._group):
+            if point.name in self._built_in:
+                raise PluginError(
+                    f"{_origin(point)} brings a {self._noun} {point.name!r}, a name which is built in",
+                    "give it another name, or uninstall the package",
+                )
+            found.setdefault(point.name, []).append(point)
+        return found
+
+    def _load(self, name: str, points: list[EntryPoint]) -> PartT:
+        point, *others = points
+        if others:
+            origins = " and ".join(sorted(_origin(each) for each in points))
+            raise PluginError(f"{self._noun} {name!r} is brought by {origins}", "uninstall all but one")
+        what = f"{self._noun} {name!r} ({point.value} of {_origin(point)})"
+        try:
+            part = point.load()
+        except Exception as error:  # whatever a foreign module raises, the user must learn which package it is
+            raise PluginError(f"{what} cannot be loaded: {type(error).__name__}: {error}", _REMEDY) from error
+        if not isinstance(part, self._shape):
+            found = f"is an object of type {type(part).__name__}, not a {self._shape.__name__}"
+            raise PluginError(f"{what} {found}", _REMEDY)
+        if problem := _problem(name, part):
+            raise PluginError(f"{what} {problem}", _REMEDY)
+        return part
+
+
+def _origin(point: EntryPoint) -> str:
+    return "a package" if point.dist is None else f"package {point.dist.name} {point.dist.version}"
+
+
+def _problem(name: str, part: Any) -> str:
+    """Say what is wrong with the content of a part of the right type; empty if nothing is."""
+    if part.name != name or not _NAME.fullmatch(name):
+        return f"is named {part.name!r}; entry point and object need the same name of small letters, digits and _"
+    if not callable(part.make):
+        return "has no function make"
+    settings = part.settings
+    if not isinstance(settings, tuple) or not all(isinstance(each, Parameter) for each in settings):
+        return "has settings that are not a tuple of Parameter"
+    known, taken = {each.name for each in settings}, {"type"}
+    for setting in settings:
+        parents = {setting.name[: found.start()] for found in re.finditer(r"\.", setting.name)}
+        if not _PATH.fullmatch(setting.name) or setting.name in taken or parents & (known | {"type"}):
+            return f"has a setting {setting.name!r}, a name which is malformed or taken"
+        taken.add(setting.name)
+        if not isinstance(setting.default, (bool, int, float, str, tuple)):
+            return f"has a setting {setting.name!r} whose default is a {type(setting.default).__name__}"
+        try:
+            setting.check(setting.default)
+        except InputError as error:
+            return f"has a default that its own bounds exclude: {error}"
+    return ""
