@@ -40,6 +40,13 @@ if TYPE_CHECKING:
 
 DOCS = Path(__file__).parent
 MESSAGES = DOCS.parent / "src" / "swarmabs_msgs" / "msg"
+_CHOSEN = {
+    "controller": "`{type: pd}`",
+    "swarm.law": "`{type: paper}`",
+    "swarm.agents": "see below",
+    "faults": "`[]`",
+}
+"""Fields whose content depends on a key in it, with their defaults."""
 _TABLE = re.compile(r"(<!-- table: ([a-z_ ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -147,8 +154,8 @@ def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str,
         described = field.description or ""
         candidates = [hints[name], *get_args(hints[name])]
         inner = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
-        if path in {"controller", "swarm.agents", "faults"} or path.endswith("trajectory"):
-            yield path, {"controller": "`{type: pd}`", "faults": "`[]`"}.get(path, "see below"), described
+        if path in _CHOSEN or path.endswith("trajectory"):
+            yield path, _CHOSEN.get(path, "see below"), described
         elif inner is not None:
             yield from leaves(inner, f"{path}.")
         else:

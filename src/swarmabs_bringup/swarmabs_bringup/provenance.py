@@ -8,7 +8,9 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
+from swarmabs_core.controllers import ALL_CONTROLLERS
 from swarmabs_core.fingerprint import libm_fingerprint
+from swarmabs_core.law_registry import ALL_LAWS
 
 if TYPE_CHECKING:
     from swarmabs_core.scenario import Scenario
@@ -27,13 +29,19 @@ def versions() -> dict[str, str]:
     return found
 
 
+def plugin_versions(scenario: Scenario) -> dict[str, str]:
+    """Return the versions of the packages that bring the scenario's parent controller and swarm law."""
+    packages = (ALL_CONTROLLERS.package(scenario.controller.type), ALL_LAWS.package(scenario.swarm.law.type))
+    return dict(package for package in packages if package is not None)
+
+
 def provenance(scenario: Scenario, *, driver: str) -> dict[str, object]:
     """Return the provenance of a run; `driver` says what moved the state machines: ``lockstep`` or ``simulate``."""
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,
         "driver": driver,
-        "versions": versions(),
+        "versions": versions() | plugin_versions(scenario),
         "machine": platform.machine(),
         "byte_order": sys.byteorder,
         "libm_fingerprint": libm_fingerprint(),

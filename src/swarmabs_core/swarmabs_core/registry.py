@@ -83,6 +83,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         self._built_in = built_in
         self._duties = duties
         self._loaded: dict[str, PartT] = {}
+        self._packages: dict[str, tuple[str, str]] = {}
 
     def __getitem__(self, name: str) -> PartT:
         """Return a part.
@@ -150,10 +151,8 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
 
     def package(self, name: str) -> tuple[str, str] | None:
         """Return name and version of the package that brings a part; None for a built-in one."""
-        if name in self._built_in:
-            return None
-        distribution = self._brought()[name][0].dist
-        return None if distribution is None else (distribution.name, distribution.version)
+        self.find(name)
+        return self._packages.get(name)
 
     def _brought(self) -> dict[str, list[EntryPoint]]:
         """Return the entry points of all installed packages by name."""
@@ -184,6 +183,8 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
             raise PluginError(f"{what} {found}", _REMEDY)
         if problem := _problem(name, part):
             raise PluginError(f"{what} {problem}", _REMEDY)
+        if point.dist is not None:
+            self._packages[name] = (point.dist.name, point.dist.version)
         return part
 
 

@@ -22,6 +22,8 @@ from typing import Any, NoReturn
 
 from swarmabs_bringup.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
+from swarmabs_core.controllers import controller_type
+from swarmabs_core.law_registry import law_type
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
 
@@ -139,6 +141,9 @@ def main() -> int:
 
         for module in NODES:
             importlib.import_module(module)
+        controller, law = sys.argv[1:]
+        controller_type(controller)  # what a package brings is looked for once, and not in every node
+        law_type(law)
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
         gc.collect()

@@ -10,6 +10,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.orchestration.launcher import CROWDED
+from swarmabs_core.controllers.feedback import PD
+from swarmabs_core.law_registry import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ class LauncherClient:
         File for what the launcher itself prints.
     processes : int
         How many nodes there will be.
+    controller, law : str
+        Names of the parent controller and of the swarm law, which the launcher loads before it forks.
 
     Attributes
     ----------
@@ -45,14 +49,22 @@ class LauncherClient:
         File descriptor from which the reports of launcher and nodes are read.
     """
 
-    def __init__(self, environment: Mapping[str, str], log: Path, *, processes: int) -> None:
+    def __init__(
+        self,
+        environment: Mapping[str, str],
+        log: Path,
+        *,
+        processes: int,
+        controller: str = PD.name,
+        law: str = PAPER.name,
+    ) -> None:
         self.reports, report_write = os.pipe()
         start_read, self._start = os.pipe()
         self._pending = b""
         crowded = [CROWDED] if processes > CROWD * len(os.sched_getaffinity(0)) else []
         with log.open("ab") as stream:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher", *crowded],
+                [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher", controller, law, *crowded],
                 stdin=subprocess.PIPE,
                 stdout=stream,
                 stderr=stream,

@@ -126,9 +126,14 @@ class LockstepRun:
             write_network(self._folder.logs, domain, participants)
             wake = stack.enter_context(self._interruptible())
             environment = dds_environment(domain, str(profile.resolve()))
-            launcher = stack.enter_context(
-                LauncherClient(environment, self._folder.logs / "launcher.log", processes=len(self._plan))
+            client = LauncherClient(
+                environment,
+                self._folder.logs / "launcher.log",
+                processes=len(self._plan),
+                controller=self._scenario.controller.type,
+                law=self._scenario.swarm.law.type,
             )
+            launcher = stack.enter_context(client)
             failure = self._supervise(launcher, wake)
             return self._conclude(launcher, wake, failure)
 

@@ -1,0 +1,154 @@
+"""What installed packages bring: found when it is asked for, refused with its package's name when it is unfit."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.plugin_packages import BANG_BANG, install
+
+from swarmabs_core import simulate
+from swarmabs_core.controllers import ALL_CONTROLLERS, CONTROLLERS, ControllerType, ParentContext
+from swarmabs_core.controllers.feedback import PD, StateFeedback
+from swarmabs_core.errors import InputError
+from swarmabs_core.friction import Friction
+from swarmabs_core.law_registry import ALL_LAWS, LAWS
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.registry import PluginError, Registry
+from swarmabs_core.scenario import json_schema, parse_scenario
+
+CONTEXT = ParentContext(0.01, 0.5, Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0), Manifold(0.0125, 0.025, 5.0))
+PART = "from swarmabs_core.controllers import ControllerType\nfrom swarmabs_core.parameters import Parameter\n"
+
+
+@pytest.fixture
+def registry() -> Registry[ControllerType]:
+    group = "swarmabs.parent_controllers"
+    return Registry("parent controller", group, ControllerType, CONTROLLERS, ("torque", "reference"))
+
+
+def test_what_a_package_brings_is_found_beside_the_built_in(packages: Path, registry: Registry[ControllerType]) -> None:
+    install(packages, "controller", "bang_bang", BANG_BANG)
+    assert list(registry) == [*CONTROLLERS, "bang_bang"]
+    assert len(registry) == len(CONTROLLERS) + 1
+    assert registry["pd"] is PD
+    assert registry["bang_bang"].settings[0].name == "torque"
+    assert registry["bang_bang"] is registry["bang_bang"]
+    assert registry.package("bang_bang") == ("test-bang-bang", "1.5")
+    assert registry.package("pd") is None
+    law = registry.make("bang_bang", {"torque": 0.25}, CONTEXT)
+    assert law.torque_of == 0.25
+    with pytest.raises(InputError, match=r"parameter torque: 3.0 is not allowed; give at most 2"):
+        registry.make("bang_bang", {"torque": 3.0}, CONTEXT)
+
+
+def test_installed_packages_are_not_looked_at_for_what_is_built_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: Any) -> None:
+        pytest.fail("the installed packages were searched")
+
+    monkeypatch.setattr(importlib.metadata, "entry_points", refuse)
+    scenario = parse_scenario(
+        "{schema: 1, duration: 0.1, controller: {type: lqr}, swarm: {generate: {single_integrator: 2}}}",
+        overrides=["controller.type=arise", "controller.gamma.0=5", "swarm.law.type=paper"],
+    )
+    assert len(simulate(scenario).step) == 11
+    assert ALL_CONTROLLERS.package(scenario.controller.type) is None
+    assert ALL_LAWS.package(scenario.swarm.law.type) is None
+    with pytest.raises(pytest.fail.Exception):
+        json_schema()
+
+
+def test_an_unknown_name_is_answered_with_all_names_and_loads_nothing(
+    packages: Path, registry: Registry[ControllerType]
+) -> None:
+    install(packages, "controller", "broken", "raise RuntimeError", package="broken-one")
+    with pytest.raises(InputError, match=r"no parent controller 'pid'; there are arise, broken, lqr, pd"):
+        registry.find("pid")
+    assert "pid" not in registry
+    assert "broken" in registry
+    assert "broken_one" not in sys.modules
+
+
+UNFIT: dict[str, tuple[str, str]] = {
+    "import": (
+        "import no_such_module_anywhere",
+        r"cannot be loaded: ModuleNotFoundError: No module named 'no_such_module_anywhere'; repair",
+    ),
+    "syntax": ("def (:", r"cannot be loaded: SyntaxError"),
+    "nothing": ("OTHER = 1", r"cannot be loaded: AttributeError"),
+    "wrong type": ("PART = 3", r"is an object of type int, not a ControllerType"),
+    "wrong name": (f"{PART}PART = ControllerType('other', (), print)", r"is named 'other'; entry point and object"),
+    "no make": (f"{PART}PART = ControllerType('unfit', (), None)", r"has no function make"),
+    "no table": (f"{PART}PART = ControllerType('unfit', ('gain',), print)", r"settings that are not a tuple of Param"),
+    "twice": (
+        f"{PART}PART = ControllerType('unfit', (Parameter('a', 1.0, 'x'), Parameter('a', 2.0, 'x')), print)",
+        r"has a setting 'a', a name which is malformed or taken",
+    ),
+    "type": (
+        f"{PART}PART = ControllerType('unfit', (Parameter('type', 'x', 'x'),), print)",
+        r"has a setting 'type', a name which is malformed or taken",
+    ),
+    "number and mapping": (
+        f"{PART}PART = ControllerType('unfit', (Parameter('a', 1.0, 'x'), Parameter('a.b', 2.0, 'x')), print)",
+        r"has a setting 'a\.b', a name which is malformed or taken",
+    ),
+    "no name": (
+        f"{PART}PART = ControllerType('unfit', (Parameter('Gain 1', 1.0, 'x'),), print)",
+        r"has a setting 'Gain 1', a name which is malformed or taken",
+    ),
+    "list": (
+        f"{PART}PART = ControllerType('unfit', (Parameter('a', [1.0], 'x'),), print)",
+        r"has a setting 'a' whose default is a list",
+    ),
+    "default out of bounds": (
+        f"{PART}PART = ControllerType('unfit', (Parameter('a', -1.0, 'x', minimum=0.0),), print)",
+        r"has a default that its own bounds exclude: parameter a: -1.0 is not allowed; give at least 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNFIT)
+def test_an_unfit_package_is_named(packages: Path, registry: Registry[ControllerType], case: str) -> None:
+    source, text = UNFIT[case]
+    install(packages, "controller", "unfit", source, package="unfit-one")
+    with pytest.raises(PluginError, match=text) as caught:
+        registry.find("unfit")
+    assert str(caught.value).startswith("parent controller 'unfit' (unfit_one:PART of package unfit-one 1.5) ")
+    assert str(caught.value).endswith("; repair the package, or uninstall it")
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_made_must_do_its_duty(packages: Path, registry: Registry[ControllerType]) -> None:
+    source = f"{PART}PART = ControllerType('idle', (), lambda settings, context: 7)"
+    install(packages, "controller", "idle", source)
+    with pytest.raises(PluginError, match=r"'idle' makes an object of type int, which has no method torque"):
+        registry.make("idle", {}, CONTEXT)
+
+
+def test_two_packages_with_one_name_are_both_named(packages: Path, registry: Registry[ControllerType]) -> None:
+    for package in ("first-one", "second-one"):
+        install(packages, "controller", "bang_bang", BANG_BANG, package=package)
+    with pytest.raises(
+        PluginError, match=r"brought by package first-one 1\.5 and package second-one 1\.5; uninstall all but one"
+    ):
+        registry.find("bang_bang")
+
+
+def test_the_built_in_cannot_be_replaced(packages: Path, registry: Registry[ControllerType]) -> None:
+    install(packages, "controller", "pd", f"{PART}PART = ControllerType('pd', (), print)", package="usurper")
+    assert isinstance(registry.make("pd", {}, CONTEXT), StateFeedback)
+    for ask in (list, lambda found: found.find("pid")):
+        attempt: Callable[[Registry[ControllerType]], object] = ask
+        with pytest.raises(PluginError, match=r"package usurper 1\.5 brings a parent controller 'pd', a name which is"):
+            attempt(registry)
+
+
+def test_every_built_in_part_keeps_the_rules_of_a_plugin() -> None:
+    from swarmabs_core.registry import _problem  # noqa: PLC0415
+
+    parts: dict[str, Any] = {**CONTROLLERS, **LAWS}
+    assert {name: _problem(name, part) for name, part in parts.items()} == dict.fromkeys(parts, "")
