@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")))
+PAGES = tuple(page for pattern in ("*.md", "docs/*.md", "examples/*/*.md") for page in sorted(ROOT.glob(pattern)))
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 
 

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from textwrap import dedent
 
 import pytest
 from tests.docs.pages import ROOT
 from tests.plugin_packages import SCALED, install
 
+from swarmabs_core import simulate
+from swarmabs_core.controllers import ALL_CONTROLLERS
+from swarmabs_core.scenario import load_scenario
+
 EXAMPLE = ROOT / "examples" / "sliding_mode"
 SCENARIO = EXAMPLE / "sliding_mode.yaml"
 LONGEST = 100.0
-DISTURBANCE = 0.2 + 0.01 + 0.02
-"""The scenario's disturbance and the friction that the controller leaves out (g1 and g4), N m."""
-REACH, LAYER, SLOPE = 0.5, 0.1, 2.0
-KINDS = {"SI": "single_integrator: 4", "DI": "double_integrator: 4", "large": "single_integrator: 5, double_integrator: 5"}
+SWARMS = {
+    "as it is": (),
+    "SI": ("swarm={generate: {single_integrator: 4}}",),
+    "DI": ("swarm={generate: {double_integrator: 4}}",),
+    "large": ("swarm={generate: {single_integrator: 5, double_integrator: 5}}",),
+}
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -38,63 +45,56 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def command(installed: Path, tmp_path: Path) -> Any:
-    """Return a function that runs a command with the example and a law installed, and returns its output."""
-    laws = tmp_path / "laws"
-    install(laws, "law", "scaled", SCALED)
-    path = os.pathsep.join((str(installed), str(laws), os.environ["PYTHONPATH"]))
-
-    def run(*words: object, code: int = 0) -> str:
-        done = subprocess.run(
-            [sys.executable, "-m", "swarmabs_bringup.cli", *map(str, words)],
-            env={**os.environ, "PYTHONPATH": path},
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=LONGEST,
-            check=False,
-        )
-        assert done.returncode == code, done.stderr
-        return done.stderr if code else done.stdout
-
-    return run
+def swarm(*words: object, cwd: Path, path: tuple[Path, ...]) -> str:
+    """Run a command with folders of packages in the search path; return what it prints."""
+    done = subprocess.run(
+        [sys.executable, "-m", "swarmabs_bringup.cli", *map(str, words)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((*map(str, path), os.environ["PYTHONPATH"]))},
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=LONGEST,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.mark.system
 @pytest.mark.usefixtures("nothing_survives")
 @pytest.mark.parametrize("extra", [(), ("--agents-per-process", "2")], ids=["apart", "together"])
-def test_processes_and_simulation_agree(command: Any, extra: tuple[str, ...]) -> None:
+def test_processes_and_simulation_agree(installed: Path, tmp_path: Path, extra: tuple[str, ...]) -> None:
+    said = "the module of the law is imported"
+    install(tmp_path / "laws", "law", "scaled", f"import sys\nprint({said!r}, file=sys.stderr)\n{dedent(SCALED)}")
+    path = (installed, tmp_path / "laws")
     words = (SCENARIO, "--duration", "1.5", "--set", "swarm.law={type: scaled, factor: 0.5}", "--json")
-    run = json.loads(command("run", *words, *extra, "-o", "run"))
-    simulated = json.loads(command("simulate", *words, "-o", "simulated"))
+    run = json.loads(swarm("run", *words, *extra, "-o", "run", cwd=tmp_path, path=path))
+    simulated = json.loads(swarm("simulate", *words, "-o", "simulated", cwd=tmp_path, path=path))
     assert (run["status"], run["steps"]) == ("ok", 150)
     assert run["digest"] == simulated["digest"]
-    again = json.loads(command("simulate", "run", "-o", "again", "--json"))
+    logs = sorted((tmp_path / "run" / "logs").glob("*.log"))
+    assert [log.name for log in logs if said in log.read_text(encoding="utf-8")] == ["launcher.log"]  # before the forks
+    again = json.loads(swarm("simulate", "run", "-o", "again", "--json", cwd=tmp_path, path=path))
     assert again["digest"] == run["digest"]
+    bag = json.loads(swarm("info", "run", "--json", cwd=tmp_path, path=path))
+    assert {"swarmabs-sliding-mode", "test-scaled"} <= bag["versions"].keys()
+    schema = json.loads(swarm("scenario", "schema", cwd=tmp_path, path=path))
+    assert "sliding_mode" in json.dumps(schema["properties"]["controller"])
 
 
-@pytest.mark.parametrize("kind", ["as it is", *KINDS])
-def test_the_angle_follows_within_the_bound_of_the_boundary_layer(command: Any, kind: str) -> None:
-    """In the layer |s| falls below layer D/reach, and the error below that divided by the slope (README.md)."""
-    swarm = () if kind == "as it is" else ("--set", "swarm.agents=null", "--set", f"swarm.generate={{{KINDS[kind]}}}")
-    command("simulate", SCENARIO, *swarm, "-o", "out")
-    script = (
-        "import json, math, sys\n"
-        "from swarmabs_bringup.bag import load_arrays\n"
-        "run = load_arrays('out')\n"
-        "wanted = [0.3 * math.sin(0.5 * time) for time in run.time.tolist()]\n"
-        "print(json.dumps([have - want for have, want in zip(run.angle.tolist(), wanted)]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=_folder(command), capture_output=True, text=True, check=True, timeout=LONGEST
-    )
-    errors = [abs(error) for error in json.loads(done.stdout)]
-    bound = LAYER * DISTURBANCE / (REACH * SLOPE)
+@pytest.mark.parametrize("overrides", SWARMS.values(), ids=list(SWARMS))
+def test_the_angle_follows_within_the_bound_of_the_boundary_layer(
+    installed: Path, monkeypatch: pytest.MonkeyPatch, overrides: tuple[str, ...]
+) -> None:
+    """Within the layer |s| falls below layer D/reach and |e| below that divided by the slope."""
+    monkeypatch.syspath_prepend(installed)
+    for cache in ("_loaded", "_packages"):
+        monkeypatch.setattr(ALL_CONTROLLERS, cache, {})
+    scenario = load_scenario(SCENARIO, overrides)
+    run = simulate(scenario)
+    errors = [abs(have - 0.3 * math.sin(0.5 * time)) for time, have in zip(run.time, run.angle, strict=True)]
+    layer, reach, slope = 0.1, 0.5, 2.0
+    unknown = 0.2 + 0.01 + 0.02  # N m: the scenario's disturbance, and the friction g1 and g4 that the law leaves out
+    bound = layer * unknown / (reach * slope)
     assert errors[0] == pytest.approx(0.1)
-    assert max(errors[500:]) < bound
-    assert max(errors[500:]) > 0.5 * bound  # the disturbance is there, and nothing else removes it
-
-
-def _folder(command: Any) -> Path:
-    return Path(command.__closure__[1].cell_contents)
+    assert 0.5 * bound < max(errors[500:]) < bound  # the disturbance is felt, and no more than that
