@@ -121,6 +121,34 @@ def test_an_unfit_package_is_an_error_at_its_line(packages: Path) -> None:
     )
 
 
+PICKY = """
+    from swarmabs_core.controllers import ControllerType
+    from swarmabs_core.errors import InputError
+    from swarmabs_core.law_registry import SwarmLaw
+
+
+    def refuse(settings, known):
+        raise InputError("{text}")
+
+
+    PART = {kind}("{name}", (), refuse)
+"""
+
+
+def test_what_a_package_refuses_is_refused_before_anything_starts(packages: Path) -> None:
+    text = "slope and reach contradict each other; lower the slope"
+    install(packages, "controller", "picky", PICKY.format(text=text, kind="ControllerType", name="picky"))
+    with pytest.raises(ScenarioError) as caught:
+        parse("{type: picky}")
+    assert str(caught.value) == f"f:2: controller: {text}"
+    install(
+        packages, "law", "picky_law", PICKY.format(text="no robot is light enough", kind="SwarmLaw", name="picky_law")
+    )
+    with pytest.raises(ScenarioError) as caught:
+        parse(law="{type: picky_law}")
+    assert str(caught.value) == "f:4: swarm.law: no robot is light enough; see what its package says"
+
+
 def test_the_schema_offers_what_is_installed() -> None:
     schema = json_schema()
     models = schema["properties"]["controller"]["oneOf"]  # type: ignore[index]

@@ -141,14 +141,14 @@ def main() -> int:
 
         for module in NODES:
             importlib.import_module(module)
-        controller, law = sys.argv[1:]
+        controller, law, *options = sys.argv[1:]
         controller_type(controller)  # what a package brings is looked for once, and not in every node
         law_type(law)
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
         gc.collect()
         gc.freeze()  # memory that no collection touches stays shared with the children
-        if CROWDED in sys.argv and hasattr(os, "SCHED_BATCH"):
+        if CROWDED in options and hasattr(os, "SCHED_BATCH"):
             # A message that arrives does not push the running process off its core: it is handled when that one waits
             # itself, together with what has come meanwhile. That halves the switches between processes.
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -7,9 +7,13 @@ from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
 
+from swarmabs_core import behaviours, configure
+from swarmabs_core.errors import InputError
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.theory.constraint_sets import largest_position
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
+from .controllers import CONTROLLER_CONFIGS
 from .faults import AgentFault, DelayFault, JoinFault, LeaveFault, LossFault
 from .fields import SMALLEST, Finding, Location
 from .timing import NANOSECONDS
@@ -25,7 +29,7 @@ SMALLEST_SPREAD = 1e-12
 def findings(scenario: "Scenario") -> list[Finding]:
     """Return every error of a scenario whose fields are valid one by one."""
     # A later check relies on, or is only of interest after, the earlier ones.
-    for checks in ((_timing,), (_ids, _positions, _faults), (_spread,), (_preimage,)):
+    for checks in ((_timing,), (_ids, _positions, _faults), (_spread,), (_preimage,), (_brought,)):
         if found := [finding for check in checks for finding in check(scenario)]:
             return found
     return []
@@ -149,6 +153,22 @@ def _rounded_down(value: float) -> float:
 
 def _rounded_up(value: float) -> float:
     return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal_from_float(value))
+
+
+def _brought(scenario: "Scenario") -> Iterator[Finding]:
+    """Make what installed packages bring, so that what they refuse is refused before anything starts."""
+    made: list[tuple[Location, Callable[[], object]]] = []
+    if scenario.controller.type not in CONTROLLER_CONFIGS:
+        made.append((("controller",), partial(configure.parent_controller, scenario)))
+    if scenario.swarm.law.type not in LAWS:
+        made += [(("swarm", "law"), partial(behaviours.Agent, config)) for config in configure.agent_configs(scenario)]
+    for location, make in made:
+        try:
+            make()
+        except InputError as error:
+            problem, _, remedy = str(error).rpartition("; ")
+            yield Finding.of(location, problem or remedy, remedy if problem else "see what its package says")
+            return
 
 
 def _faults(scenario: "Scenario") -> Iterator[Finding]:
