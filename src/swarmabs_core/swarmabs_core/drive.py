@@ -4,6 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import expm1
+from typing import Protocol
+
+
+class Drive(Protocol):
+    """What moves a robot over one control period."""
+
+    def advance(self, position: float, velocity: float, command: float) -> tuple[float, float]:
+        """Return position (m) and velocity (m/s) one period later under the command."""
+        ...
 
 
 def _phi(z: float) -> tuple[float, float]:

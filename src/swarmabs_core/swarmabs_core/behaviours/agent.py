@@ -36,6 +36,7 @@ from swarmabs_core.messages import (
 )
 
 if TYPE_CHECKING:
+    from swarmabs_core.drive import Drive
     from swarmabs_core.parameters import Settings
     from swarmabs_core.swarm_law import SwarmGains
 
@@ -136,6 +137,13 @@ class _Broadcasts(NamedTuple):
 class Agent:
     """One robot of the swarm. It never learns of any other.
 
+    Parameters
+    ----------
+    config : AgentConfig
+        Configuration.
+    drive : Drive, optional
+        What moves the robot, if it is not the ideal drive of its kind.
+
     Attributes
     ----------
     needs : tuple of Topic
@@ -147,14 +155,15 @@ class Agent:
         If there is no such law, or it refuses its settings.
     """
 
-    def __init__(self, config: AgentConfig) -> None:
+    def __init__(self, config: AgentConfig, drive: Drive | None = None) -> None:
         self._config = config
         period = config.period_ns / 1e9
-        self._drive: SingleIntegratorDrive | DoubleIntegratorDrive
+        self._ideal: SingleIntegratorDrive | DoubleIntegratorDrive
         if config.kind is Kind.SINGLE_INTEGRATOR:
-            self._drive = SingleIntegratorDrive(period)
+            self._ideal = SingleIntegratorDrive(period)
         else:
-            self._drive = DoubleIntegratorDrive(period, config.mass, config.damping)
+            self._ideal = DoubleIntegratorDrive(period, config.mass, config.damping)
+        self._drive = drive or self._ideal
         robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
         self._command_of = make_command(config.law, config.law_settings, robot)
         self._braking_time = max(BRAKING_TIME, period)
@@ -303,10 +312,10 @@ class Agent:
 
     def _limit(self, command: float) -> float:
         limits = self._config.limits
-        if isinstance(self._drive, SingleIntegratorDrive):
+        if isinstance(self._ideal, SingleIntegratorDrive):
             return min(max(command, -limits.velocity), limits.velocity)
         if limits.velocity < inf:
-            coast, gain = self._drive.decay * self._velocity, self._drive.force_to_velocity
+            coast, gain = self._ideal.decay * self._velocity, self._ideal.force_to_velocity
             command = min(max(command, (-limits.velocity - coast) / gain), (limits.velocity - coast) / gain)
         return min(max(command, -limits.force), limits.force)  # last: a drive cannot give more
 

@@ -1,0 +1,198 @@
+"""A cascade of two layers in one process: every plane with its swarm is a layer in a namespace of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coupling import Coupled, Following, TiltDrive, carried, led
+
+from swarmabs_core import configure
+from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
+from swarmabs_core.controllers import ParentContext
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPIC_OF, Topic
+from swarmabs_core.recording import RunCollector
+from swarmabs_core.scenario import load_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from swarmabs_core.behaviours import Behaviour
+    from swarmabs_core.messages import Message
+    from swarmabs_core.recording import RecordedStep
+    from swarmabs_core.scenario import Scenario
+
+FOLDER = Path(__file__).parent
+UPPER = "/upper"
+
+
+def lower(robot: int) -> str:
+    """Return the namespace of the plane that drives a robot of the upper layer."""
+    return f"/lower_{robot}"
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """How the layers are coupled.
+
+    Parameters
+    ----------
+    ratio : float
+        Speed of an upper robot by tilt of its lower plane, m/(s rad).
+    bandwidth : float
+        Of the filter through which a lower plane takes its reference, rad/s.
+
+    Raises
+    ------
+    InputError
+        If one is not a positive number.
+    """
+
+    ratio: float = 1.0
+    bandwidth: float = 15.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("ratio", self.ratio), ("bandwidth", self.bandwidth)):
+            if not 0.0 < value < inf:
+                raise InputError(f"coupling: {name} is {value}; give a positive number")
+
+
+@dataclass(frozen=True, slots=True)
+class CascadeScenario:
+    """The upper scenario, the lower ones by the robot that they drive, and their coupling.
+
+    Raises
+    ------
+    InputError
+        If the layers do not fit together.
+    """
+
+    upper: Scenario
+    lower: Mapping[int, Scenario]
+    coupling: Coupling = field(default_factory=Coupling)
+
+    def __post_init__(self) -> None:
+        robots = [agent.id for agent in self.upper.agents]
+        if sorted(self.lower) != robots:
+            raise InputError(f"the upper robots are {robots}, but there are lower planes for {sorted(self.lower)}")
+        for robot, scenario in self.lower.items():
+            if (scenario.step_ns, scenario.steps) != (self.upper.step_ns, self.upper.steps):
+                raise InputError(f"{lower(robot)}: step and duration must be those of {UPPER}")
+        for agent in self.upper.agents:
+            if agent.kind != "single_integrator":
+                raise InputError(f"{UPPER}: robot {agent.id} must be a single_integrator: a tilt sets its speed")
+
+    @property
+    def layers(self) -> dict[str, Scenario]:
+        """The scenarios by namespace, the upper one first."""
+        return {UPPER: self.upper, **{lower(robot): scenario for robot, scenario in self.lower.items()}}
+
+
+def load_cascade(coupling: Coupling | None = None, overrides: Sequence[str] = ()) -> CascadeScenario:
+    """Load the scenarios beside this file; the overrides hold for every layer."""
+    upper = load_scenario(FOLDER / "upper.yaml", overrides)
+    return CascadeScenario(
+        upper,
+        {agent.id: load_scenario(FOLDER / f"lower_{agent.id}.yaml", overrides) for agent in upper.agents},
+        coupling or Coupling(),
+    )
+
+
+def absolute(topic: Topic, namespace: str) -> Topic:
+    """Return a topic of a layer under its absolute name."""
+    return Topic(f"{namespace}/{topic.name}", topic.message, topic.ros_type)
+
+
+def carried_robot(cascade: CascadeScenario, robot: int) -> Coupled:
+    """Return a robot of the upper layer, whose drive is its lower plane."""
+    (config,) = (config for config in configure.agent_configs(cascade.upper) if config.agent_id == robot)
+    plane, ratio = cascade.lower[robot].plane, cascade.coupling.ratio
+    drive = TiltDrive(ratio, cascade.upper.period, plane.angle, plane.angular_velocity)
+    agent = Agent(replace(config, velocity=ratio * plane.angle), drive)
+    return carried(agent, drive, absolute(PLANE_STATE, lower(robot)), cascade.upper.steps)
+
+
+def led_controller(cascade: CascadeScenario, robot: int, *, recording_window: int) -> Coupled:
+    """Return the controller of a lower plane, which follows the command of the robot that the plane drives."""
+    scenario = cascade.lower[robot]
+    plane = scenario.plane
+    law = Following(
+        configure.parent_controller(scenario),
+        ParentContext(scenario.period, plane.inertia, configure.friction(scenario), configure.manifold(scenario)),
+        cascade.coupling.ratio,
+        cascade.coupling.bandwidth,
+        plane.angle,
+        plane.angular_velocity,
+    )
+    controller = Controller(configure.controller_config(scenario, recording_window=recording_window), law)
+    return led(controller, law, absolute(AGENT_STATE, UPPER), robot, scenario.steps)
+
+
+class CascadeSimulation:
+    """All layers of a cascade, connected by a queue.
+
+    Parameters
+    ----------
+    cascade : CascadeScenario
+        What to simulate.
+    """
+
+    def __init__(self, cascade: CascadeScenario) -> None:
+        self._behaviours: list[tuple[str, Behaviour]] = []
+        self._hear: dict[tuple[str, Topic], list[tuple[str, Behaviour]]] = {}
+        self._collectors = {
+            namespace: RunCollector(configure.members(scenario), configure.schedule(scenario), scenario.steps, memory=2)
+            for namespace, scenario in cascade.layers.items()
+        }
+        upper = cascade.upper
+        robots = {robot: carried_robot(cascade, robot) for robot in cascade.lower}
+        controller = Controller(
+            configure.controller_config(upper, recording_window=0), configure.parent_controller(upper)
+        )
+        self._add(UPPER, upper, controller, list(robots.values()))
+        for robot, scenario in cascade.lower.items():
+            follower = led_controller(cascade, robot, recording_window=0)
+            self._add(lower(robot), scenario, follower, [Agent(config) for config in configure.agent_configs(scenario)])
+            self._hear[lower(robot), PLANE_STATE].append((UPPER, robots[robot]))
+            self._hear[UPPER, AGENT_STATE].append((lower(robot), follower))
+
+    def _add(self, namespace: str, scenario: Scenario, controller: Behaviour, agents: Sequence[Behaviour]) -> None:
+        """Add a layer: its behaviours, and who hears what within it."""
+        observer = Observer(configure.observer_config(scenario))
+        plane = Plane(configure.plane_config(scenario))
+        hearers: dict[Topic, Sequence[Behaviour]] = {
+            AGENT_STATE: (observer, plane),
+            PLANE_STATE: (controller,),
+            EVENTS: (plane,),
+            **dict.fromkeys(BROADCASTS, agents),
+        }
+        for topic, behaviours in hearers.items():
+            self._hear[namespace, topic] = [(namespace, behaviour) for behaviour in behaviours]
+        behaviours: list[Behaviour] = [observer, plane, controller, *agents]
+        self._behaviours.extend((namespace, behaviour) for behaviour in behaviours)
+
+    def steps(self) -> Iterator[tuple[str, RecordedStep]]:
+        """Run, and yield every step of every layer with the layer's namespace.
+
+        Raises
+        ------
+        RunError
+            If the run fails, such as by a plane that turns over, or stalls.
+        """
+        queue: deque[tuple[str, Message]] = deque()
+        for namespace, behaviour in self._behaviours:
+            queue.extend((namespace, message) for message in behaviour.start())
+        while queue:
+            namespace, message = queue.popleft()
+            for step in self._collectors[namespace].add(message):
+                yield namespace, step
+            for layer, behaviour in self._hear[namespace, TOPIC_OF[type(message)]]:
+                queue.extend((layer, answer) for answer in behaviour.handle(message))
+        for namespace, collector in self._collectors.items():
+            if not collector.finished:
+                missing = ", ".join(collector.missing())
+                raise RunError(f"{namespace} stalls at step {collector.step}; missing: {missing}")
