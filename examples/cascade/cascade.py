@@ -10,11 +10,13 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from layers import CascadeSimulation, Coupling, load_cascade
+from processes import CascadeRun
 
 from swarmabs_bringup.recorder.recording import Recording
 from swarmabs_bringup.run_folder import RunFolder, new_run_folder, next_run_folder
@@ -25,23 +27,53 @@ if TYPE_CHECKING:
     from layers import CascadeScenario
 
 COUPLING_FILE = "coupling.json"
-"""Attachment of every bag: how its layer is coupled to the others."""
+"""File beside the layers' folders: how they are coupled."""
+
+Figures = Mapping[str, object]
 
 
-def simulate_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, dict[str, object]]:
-    """Simulate a cascade and record it: in the folder, every layer has a folder like that of a run.
+class Layers:
+    """The results of a cascade: a folder like that of a run for every layer.
 
     Parameters
     ----------
     cascade : CascadeScenario
-        What to simulate.
+        What is run.
     folder : RunFolder
         An empty folder.
+    """
 
-    Returns
-    -------
-    dict
-        The summary of every layer by its namespace.
+    def __init__(self, cascade: CascadeScenario, folder: RunFolder) -> None:
+        self._cascade = cascade
+        self.folders = {name: new_run_folder(folder.path / name.strip("/")) for name in cascade.layers}
+        for name, scenario in cascade.layers.items():
+            self.folders[name].fill(scenario)
+        (folder.path / COUPLING_FILE).write_text(
+            json.dumps(asdict(cascade.coupling), indent=2) + "\n", encoding="utf-8"
+        )
+
+    def summarise(
+        self, figures: Mapping[str, Figures], begun: float, reason: str | None
+    ) -> dict[str, dict[str, object]]:
+        """Write and return the summary of every layer by its namespace."""
+        summaries = {
+            name: summarise(
+                scenario,
+                figures.get(name, {}),
+                status="failed" if reason else "ok",
+                reason=reason,
+                wall_time=time.monotonic() - begun,
+                stepping_seconds=None,
+            )
+            for name, scenario in self._cascade.layers.items()
+        }
+        for name, summary in summaries.items():
+            self.folders[name].write_summary(summary)
+        return summaries
+
+
+def simulate_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, dict[str, object]]:
+    """Simulate a cascade in this process, record it, and return the summary of every layer by its namespace.
 
     Raises
     ------
@@ -49,34 +81,38 @@ def simulate_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, d
         If the run fails; the bags are then completed as far as they go.
     """
     begun = time.monotonic()
-    folders = {name: new_run_folder(folder.path / name.strip("/")) for name in cascade.layers}
-    recordings = {}
-    for name, scenario in cascade.layers.items():
-        folders[name].fill(scenario)
-        recordings[name] = Recording(scenario, folders[name].bag, driver="examples/cascade", namespace=name)
-    attachments = {COUPLING_FILE: json.dumps(asdict(cascade.coupling)).encode() + b"\n"}
-    reason: RunError | None = None
+    layers = Layers(cascade, folder)
+    recordings = {
+        name: Recording(scenario, layers.folders[name].bag, driver="simulate", namespace=name)
+        for name, scenario in cascade.layers.items()
+    }
     try:
         for name, step in CascadeSimulation(cascade).steps():
             recordings[name].add(step)
     except RunError as error:
-        reason = error
-    summaries = {}
-    for name, recording in recordings.items():
-        figures = recording.abort(str(reason), attachments) if reason else recording.close(attachments)
-        seconds = time.monotonic() - begun
-        summaries[name] = summarise(
-            cascade.layers[name],
-            figures,
-            status="failed" if reason else "ok",
-            reason=str(reason) if reason else None,
-            wall_time=seconds,
-            stepping_seconds=seconds,
-        )
-        folders[name].write_summary(summaries[name])
-    if reason:
-        raise reason
-    return summaries
+        reason = str(error)
+        layers.summarise({name: recording.abort(reason) for name, recording in recordings.items()}, begun, reason)
+        raise
+    return layers.summarise({name: recording.close() for name, recording in recordings.items()}, begun, None)
+
+
+def run_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, dict[str, object]]:
+    """Run a cascade with a process per robot over DDS, and return the summary of every layer by its namespace.
+
+    Raises
+    ------
+    RunError
+        If the run fails; the bags are then completed as far as they go.
+    """
+    begun = time.monotonic()
+    layers = Layers(cascade, folder)
+    run = CascadeRun(cascade, layers.folders)
+    try:
+        run.run()
+    except RunError as error:
+        layers.summarise(run.figures, begun, str(error))
+        raise
+    return layers.summarise(run.figures, begun, None)
 
 
 def main(arguments: list[str]) -> int:
@@ -87,11 +123,12 @@ def main(arguments: list[str]) -> int:
     )
     parser.add_argument("--bandwidth", type=float, default=Coupling().bandwidth, help="of the lower references, rad/s")
     parser.add_argument("--set", action="append", default=[], metavar="A.B=VALUE", help="change a value in all layers")
+    parser.add_argument("--processes", action="store_true", help="a process for every robot and node, over DDS")
     asked = parser.parse_args(arguments)
     try:
         cascade = load_cascade(Coupling(bandwidth=asked.bandwidth), asked.set)
         folder = new_run_folder(asked.output) if asked.output else next_run_folder(Path("runs"), "cascade")
-        summaries = simulate_cascade(cascade, folder)
+        summaries = (run_cascade if asked.processes else simulate_cascade)(cascade, folder)
     except (InputError, RunError) as error:
         sys.stderr.write(f"error: {error}\n")
         return 2 if isinstance(error, InputError) else 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,29 +103,29 @@ def load_cascade(coupling: Coupling | None = None, overrides: Sequence[str] = ()
     )
 
 
+@cache
 def absolute(topic: Topic, namespace: str) -> Topic:
-    """Return a topic of a layer under its absolute name."""
+    """Return a topic of a layer under its absolute name; the same object for the same name, as topics are compared."""
     return Topic(f"{namespace}/{topic.name}", topic.message, topic.ros_type)
 
 
-def carried_robot(cascade: CascadeScenario, robot: int) -> Coupled:
-    """Return a robot of the upper layer, whose drive is its lower plane."""
-    (config,) = (config for config in configure.agent_configs(cascade.upper) if config.agent_id == robot)
-    plane, ratio = cascade.lower[robot].plane, cascade.coupling.ratio
-    drive = TiltDrive(ratio, cascade.upper.period, plane.angle, plane.angular_velocity)
-    agent = Agent(replace(config, velocity=ratio * plane.angle), drive)
-    return carried(agent, drive, absolute(PLANE_STATE, lower(robot)), cascade.upper.steps)
+def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupling) -> Coupled:
+    """Return a robot of the upper layer, whose drive is the plane of a lower scenario."""
+    (config,) = (config for config in configure.agent_configs(upper) if config.agent_id == robot)
+    angle, rate = plane.plane.angle, plane.plane.angular_velocity
+    drive = TiltDrive(coupling.ratio, upper.period, angle, rate)
+    agent = Agent(replace(config, velocity=coupling.ratio * angle), drive)
+    return carried(agent, drive, absolute(PLANE_STATE, lower(robot)), upper.steps)
 
 
-def led_controller(cascade: CascadeScenario, robot: int, *, recording_window: int) -> Coupled:
+def led_controller(scenario: Scenario, robot: int, coupling: Coupling, *, recording_window: int) -> Coupled:
     """Return the controller of a lower plane, which follows the command of the robot that the plane drives."""
-    scenario = cascade.lower[robot]
     plane = scenario.plane
     law = Following(
         configure.parent_controller(scenario),
         ParentContext(scenario.period, plane.inertia, configure.friction(scenario), configure.manifold(scenario)),
-        cascade.coupling.ratio,
-        cascade.coupling.bandwidth,
+        coupling.ratio,
+        coupling.bandwidth,
         plane.angle,
         plane.angular_velocity,
     )
@@ -149,13 +150,14 @@ class CascadeSimulation:
             for namespace, scenario in cascade.layers.items()
         }
         upper = cascade.upper
-        robots = {robot: carried_robot(cascade, robot) for robot in cascade.lower}
+        coupling = cascade.coupling
+        robots = {robot: carried_robot(upper, robot, plane, coupling) for robot, plane in cascade.lower.items()}
         controller = Controller(
             configure.controller_config(upper, recording_window=0), configure.parent_controller(upper)
         )
         self._add(UPPER, upper, controller, list(robots.values()))
         for robot, scenario in cascade.lower.items():
-            follower = led_controller(cascade, robot, recording_window=0)
+            follower = led_controller(scenario, robot, coupling, recording_window=0)
             self._add(lower(robot), scenario, follower, [Agent(config) for config in configure.agent_configs(scenario)])
             self._hear[lower(robot), PLANE_STATE].append((UPPER, robots[robot]))
             self._hear[UPPER, AGENT_STATE].append((lower(robot), follower))
@@ -170,9 +172,9 @@ class CascadeSimulation:
             EVENTS: (plane,),
             **dict.fromkeys(BROADCASTS, agents),
         }
-        for topic, behaviours in hearers.items():
-            self._hear[namespace, topic] = [(namespace, behaviour) for behaviour in behaviours]
-        behaviours: list[Behaviour] = [observer, plane, controller, *agents]
+        for topic, those in hearers.items():
+            self._hear[namespace, topic] = [(namespace, behaviour) for behaviour in those]
+        behaviours: tuple[Behaviour, ...] = (observer, plane, controller, *agents)
         self._behaviours.extend((namespace, behaviour) for behaviour in behaviours)
 
     def steps(self) -> Iterator[tuple[str, RecordedStep]]:

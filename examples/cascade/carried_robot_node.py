@@ -1,0 +1,18 @@
+"""Node of a robot of the upper layer, which a lower plane drives."""
+
+from __future__ import annotations
+
+import sys
+
+from coupled_node import PARAMETERS, make_robot
+
+from swarmabs_ros.runner import run_node
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("carried_robot", PARAMETERS, make_robot, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+"""The two nodes that couple layers: a robot that a lower plane drives, and the controller of that plane.
+
+They differ from `agent_node` and `parent_controller` by their state machine and by one subscription in the other layer.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from layers import UPPER, Coupling, absolute, carried_robot, led_controller, lower
+
+from swarmabs_core.configure import RECORDING_WINDOW
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    RECORDING_PROGRESS,
+)
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.scenario import load_scenario
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec
+
+if TYPE_CHECKING:
+    from swarmabs_ros.runner import Settings
+    from swarmabs_ros.status import StatusChannel
+
+PARAMETERS = (
+    Parameter("upper_file", "", "file of the upper scenario"),
+    Parameter("lower_file", "", "file of the lower scenario"),
+    Parameter("robot", 1, "id of the upper robot that is coupled", minimum=1, maximum=65535),
+    Parameter("ratio", 1.0, "speed of the robot by tilt of the plane, m/(s rad)", above=0.0),
+    Parameter("bandwidth", 15.0, "of the filter of the reference, rad/s", above=0.0),
+)
+
+
+def _coupling(settings: Settings) -> Coupling:
+    return Coupling(settings.number("ratio"), settings.number("bandwidth"))
+
+
+def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - it has nothing to report
+    """Return behaviour and endpoints of a robot that a lower plane drives."""
+    upper, plane = (load_scenario(Path(settings.text(name))) for name in ("upper_file", "lower_file"))
+    robot = settings.integer("robot")
+    behaviour = carried_robot(upper, robot, plane, _coupling(settings))
+    heard = {topic: requested(topic, depth=10) for topic in BROADCASTS}
+    link = absolute(PLANE_STATE, lower(robot))
+    return NodeSpec(behaviour, (EVENTS, AGENT_STATE), {**heard, link: requested(PLANE_STATE, depth=10)})
+
+
+def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - it has nothing to report
+    """Return behaviour and endpoints of the controller of a lower plane."""
+    scenario = load_scenario(Path(settings.text("lower_file")))
+    robot = settings.integer("robot")
+    behaviour = led_controller(scenario, robot, _coupling(settings), recording_window=RECORDING_WINDOW)
+    depths = {PLANE_STATE: 10, RECORDING_PROGRESS: 1}
+    heard = {topic: requested(topic, depth=depth) for topic, depth in depths.items()}
+    link = absolute(AGENT_STATE, UPPER)
+    return NodeSpec(behaviour, (EVENTS, DESIRED_ABSTRACT_STATE), {**heard, link: requested(AGENT_STATE, depth=100)})
