@@ -15,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from layers import CascadeSimulation, Coupling, load_cascade
+from layers import FOLDER, CascadeSimulation, Coupling, load_cascade
 from processes import CascadeRun
 
 from swarmabs_bringup.recorder.recording import Recording
@@ -119,14 +119,18 @@ def main(arguments: list[str]) -> int:
     """Run the example; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
+        "folder", nargs="?", type=Path, default=FOLDER, help="of the scenarios; default: that of this file"
+    )
+    parser.add_argument(
         "-o", "--output", metavar="DIR", type=Path, help="folder of the results; default: runs/cascade-NNN"
     )
+    parser.add_argument("--ratio", type=float, default=Coupling().ratio, help="speed by tilt, m/(s rad)")
     parser.add_argument("--bandwidth", type=float, default=Coupling().bandwidth, help="of the lower references, rad/s")
     parser.add_argument("--set", action="append", default=[], metavar="A.B=VALUE", help="change a value in all layers")
     parser.add_argument("--processes", action="store_true", help="a process for every robot and node, over DDS")
     asked = parser.parse_args(arguments)
     try:
-        cascade = load_cascade(Coupling(bandwidth=asked.bandwidth), asked.set)
+        cascade = load_cascade(asked.folder, Coupling(asked.ratio, asked.bandwidth), asked.set)
         folder = new_run_folder(asked.output) if asked.output else next_run_folder(Path("runs"), "cascade")
         summaries = (run_cascade if asked.processes else simulate_cascade)(cascade, folder)
     except (InputError, RunError) as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from math import inf
 from pathlib import Path
@@ -74,7 +74,7 @@ class CascadeScenario:
 
     upper: Scenario
     lower: Mapping[int, Scenario]
-    coupling: Coupling = field(default_factory=Coupling)
+    coupling: Coupling
 
     def __post_init__(self) -> None:
         robots = [agent.id for agent in self.upper.agents]
@@ -93,14 +93,28 @@ class CascadeScenario:
         return {UPPER: self.upper, **{lower(robot): scenario for robot, scenario in self.lower.items()}}
 
 
-def load_cascade(coupling: Coupling | None = None, overrides: Sequence[str] = ()) -> CascadeScenario:
-    """Load the scenarios beside this file; the overrides hold for every layer."""
-    upper = load_scenario(FOLDER / "upper.yaml", overrides)
-    return CascadeScenario(
-        upper,
-        {agent.id: load_scenario(FOLDER / f"lower_{agent.id}.yaml", overrides) for agent in upper.agents},
-        coupling or Coupling(),
-    )
+def load_cascade(
+    folder: Path = FOLDER, coupling: Coupling | None = None, overrides: Sequence[str] = ()
+) -> CascadeScenario:
+    """Load ``upper.yaml`` and a ``lower_ID.yaml`` for each of its robots.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files are.
+    coupling : Coupling, optional
+        How the layers are coupled.
+    overrides : sequence of str
+        ``a.b=value`` each, for every layer.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or not valid, or the layers do not fit together.
+    """
+    upper = load_scenario(folder / "upper.yaml", overrides)
+    lower_planes = {agent.id: load_scenario(folder / f"lower_{agent.id}.yaml", overrides) for agent in upper.agents}
+    return CascadeScenario(upper, lower_planes, coupling or Coupling())
 
 
 @cache
