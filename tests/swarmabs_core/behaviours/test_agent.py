@@ -116,6 +116,21 @@ def test_follows_the_law_and_its_drive(kind: Kind) -> None:
         before = after
 
 
+@kinds
+def test_another_drive_moves_the_robot_by_the_same_law(kind: Kind) -> None:
+    class Belt:
+        """Carries whatever stands on it, whatever is commanded."""
+
+        def advance(self, position: float, velocity: float, command: float) -> tuple[float, float]:
+            return position + 0.5, 0.25
+
+    node = Agent(agent(kind)._config, Belt())
+    before = state(list(node.start()))
+    after = state(hear(node, broadcasts()))
+    assert (after.position, after.velocity) == (before.position + 0.5, 0.25)
+    assert after.command == law(before) != 0.0
+
+
 def test_the_two_laws_differ() -> None:
     commands = []
     for kind in (SI, DI):
