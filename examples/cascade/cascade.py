@@ -78,7 +78,7 @@ def simulate_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, d
     Raises
     ------
     RunError
-        If the run fails; the bags are then completed as far as they go.
+        If the run fails or is interrupted; the bags are then completed as far as they go.
     """
     begun = time.monotonic()
     layers = Layers(cascade, folder)
@@ -89,10 +89,10 @@ def simulate_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, d
     try:
         for name, step in CascadeSimulation(cascade).steps():
             recordings[name].add(step)
-    except RunError as error:
-        reason = str(error)
+    except (RunError, KeyboardInterrupt) as error:
+        reason = str(error) or "interrupted"
         layers.summarise({name: recording.abort(reason) for name, recording in recordings.items()}, begun, reason)
-        raise
+        raise RunError(reason) from error
     return layers.summarise({name: recording.close() for name, recording in recordings.items()}, begun, None)
 
 
@@ -102,16 +102,17 @@ def run_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, dict[s
     Raises
     ------
     RunError
-        If the run fails; the bags are then completed as far as they go.
+        If the run fails or is interrupted; the bags are then completed as far as they go.
     """
     begun = time.monotonic()
     layers = Layers(cascade, folder)
     run = CascadeRun(cascade, layers.folders)
     try:
         run.run()
-    except RunError as error:
-        layers.summarise(run.figures, begun, str(error))
-        raise
+    except (RunError, KeyboardInterrupt) as error:
+        reason = str(error) or "interrupted"
+        layers.summarise(run.figures, begun, reason)
+        raise RunError(reason) from error
     return layers.summarise(run.figures, begun, None)
 
 

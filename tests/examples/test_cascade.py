@@ -22,6 +22,8 @@ from swarmabs_core.errors import InputError
 if TYPE_CHECKING:
     from swarmabs_core.arrays import RunArrays
 
+pytestmark = pytest.mark.timeout(60)
+
 LOWER = ("lower_1", "lower_2", "lower_3")
 NO_COULOMB = "plane.friction=[0.0, 1000, 700, 0.0, 1000, 1.0]"
 
