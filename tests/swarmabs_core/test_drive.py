@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.drive import DoubleIntegratorDrive, Lag, SingleIntegratorDrive
 
 masses = st.floats(0.05, 5.0)
 dampings = st.one_of(st.just(0.0), st.floats(1e-12, 1e-3), st.floats(1e-3, 50.0))
@@ -77,3 +77,45 @@ def test_two_half_periods_are_one_period(h: float, m: float, c: float, p: float,
     middle = half.advance(p, v, u)
     expected = DoubleIntegratorDrive(h, m, c).advance(p, v, u)
     assert half.advance(*middle, u) == pytest.approx(expected, rel=1e-12, abs=1e-13)
+
+
+lags = st.one_of(st.floats(1e-9, 1e-3), st.floats(1e-3, 10.0))
+
+
+@given(periods, lags, states, states, states)
+def test_lag_of_a_single_integrator_is_the_matrix_exponential(
+    h: float, lag: float, p: float, v: float, u: float
+) -> None:
+    augmented = np.array([[0.0, 1.0, 0.0], [0.0, -1.0 / lag, 1.0 / lag], [0.0, 0.0, 0.0]])
+    expected = expm(augmented * h)[:2] @ [p, v, u]
+    answer, ideal = Lag.of_velocity(lag, h), SingleIntegratorDrive(h).advance(p, v, u)
+    found = [ideal[0] + answer.gap_to_position * (v - u), ideal[1] + answer.gap_to_velocity * (v - u)]
+    assert found == pytest.approx(expected, rel=1e-10, abs=1e-11)
+
+
+@given(periods, lags, masses, dampings, states, states, states, states)
+def test_lag_of_a_double_integrator_is_the_matrix_exponential(
+    h: float, lag: float, m: float, c: float, p: float, v: float, f: float, u: float
+) -> None:
+    system = [[0, 1, 0, 0], [0, -c / m, 1 / m, 0], [0, 0, -1 / lag, 1 / lag], [0, 0, 0, 0]]
+    expected = expm(np.array(system) * h) @ [p, v, f, u]
+    answer, ideal = Lag.of_force(lag, h, m, c), DoubleIntegratorDrive(h, m, c).advance(p, v, u)
+    found = [
+        ideal[0] + answer.gap_to_position * (f - u),
+        ideal[1] + answer.gap_to_velocity * (f - u),
+        u + answer.decay * (f - u),
+    ]
+    assert found == pytest.approx(expected[:3], rel=1e-9, abs=1e-10)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-16, 1e-12, 1e-8, 1e-4])
+@pytest.mark.parametrize("h", [0.001, 0.1, 0.49, 0.51, 3.0])
+def test_lag_keeps_its_digits_where_lag_and_drag_are_equally_fast(h: float, offset: float) -> None:
+    """In rational arithmetic: both time constants are 0.5 s, or differ by a little."""
+    a, b = Fraction(-h) / Fraction(0.5), Fraction(-(1.0 + offset) * 1.0 * h) / Fraction(0.5)
+    homogeneous = [sum(a**i * b ** (n - i) for i in range(n + 1)) for n in range(50)]
+    lag = Lag.of_force(0.5, h, 0.5, 1.0 + offset)
+    first = sum(term / factorial(n + 1) for n, term in enumerate(homogeneous))
+    second = sum(term / factorial(n + 2) for n, term in enumerate(homogeneous))
+    assert lag.gap_to_velocity == pytest.approx(float(first) * h / 0.5, rel=1e-13)
+    assert lag.gap_to_position == pytest.approx(float(second) * h * h / 0.5, rel=1e-13)

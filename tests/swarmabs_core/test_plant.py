@@ -196,6 +196,63 @@ def test_substeps_are_not_longer_than_asked_for() -> None:
     assert eleventh != tenths
 
 
+def stopped(substep: float, end_stop: float, friction: Friction = SMOOTH) -> PlaneDynamics:
+    return PlaneDynamics(
+        inertia=0.5, friction=friction, disturbance=CALM, period=0.4, substep=substep, end_stop=end_stop
+    )
+
+
+@pytest.mark.parametrize("substep", [0.004, 0.001, 0.0001])
+def test_end_stop_is_hit_when_scipy_says_and_to_the_substep(substep: float) -> None:
+    stop, side = 0.25, -1.0
+    load = swarm_load([standing(0.5, 0.2)], G)  # turns the plane to smaller angles
+
+    def rhs(t: float, x: np.ndarray) -> list[float]:
+        return [x[1], (-np.cos(x[0]) * 0.5 * 0.2 * G - SMOOTH.torque(x[1])) / (0.5 + 0.02)]
+
+    def touch(t: float, x: np.ndarray) -> float:
+        return float(x[0] + stop)
+
+    touch.terminal = True  # type: ignore[attr-defined]
+    exact = solve_ivp(rhs, (0.0, 0.4), (-0.2, -0.2), "DOP853", rtol=1e-12, atol=1e-13, events=touch)
+    plane = stopped(substep, stop)
+    assert plane.advance(-0.2, -0.2, 7.0, load) == (side * stop, 0.0)
+    assert plane.impact is not None
+    time, rate = plane.impact
+    assert 0.0 <= time - 7.0 - exact.t[-1] <= substep
+    assert rate == pytest.approx(exact.y[1, -1], abs=2.0 * substep)
+
+
+def test_plane_stays_at_the_stop_until_it_is_pushed_back() -> None:
+    outward, inward = (swarm_load([standing(0.5, p)], G) for p in (0.2, -0.2))
+    plane = stopped(0.001, 0.25)
+    state = plane.advance(-0.25, 0.0, 0.0, outward)
+    assert state == (-0.25, 0.0)
+    free = stopped(0.001, inf).advance(-0.25, 0.0, 0.4, inward)
+    assert plane.advance(*state, 0.4, inward) == free
+    assert free[0] > -0.25
+    assert plane.impact is None
+
+
+def test_a_push_that_turns_round_within_the_period_frees_the_plane_at_the_substep() -> None:
+    """The robot crosses the axis at half time: from then on the plane falls freely from the stop."""
+    crossing = swarm_load([straight(0.5, 0.1, -0.1)], G)
+    found = stopped(0.0001, 0.25).advance(-0.25, 0.0, 0.0, crossing)
+
+    def rhs(t: float, x: np.ndarray) -> list[float]:
+        p = 0.1 - 0.2 * t / 0.4
+        rate = -2.0 * 0.5 * p * 0.2 / 0.4
+        return [x[1], (-np.cos(x[0]) * 0.5 * p * G - rate * x[1] - SMOOTH.torque(x[1])) / (0.5 + 0.5 * p * p)]
+
+    exact = solve_ivp(rhs, (0.2, 0.4), (-0.25, 0.0), "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    assert found == pytest.approx(tuple(exact), abs=1e-5)
+
+
+def test_stop_that_is_not_reached_changes_no_bit() -> None:
+    load = load_of_movers(0.4)
+    assert stopped(0.001, 1.0).advance(0.2, -0.3, 0.0, load) == stopped(0.001, inf).advance(0.2, -0.3, 0.0, load)
+
+
 @pytest.mark.parametrize("state", [(inf, 0.0), (nan, 0.0), (0.1, inf), (0.1, nan), (0.1, 1e308)])
 def test_motion_that_is_not_finite_is_refused(state: tuple[float, float]) -> None:
     with pytest.raises(RunError, match=r"not finite at t = 2\.5 s"):

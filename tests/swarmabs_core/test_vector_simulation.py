@@ -6,6 +6,7 @@ import random
 from collections.abc import Iterable, Iterator
 
 import pytest
+from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import Topic
@@ -94,6 +95,26 @@ def test_what_concerns_single_robots_is_left_to_the_state_machines(extra: str) -
     scenario = swarm(ARRAYS_FROM, seed=1, extra=extra)
     assert not vectorisable(scenario)
     assert digest_and_bag(simulated_steps(scenario)) == digest_and_bag(Simulation(scenario).steps())
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "plane.end_stop=0.101",
+        "plane.sensor.noise=[1e-4, 0]",
+        "plane.sensor.resolution=[0, 1e-4]",
+        "swarm.sensor.noise=[1e-4, 0]",
+        "swarm.sensor.resolution=[0, 1e-4]",
+        "swarm.actuator_lag=0.02",
+    ],
+)
+def test_imperfect_worlds_are_left_to_the_state_machines(option: str) -> None:
+    plain = ("duration=0.3", "plane.angular_velocity=0.2")
+    scenario = builtin("arise_het_20", *plain, option)
+    assert not vectorisable(scenario)
+    found = digest_and_bag(simulated_steps(scenario))
+    assert found == digest_and_bag(Simulation(scenario).steps())
+    assert found != digest_and_bag(simulated_steps(builtin("arise_het_20", *plain)))
 
 
 def test_a_swarm_that_loses_its_spread_goes_on_with_the_state_machines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,13 +7,14 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits, Unpacking
+from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits, Unpacking, make_agent
 from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
 from swarmabs_core.law_registry import LAWS, PAPER, law_type
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
@@ -44,10 +45,25 @@ PARAMETERS = (
     Parameter("end_step", 0, "step of the planned end", minimum=0),
     Parameter("delay", 0, "injected age of the broadcasts, steps", minimum=0),
     Parameter("loss_probability", 0.0, "injected probability of missing the broadcasts", minimum=0.0, maximum=1.0),
-    Parameter("seed", 1, "seed of the injected losses", minimum=0),
+    Parameter("seed", 1, "seed of the injected losses and of the sensor's noise", minimum=0),
     Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
     PACKED,
     LAW,
+    Parameter(
+        "sensor.noise",
+        (0.0, 0.0),
+        "standard deviations of white noise on its own position, m, and velocity, m/s",
+        minimum=0.0,
+        length=2,
+    ),
+    Parameter(
+        "sensor.resolution",
+        (0.0, 0.0),
+        "steps to which its own position, m, and velocity, m/s, are rounded; 0: none",
+        minimum=0.0,
+        length=2,
+    ),
+    Parameter("actuator_lag", 0.0, "time constant with which the drive follows the command, s", minimum=0.0),
 )
 
 
@@ -103,12 +119,14 @@ def config(settings: Settings) -> AgentConfig:
         law=str(law.pop("type")),
         law_settings=law,
         last_step=settings.last_step(),
+        sensor=Sensor(settings.pair("sensor.noise"), settings.pair("sensor.resolution")),
+        actuator_lag=settings.number("actuator_lag"),
     )
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    agent: Agent | Unpacking = Agent(config(settings))
+    agent: Agent | Unpacking = make_agent(config(settings))
     if settings.flag(PACKED.name):
         agent = Unpacking(agent)
     return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from math import inf
 
 from swarmabs_core.behaviours import Plane, PlaneConfig
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.plant import Disturbance
+from swarmabs_core.sensing import Sensor
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
@@ -31,6 +33,23 @@ PARAMETERS = (
     Parameter("angular_velocity", 0.0, "initial angular velocity, rad/s"),
     Parameter("disturbance.amplitude", 0.0, "amplitude of the disturbance torque, N m"),
     Parameter("disturbance.angular_frequency", 0.5, "angular frequency of the disturbance torque, rad/s"),
+    Parameter("end_stop", 0.0, "angle of inelastic end stops on both sides, rad; 0: none", minimum=0.0),
+    Parameter(
+        "sensor.noise",
+        (0.0, 0.0),
+        "standard deviations of white noise on angle, rad, and angular velocity, rad/s",
+        minimum=0.0,
+        length=2,
+    ),
+    Parameter(
+        "sensor.resolution",
+        (0.0, 0.0),
+        "steps to which angle, rad, and angular velocity, rad/s, are rounded; 0: none",
+        minimum=0.0,
+        length=2,
+    ),
+    Parameter("seed", 1, "seed of the sensor's noise", minimum=0),
+    Parameter("actuator_lag", 0.0, "time constant of the robots' drives, s", minimum=0.0),
 )
 
 
@@ -51,6 +70,10 @@ def config(settings: Settings) -> PlaneConfig:
         ),
         schedule=settings.schedule(),
         last_step=settings.last_step(),
+        end_stop=settings.number("end_stop") or inf,
+        sensor=Sensor(settings.pair("sensor.noise"), settings.pair("sensor.resolution")),
+        seed=settings.integer("seed"),
+        actuator_lag=settings.number("actuator_lag"),
     )
 
 

@@ -19,6 +19,7 @@ from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.plant import Disturbance
+from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -63,6 +64,16 @@ def manifold(scenario: Scenario) -> Manifold:
     return Manifold(m.curvature, m.offset, m.torque_max)
 
 
+def plane_sensor(scenario: Scenario) -> Sensor:
+    """Return the sensor of the plane's motion."""
+    return Sensor(scenario.plane.sensor.noise, scenario.plane.sensor.resolution)
+
+
+def robot_sensor(scenario: Scenario) -> Sensor:
+    """Return the sensors by which the robots know their own motion."""
+    return Sensor(scenario.swarm.sensor.noise, scenario.swarm.sensor.resolution)
+
+
 def observer_config(scenario: Scenario) -> ObserverConfig:
     """Return the observer's configuration."""
     return ObserverConfig(
@@ -91,6 +102,10 @@ def plane_config(scenario: Scenario) -> PlaneConfig:
         disturbance=Disturbance(plane.disturbance.amplitude, plane.disturbance.angular_frequency),
         schedule=schedule(scenario),
         last_step=scenario.steps,
+        end_stop=inf if plane.end_stop is None else plane.end_stop,
+        sensor=plane_sensor(scenario),
+        seed=scenario.seed,
+        actuator_lag=scenario.swarm.actuator_lag,
     )
 
 
@@ -140,6 +155,7 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
     gains = SwarmGains(g.k, g.kp, g.kd, g.ksd)
     law = law_settings(scenario)
     limits = Limits(scenario.limits.velocity or inf, scenario.limits.force or inf)
+    sensor = robot_sensor(scenario)
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
         life = lives.get(change.agent_id, LifeSpan())
@@ -174,6 +190,8 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
             law=scenario.swarm.law.type,
             law_settings=law,
             last_step=scenario.steps,
+            sensor=sensor,
+            actuator_lag=scenario.swarm.actuator_lag,
         )
         for agent in scenario.agents
     )

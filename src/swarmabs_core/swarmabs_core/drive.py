@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import expm1
+from math import exp, expm1
 from typing import Protocol
 
 
@@ -25,6 +25,27 @@ def _phi(z: float) -> tuple[float, float]:
         phi1 = 1.0 + phi1 * z / (n + 1)
         phi2 = 1.0 + phi2 * z / (n + 2)
     return phi1, phi2 / 2.0
+
+
+def _difference(a: float, b: float) -> float:
+    """Return the divided difference (exp(a) - exp(b))/(a - b); exp(a) where both are equal."""
+    low, high = min(a, b), max(a, b)
+    return exp(high) * _phi(low - high)[0]
+
+
+def _second_difference(a: float, b: float) -> float:
+    """Return the divided difference of exp at 0, a and b, none of them positive, however close they are."""
+    low, high = min(a, b), max(a, b)
+    if low < -1.0:
+        return (_phi(high)[0] - _difference(low, high)) / -low
+    # sum of h_n / (n + 2)!, h_n being the complete homogeneous polynomial of a and b
+    total, power, homogeneous, factorial = 0.0, 1.0, 1.0, 2.0
+    for n in range(1, 24):
+        total += homogeneous / factorial
+        power *= a
+        homogeneous = homogeneous * b + power
+        factorial *= n + 2
+    return total
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,4 +101,41 @@ class DoubleIntegratorDrive:
         return (
             position + self.velocity_to_position * velocity + self.force_to_position * command,
             self.decay * velocity + self.force_to_velocity * command,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    r"""First-order lag of an actuator, :math:`T \dot x = u - x`, for a command u that is held.
+
+    x is the velocity of a single integrator and the force of a double integrator. The system is linear, so its motion
+    is that of the drive without lag plus the answer to ``x(0) - u``, which decays: `gap` is x - u, by which both are
+    multiplied.
+
+    Parameters
+    ----------
+    decay : float
+        What remains of the gap after a period.
+    gap_to_velocity, gap_to_position : float
+        By how much the gap at the beginning of a period changes velocity and position at its end, per its unit.
+    """
+
+    decay: float
+    gap_to_velocity: float
+    gap_to_position: float
+
+    @classmethod
+    def of_velocity(cls, time_constant: float, period: float) -> Lag:
+        """Return the lag of a single integrator; time constant and period in s."""
+        z = -period / time_constant
+        return cls(exp(z), exp(z), period * _phi(z)[0])
+
+    @classmethod
+    def of_force(cls, time_constant: float, period: float, mass: float, damping: float) -> Lag:
+        """Return the lag of a double integrator of a mass (kg) and a damping (N s/m)."""
+        lag, drag = -period / time_constant, -damping * period / mass
+        return cls(
+            exp(lag),
+            period / mass * _difference(lag, drag),
+            period * period / mass * _second_difference(lag, drag),
         )

@@ -11,7 +11,7 @@ polynomials too, of degree 3 and 6, summed once a period.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, cos, isfinite, sin, tanh
+from math import ceil, copysign, cos, inf, isfinite, sin, tanh
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.errors import RunError
@@ -141,10 +141,26 @@ class PlaneDynamics:
     substep : float
         Largest integration step, s; the period is divided into equal ones. 0.5 to 1 ms suit the paper's
         friction, whose slope at rest makes the plane stiff.
+    end_stop : float
+        Angle of the end stops on both sides, rad. They are inelastic: at the end of a substep that leads beyond
+        one, the plane is at the stop and at rest. It stays there as long as every further substep leads beyond.
+
+    Attributes
+    ----------
+    impact : tuple of float or None
+        The first touch of an end stop in the last period: the end of the substep (s), and the angular velocity
+        (rad/s) that is lost.
     """
 
     def __init__(
-        self, *, inertia: float, friction: Friction, disturbance: Disturbance, period: float, substep: float
+        self,
+        *,
+        inertia: float,
+        friction: Friction,
+        disturbance: Disturbance,
+        period: float,
+        substep: float,
+        end_stop: float = inf,
     ) -> None:
         self._inertia = inertia
         self._friction = friction
@@ -152,6 +168,8 @@ class PlaneDynamics:
         self._period = period
         # A period that is a multiple of the substep must not gain one more by rounding.
         self._count = max(1, ceil(period / substep * (1.0 - 1e-12)))
+        self._end_stop = end_stop
+        self.impact: tuple[float, float] | None = None
 
     def advance(self, angle: float, angular_velocity: float, time: float, load: SwarmLoad) -> tuple[float, float]:
         """Return angle (rad) and angular velocity (rad/s) one period after `time` (s).
@@ -172,7 +190,8 @@ class PlaneDynamics:
 
         h = period / count
         half = 0.5 * h
-        th, w = angle, angular_velocity
+        th, w, end_stop = angle, angular_velocity, self._end_stop
+        self.impact = None
         try:
             for n in range(0, 2 * count, 2):
                 a1 = acceleration(th, w, n)
@@ -184,6 +203,9 @@ class PlaneDynamics:
                 a4 = acceleration(th + h * w3, w4, n + 2)
                 th += h / 6.0 * (w + 2.0 * (w2 + w3) + w4)
                 w += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+                if abs(th) > end_stop:
+                    self.impact = self.impact or (time + (n + 2) * half, w)
+                    th, w = copysign(end_stop, th), 0.0
         except (ValueError, OverflowError) as error:  # cos(inf)
             raise RunError(f"the plane's motion is not finite at t = {time:g} s") from error
         if not (isfinite(th) and isfinite(w)):

@@ -7,7 +7,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from swarmabs_core import configure
-from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
+from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -46,7 +46,7 @@ class Simulation:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        agents = [Agent(config) for config in configure.agent_configs(scenario)]
+        agents = [make_agent(config) for config in configure.agent_configs(scenario)]
         observer = Observer(configure.observer_config(scenario))
         plane = Plane(configure.plane_config(scenario))
         controller = Controller(

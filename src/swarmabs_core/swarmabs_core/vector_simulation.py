@@ -2,7 +2,8 @@
 
 Addition, multiplication and division of arrays round element by element exactly as those of numbers do, and every sum
 over the robots is correctly rounded; no other function is applied to arrays. So the same formulas give the same bits,
-which is a test. What concerns single robots (faults, limits, safe stops) is left to the state machines.
+which is a test. What concerns single robots (faults, limits, safe stops), imperfect sensors and drives, and end stops
+are left to the state machines.
 """
 
 from __future__ import annotations
@@ -59,9 +60,10 @@ class NotVectorisableError(Exception):
 
 def vectorisable(scenario: Scenario) -> bool:
     """Tell whether all robots of a scenario do the same all the time, by the laws that are computed on arrays."""
-    limits = scenario.limits
-    special = scenario.faults or limits.velocity or limits.force or scenario.plane.robot_gravity
-    return not special and scenario.swarm.law.type == PAPER.name
+    limits, plane, swarm = scenario.limits, scenario.plane, scenario.swarm
+    individual = scenario.faults or limits.velocity or limits.force or plane.robot_gravity
+    perfect = configure.plane_sensor(scenario).perfect and configure.robot_sensor(scenario).perfect
+    return perfect and swarm.law.type == PAPER.name and not (individual or plane.end_stop or swarm.actuator_lag)
 
 
 class ArrayStep(NamedTuple):

@@ -82,6 +82,11 @@ class Settings:
         """Return numbers."""
         return cast("tuple[float, ...]", self._values[name])
 
+    def pair(self, name: str) -> tuple[float, float]:
+        """Return the numbers of an array of two."""
+        first, second = self.numbers(name)
+        return first, second
+
     def integers(self, name: str) -> tuple[int, ...]:
         """Return integers."""
         return cast("tuple[int, ...]", self._values[name])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -30,6 +32,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.plant import Disturbance
+from swarmabs_core.sensing import Sensor
 
 FRICTION = Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0)
 H = PERIOD_NS / 1e9
@@ -40,10 +43,12 @@ Path = tuple[float, Polynomial]
 """A robot's mass (kg) and position p(t) (m) over a period, t from 0 to `H`."""
 
 
-def plane(*schedule: Change, last_step: int | None = None) -> Plane:
+def plane(
+    *schedule: Change, members: tuple[int, ...] = (1, 2, 3), last_step: int | None = None, **options: Any
+) -> Plane:
     return Plane(
         PlaneConfig(
-            members=(1, 2, 3),
+            members=members,
             period_ns=PERIOD_NS,
             inertia=0.5,
             length=1.0,
@@ -55,6 +60,7 @@ def plane(*schedule: Change, last_step: int | None = None) -> Plane:
             disturbance=Disturbance(0.3, 4.0),
             schedule=schedule,
             last_step=last_step,
+            **options,
         )
     )
 
@@ -222,3 +228,71 @@ def test_run_ends_with_its_last_step() -> None:
     assert len(feed(node, robots(0))) == 1
     assert node.awaits() == ()
     assert feed(node, robots(1)) == []
+
+
+def test_lagging_single_integrator_moves_on_the_cubic_through_its_states() -> None:
+    """Its true path is p0 + u s + T (1 - e^(-s/T)) (v0 - u): the plane under it is solved by SciPy."""
+    lag, v0, u = 0.02, 3.0, -1.0
+
+    def moved(t: float) -> tuple[float, float]:
+        gap = (v0 - u) * np.exp(-t / lag)
+        return 0.1 + u * t + lag * (v0 - u - gap), u + gap
+
+    def at(step: int) -> AgentState:
+        position, velocity = moved(step * H)
+        return agent_state(1, step, position=position, velocity=velocity)
+
+    def rhs(t: float, x: Array) -> list[float]:
+        p, v = moved(t)
+        tau_d = 0.3 * np.sin(4.0 * t)
+        forces = -np.cos(x[0]) * 9.81 * MASS * p - 2.0 * MASS * p * v * x[1] - FRICTION.torque(x[1]) - tau_d
+        return [x[1], forces / (0.5 + MASS * p * p)]
+
+    expected = solve_ivp(rhs, (0.0, H), (0.1, -0.2), "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    errors = []
+    for actuator_lag in (lag, 0.0):
+        node = plane(members=(1,), actuator_lag=actuator_lag)
+        feed(node, [at(0)])
+        errors.append(abs(np.array(angle(node, [at(1)])) - expected).max())
+    assert errors[0] < 1e-6
+    assert errors[1] > 20.0 * errors[0]
+
+
+@pytest.mark.parametrize(("lag", "curved"), [(0.0, False), (0.24 * H, False), (0.25 * H, True), (1.0, True)])
+def test_a_lag_much_shorter_than_the_period_leaves_the_path_a_line(lag: float, *, curved: bool) -> None:
+    found = []
+    for node in (plane(members=(1,), actuator_lag=lag), plane(members=(1,))):
+        feed(node, [agent_state(1, 0, velocity=-1.0)])
+        found.append(angle(node, [agent_state(1, 1, velocity=1.0)]))
+    assert (found[0] != found[1]) is curved
+
+
+def test_end_stop_is_announced_once() -> None:
+    node = plane(members=(1,), end_stop=0.11)
+    hits: list[tuple[int, float]] = []
+    for step in range(120):
+        position = -0.3 if step < 40 else 0.3 if step < 60 else -0.3
+        answers = feed(node, [agent_state(1, step, position=position)])
+        hits += [(event.step, event.value) for event in answers if isinstance(event, SwarmEvent)]
+        state = answers[-1]
+        assert isinstance(state, PlaneState)
+        assert abs(state.angle) <= 0.11
+    assert [value for _, value in hits] == [0.11, 0.11]
+    assert hits[0][0] < 40
+    assert hits[1][0] > 60
+
+
+def test_end_stop_of_the_other_side_has_its_sign() -> None:
+    node = plane(members=(1,), end_stop=0.11)
+    answers = [answer for step in range(60) for answer in feed(node, [agent_state(1, step, position=0.3)])]
+    (event,) = [answer for answer in answers if isinstance(answer, SwarmEvent)]
+    assert (event.agent_id, event.kind, event.value) == (0, EventKind.LIMIT_HIT, -0.11)
+    assert event.detail.startswith("end stop hit at 0.")
+
+
+def test_what_is_published_is_measured_and_what_is_integrated_is_true() -> None:
+    sensor = Sensor((0.01, 0.1), (0.001, 0.0))
+    measuring, true = plane(sensor=sensor, seed=4), plane()
+    for step in range(5):
+        expected = sensor.measure(*angle(true, robots(step)), f"4:{step}:plane")
+        assert angle(measuring, robots(step)) == expected

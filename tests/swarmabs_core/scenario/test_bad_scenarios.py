@@ -107,6 +107,26 @@ CASES = [
         HEAD + "plane:\n  friction:\n    - 1\n    - x\n    - 1\n    - 1\n    - 1\n    - 1",
         "f:7: plane.friction.1: expected a number, found the text 'x'; write a number, e.g. 0.5",
     ),
+    # The world's imperfections.
+    (HEAD + "plane: {end_stop: 1.5}", "f:4: plane.end_stop: 1.5 is out of range; give a number < 1.5"),
+    (HEAD + "plane: {end_stop: 0}", "f:4: plane.end_stop: 0 is out of range; give a number > 0"),
+    (
+        HEAD + "plane:\n  angle: 0.3\n  end_stop: 0.2",
+        "f:5: plane.angle: 0.3 rad is beyond the end stop at 0.2 rad (see line 6); begin between the stops, or move",
+    ),
+    (
+        HEAD + "plane:\n  robot_gravity: true\n  sensor: {noise: [0.1, 0]}",
+        "f:6: plane.sensor: with robot_gravity the robots feel the plane's true angle, which its sensor",
+    ),
+    (
+        HEAD + "plane: {sensor: {noise: 0.1}}",
+        "f:4: plane.sensor.noise: expected a list of 2 numbers, found the number 0.1; write a list",
+    ),
+    (HEAD.replace("swarm:", "swarm:\n  actuator_lag: -1"), "f:3: swarm.actuator_lag: -1 is out of range; give a"),
+    (
+        HEAD.replace("swarm:", "swarm:\n  sensor: {resolution: [0, -1]}"),
+        "f:3: swarm.sensor.resolution.1: -1 is out of range; give a number >= 0",
+    ),
     (HEAD + "faults: {}", "f:4: faults: expected a list, found a mapping; write a list in [ ]"),
     # Ranges.
     ("schema: 2\nswarm: {}", "f:1: schema: expected 1, found the number 2; write 'schema: 1'"),

@@ -108,6 +108,10 @@ plane:
     amplitude: 0.0
     angular_frequency: 0.5
   robot_gravity: false
+  end_stop: null
+  sensor:
+    noise: [0.0, 0.0]
+    resolution: [0.0, 0.0]
 manifold:
   curvature: 0.0125
   offset: 0.025
@@ -135,6 +139,10 @@ swarm:
   agents:
     - {id: 1, kind: single_integrator, mass: 1.0, position: 0.1}
     - {id: 2, kind: double_integrator, mass: 1.0, damping: 0.0, position: 0.0, velocity: 0.0}
+  sensor:
+    noise: [0.0, 0.0]
+    resolution: [0.0, 0.0]
+  actuator_lag: 0.0
 limits:
   velocity: null
   force: 2.0

@@ -150,6 +150,11 @@ def plan(
                 "angular_velocity": plane.angular_velocity,
                 "disturbance.amplitude": plane.disturbance.amplitude,
                 "disturbance.angular_frequency": plane.disturbance.angular_frequency,
+                "end_stop": plane.end_stop or 0.0,
+                "sensor.noise": plane.sensor.noise,
+                "sensor.resolution": plane.sensor.resolution,
+                "seed": scenario.seed,
+                "actuator_lag": scenario.swarm.actuator_lag,
             },
             (EVENTS, PLANE_STATE),
             (AGENT_STATE, EVENTS),
@@ -247,6 +252,9 @@ def _agent_parameters(config: AgentConfig) -> dict[str, object]:
         "seed": config.seed,
         "feels_gravity": config.feels_gravity,
         "law.type": config.law,
+        "sensor.noise": config.sensor.noise,
+        "sensor.resolution": config.sensor.resolution,
+        "actuator_lag": config.actuator_lag,
     }
     parameters |= {f"law.{name}": value for name, value in config.law_settings.items()}
     if life.end is not None:

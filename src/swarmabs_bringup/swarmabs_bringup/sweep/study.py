@@ -13,7 +13,8 @@ from swarmabs_bringup.scenarios import builtin_scenarios, find_scenario
 from swarmabs_bringup.sweep.model import Sweep
 from swarmabs_core.scenario import ScenarioError, parse_scenario
 from swarmabs_core.scenario.dump import dump_tree
-from swarmabs_core.scenario.loader import default_name, read_mapping, read_text, validated
+from swarmabs_core.scenario.loader import default_name, read_mapping, validated
+from swarmabs_core.scenario.text_file import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -4,6 +4,7 @@ from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.group import AgentGroup
+from swarmabs_core.behaviours.imperfect import ImperfectAgent, make_agent
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.packing import PackingController, Unpacking
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
@@ -15,6 +16,7 @@ __all__ = [
     "Behaviour",
     "Controller",
     "ControllerConfig",
+    "ImperfectAgent",
     "LifeSpan",
     "Limits",
     "Observer",
@@ -23,4 +25,5 @@ __all__ = [
     "Plane",
     "PlaneConfig",
     "Unpacking",
+    "make_agent",
 ]

@@ -34,6 +34,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.sensing import Sensor
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import Drive
@@ -94,7 +95,7 @@ class AgentConfig:
     loss_probability : float
         Injected probability of missing the broadcasts of a step.
     seed : int
-        Seed of the injected losses.
+        Seed of the injected losses and of the sensor's noise.
     feels_gravity : bool
         Whether a double integrator feels the plane's tilt and rotation, which the paper's model neglects.
     law : str
@@ -103,6 +104,10 @@ class AgentConfig:
         Settings of the law besides the gains; those left out have their defaults.
     last_step : int, optional
         The step with which the run ends.
+    sensor : Sensor
+        What the robot knows of its own position (m) and velocity (m/s).
+    actuator_lag : float
+        Time constant with which its drive follows the command, s.
     """
 
     agent_id: int
@@ -124,6 +129,8 @@ class AgentConfig:
     law: str = PAPER.name
     law_settings: Settings = field(default_factory=dict, hash=False)
     last_step: int | None = None
+    sensor: Sensor = field(default_factory=Sensor)
+    actuator_lag: float = 0.0
 
 
 class _Broadcasts(NamedTuple):
@@ -257,12 +264,16 @@ class Agent:
         assert isinstance(desired, DesiredAbstractState)  # noqa: S101
         self._history.append(_Broadcasts(abstract, sums, desired))
         events = self._decide()
-        force = self._command
-        if PLANE_STATE in heard:
-            force += self._weight(heard[PLANE_STATE])
-        self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
+        self._move(heard.get(PLANE_STATE))
         self._step += 1
         return (*events, self._publish())
+
+    def _move(self, plane: Message | None) -> None:
+        """Move for a period under the command, and the weight if the robot feels it."""
+        force = self._command
+        if plane is not None:
+            force += self._weight(plane)
+        self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
 
     def _weight(self, plane: Message) -> float:
         """Return the force of gravity and rotation along the plane, N, held over the period."""

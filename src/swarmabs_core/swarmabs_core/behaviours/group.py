@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.agent import Agent
+from swarmabs_core.behaviours.imperfect import make_agent
 from swarmabs_core.messages import TOPIC_OF
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class AgentGroup:
     """
 
     def __init__(self, configs: Sequence[AgentConfig]) -> None:
-        self._agents = [Agent(config) for config in configs]
+        self._agents = [make_agent(config) for config in configs]
         self.needs = tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.needs))
         self._listeners = {topic: [a for a in self._agents if topic in a.needs] for topic in self.needs}
 

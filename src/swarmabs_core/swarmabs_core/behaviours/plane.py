@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import copysign, inf
 from typing import NamedTuple
 
 from swarmabs_core.behaviours.base import UnexpectedMessageError
@@ -22,6 +23,10 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
+from swarmabs_core.sensing import Sensor
+
+CURVED_FROM = 0.25
+"""Lag, in control periods, from which on a single integrator's path is better told by a cubic than by a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +57,14 @@ class PlaneConfig:
         Scheduled changes of the membership.
     last_step : int, optional
         The step with which the run ends.
+    end_stop : float
+        Angle of the end stops on both sides, rad.
+    sensor : Sensor
+        What is published of angle (rad) and angular velocity (rad/s).
+    seed : int
+        Seed of the sensor's noise.
+    actuator_lag : float
+        Time constant of the robots' drives, s.
     """
 
     members: tuple[int, ...]
@@ -66,6 +79,10 @@ class PlaneConfig:
     disturbance: Disturbance
     schedule: tuple[Change, ...] = ()
     last_step: int | None = None
+    end_stop: float = inf
+    sensor: Sensor = field(default_factory=Sensor)
+    seed: int = 1
+    actuator_lag: float = 0.0
 
 
 class _Load(NamedTuple):
@@ -89,7 +106,10 @@ class Plane:
             disturbance=config.disturbance,
             period=self._period,
             substep=config.substep,
+            end_stop=config.end_stop,
         )
+        lagging = config.actuator_lag > 0.0 and config.actuator_lag >= CURVED_FROM * self._period
+        self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
         self._membership = Membership(config.members, config.schedule)
         self._gathering = Gathering(self._membership)
         self._angle = config.angle
@@ -128,14 +148,27 @@ class Plane:
         step = self._gathering.step
         stamp = step * config.period_ns
         states = self._gathering.take()
+        hit: list[SwarmEvent] = []
         if step > 0:
             time = (step - 1) * config.period_ns / 1e9
             load = swarm_load(self._paths(states), config.gravity)
+            resting = abs(self._angle) == config.end_stop and not self._angular_velocity
             self._angle, self._angular_velocity = self._dynamics.advance(
                 self._angle, self._angular_velocity, time, load
             )
+            if self._dynamics.impact is not None and not resting:
+                hit.append(self._hit(*self._dynamics.impact, step, stamp))
         self._keep(states)
-        return (*self._limits(states, stamp), PlaneState(stamp, step, self._angle, self._angular_velocity))
+        angle, rate = self._angle, self._angular_velocity
+        if not config.sensor.perfect:
+            angle, rate = config.sensor.measure(angle, rate, f"{config.seed}:{step}:plane")
+        return (*hit, *self._limits(states, stamp), PlaneState(stamp, step, angle, rate))
+
+    def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
+        """Say that the plane has hit an end stop."""
+        angle = copysign(self._config.end_stop, rate)
+        detail = f"end stop hit at {time:.6g} s with {rate:.4g} rad/s"
+        return SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, angle, detail)
 
     def _paths(self, states: list[AgentState]) -> list[RobotPath]:
         """Return the paths over the last period of all robots that were on the plane at its beginning."""
@@ -145,7 +178,7 @@ class Plane:
             state = now.get(agent_id)
             if state is None:
                 paths.append(standing(load.mass, load.position))
-            elif load.kind == Kind.SINGLE_INTEGRATOR:
+            elif load.kind == self._straight:
                 paths.append(straight(load.mass, load.position, state.position))
             else:
                 start, end = (load.position, load.velocity), (state.position, state.velocity)

@@ -29,7 +29,7 @@ SMALLEST_SPREAD = 1e-12
 def findings(scenario: "Scenario") -> list[Finding]:
     """Return every error of a scenario whose fields are valid one by one."""
     # A later check relies on, or is only of interest after, the earlier ones.
-    for checks in ((_timing,), (_ids, _positions, _faults), (_spread,), (_preimage,), (_brought,)):
+    for checks in ((_timing,), (_ids, _positions, _faults, _plane), (_spread,), (_preimage,), (_brought,)):
         if found := [finding for check in checks for finding in check(scenario)]:
             return found
     return []
@@ -102,6 +102,24 @@ def _positions(scenario: "Scenario") -> Iterator[Finding]:
                 f"{agent.position!r} m is off the plane, whose half length is {half!r} m",
                 remedy,
             )
+
+
+def _plane(scenario: "Scenario") -> Iterator[Finding]:
+    plane = scenario.plane
+    if plane.end_stop is not None and abs(plane.angle) > plane.end_stop:
+        yield Finding.of(
+            ("plane", "angle"),
+            f"{plane.angle!r} rad is beyond the end stop at {plane.end_stop!r} rad",
+            "begin between the stops, or move them",
+            see=("plane", "end_stop"),
+        )
+    if plane.robot_gravity and (any(plane.sensor.noise) or any(plane.sensor.resolution)):
+        yield Finding.of(
+            ("plane", "sensor"),
+            "with robot_gravity the robots feel the plane's true angle, which its sensor would hide",
+            "leave out one of them",
+            see=("plane", "robot_gravity"),
+        )
 
 
 def _spread(scenario: "Scenario") -> Iterator[Finding]:

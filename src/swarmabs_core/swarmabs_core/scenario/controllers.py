@@ -3,14 +3,19 @@
 Both are looked up by their ``type``. The models of controllers that other packages bring are derived, see `plugins`.
 """
 
+import itertools
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
+
+from swarmabs_core.spline import SHORTEST, QuinticSpline
 
 from .fields import (
     AsFour,
     AsPair,
+    AsTuple,
+    Finding,
     Model,
     NonNegative,
     Number,
@@ -18,10 +23,15 @@ from .fields import (
     Tagged,
     WithoutNegativeZero,
     problem,
+    raise_findings,
 )
+from .timing import LONGEST
 
 STEEPEST = 1.5
 """Bound of every plane angle in rad: the control laws divide by its cosine, and a run fails beyond it."""
+
+MOST_ROWS = 2000
+"""Most rows of a trajectory: they travel to the parent controller as parameters."""
 
 Angle: TypeAlias = Annotated[float, Field(gt=-STEEPEST, lt=STEEPEST), WithoutNegativeZero]
 """An angle of the plane in rad."""
@@ -50,10 +60,78 @@ class ConstantTrajectory(TrajectoryConfig):
     angle: Angle = Field(default=0.0, description="reference angle, rad")
 
 
+class QuinticTrajectory(TrajectoryConfig):
+    """A step along a polynomial of degree 5, with rate and acceleration 0 at both ends."""
+
+    type: Literal["quintic"] = Field(
+        default="quintic", description="from start_angle to end_angle along a polynomial of degree 5"
+    )
+    start_angle: Angle = Field(default=0.0, description="angle before the step, rad")
+    end_angle: Angle = Field(default=0.2, description="angle after the step, rad")
+    start_time: NonNegative = Field(default=1.0, description="time at which the step begins, s")
+    duration: Positive = Field(default=5.0, description="duration of the step, s")
+
+
+class CsvTrajectory(TrajectoryConfig):
+    """The smooth curve through the rows of a file, see `swarmabs_core.spline`.
+
+    When a scenario is loaded its rows take the place of the file, so that a resolved scenario needs it no more.
+    """
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["file"]}, {"required": ["times", "angles"]}]})
+
+    type: Literal["csv"] = Field(default="csv", description="a quintic spline through rows, at rest at both ends")
+    file: str | None = Field(
+        default=None,
+        exclude=True,
+        description="CSV file with the header time,angle (s, rad), relative to the scenario's file",
+    )
+    times: Annotated[tuple[Annotated[NonNegative, Field(le=LONGEST)], ...], AsTuple] = Field(
+        default=(), description="instead of a file: times of the rows, increasing, s"
+    )
+    angles: Annotated[tuple[Angle, ...], AsTuple] = Field(
+        default=(), description="instead of a file: angles of the rows, rad"
+    )
+
+    @model_validator(mode="after")
+    def _check_rows(self) -> "CsvTrajectory":
+        if self.file is not None:
+            raise problem(
+                "a file beside rows, or in a scenario that is no file", "give 'file', or 'times' and 'angles'"
+            )
+        if len(self.times) != len(self.angles) or not 2 <= len(self.times) <= MOST_ROWS:
+            raise problem(
+                f"{len(self.times)} times and {len(self.angles)} angles",
+                f"give 'file', or as many times as angles, 2 to {MOST_ROWS}",
+            )
+        for index, (earlier, later) in enumerate(itertools.pairwise(self.times), start=1):
+            if not later - earlier >= SHORTEST:
+                finding = Finding.of(
+                    ("times", index),
+                    f"{later!r} s follows {earlier!r} s",
+                    f"let the times increase by at least {SHORTEST} s",
+                )
+                raise_findings("CsvTrajectory", [finding])
+        curve = QuinticSpline(self.times, self.angles)
+        for index, (earlier, later) in enumerate(itertools.pairwise(self.times)):
+            for part in range(1, 16):
+                time = earlier + (later - earlier) * part / 16
+                if not abs(angle := curve.derivatives(time)[0]) < STEEPEST:
+                    finding = Finding.of(
+                        ("times", index),
+                        f"the smooth curve through the rows is at {angle:.3g} rad at {time:.6g} s",
+                        f"give rows closer together, such that it stays within +-{STEEPEST} rad",
+                    )
+                    raise_findings("CsvTrajectory", [finding])
+        return self
+
+
 DEFAULT_TRAJECTORY = "sine"
 TRAJECTORY_CONFIGS: dict[str, type[TrajectoryConfig]] = {
     "sine": SineTrajectory,
     "constant": ConstantTrajectory,
+    "quintic": QuinticTrajectory,
+    "csv": CsvTrajectory,
 }
 """The model of each ``trajectory.type``."""
 

@@ -5,7 +5,6 @@ Other files in YAML that are checked as strictly, such as sweeps, are read with 
 
 import os
 import re
-import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -17,7 +16,9 @@ from .errors import ScenarioError, describe, show
 from .fields import Location, Model, nearest
 from .model import LONGEST_NAME, Scenario
 from .overrides import apply_overrides
-from .yaml_tree import LARGEST_TEXT, Node, Plain, dotted, read_tree
+from .reference_file import with_rows
+from .text_file import read_text
+from .yaml_tree import Node, Plain, dotted, read_tree
 
 _NUMERIC = re.compile(r"\s*[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\s*")
 _START = "begin with 'schema: 1'"
@@ -47,11 +48,18 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
     """
     path = Path(path)
     text = read_text(path)
-    return parse_scenario(text, source=str(path), default_name=default_name(path.stem), overrides=overrides)
+    return parse_scenario(
+        text, source=str(path), default_name=default_name(path.stem), overrides=overrides, folder=path.parent
+    )
 
 
 def parse_scenario(
-    text: str, *, source: str = "<text>", default_name: str = "scenario", overrides: Sequence[str] = ()
+    text: str,
+    *,
+    source: str = "<text>",
+    default_name: str = "scenario",
+    overrides: Sequence[str] = (),
+    folder: Path | None = None,
 ) -> Scenario:
     """Read a scenario from a text.
 
@@ -65,6 +73,8 @@ def parse_scenario(
         The scenario's name if the text has none.
     overrides : sequence of str
         Overrides ``a.b=v``, see `load_scenario`.
+    folder : Path, optional
+        To what the name of a trajectory's file is relative; without it a text may name none.
 
     Returns
     -------
@@ -76,36 +86,11 @@ def parse_scenario(
     ScenarioError
         If the scenario is invalid.
     """
-    root = apply_overrides(read_mapping(text, source), overrides)
+    root = with_rows(apply_overrides(read_mapping(text, source), overrides), folder)
     data = root.plain()
     if isinstance(data, dict):
         data.setdefault("name", default_name)
     return validated(Scenario, data, root)
-
-
-def read_text(path: Path, kind: str = "scenario") -> str:
-    """Return the text of a file that a user has named as one of a kind.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be read, or is no text in UTF-8, or larger than `LARGEST_TEXT`.
-    """
-    source = str(path)
-    data = _read_bytes(path, source, kind)
-    if (nul := data.find(b"\0")) >= 0:
-        raise ScenarioError(
-            source, "not a text file: it has a NUL byte", f"give a {kind} in YAML", line=_line(data, nul)
-        )
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as exc:
-        raise ScenarioError(
-            source,
-            f"not UTF-8: byte 0x{data[exc.start]:02x} at offset {exc.start}",
-            "save the file as UTF-8",
-            line=_line(data, exc.start),
-        ) from exc
 
 
 def read_mapping(text: str, source: str, kind: str = "scenario") -> Node:
@@ -144,43 +129,6 @@ def default_name(stem: str) -> str:
     if not name[:1].isalnum() and not name.startswith("_"):
         name = f"_{name}"
     return name[:LONGEST_NAME].rstrip(" ")
-
-
-def _read_bytes(path: Path, source: str, kind: str) -> bytes:
-    try:
-        with open(path, "rb", opener=_open_without_waiting) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise ScenarioError(source, "not a regular file", f"give a {kind} file in YAML")
-            data = file.read(LARGEST_TEXT + 1)
-    except IsADirectoryError as exc:
-        raise ScenarioError(source, "is a directory", f"give a {kind} file in YAML") from exc
-    except FileNotFoundError as exc:
-        raise ScenarioError(source, "no such file", _remedy_missing(path)) from exc
-    except (OSError, ValueError) as exc:  # ValueError: the path has a NUL
-        reason = exc.strerror if isinstance(exc, OSError) and exc.strerror else str(exc)
-        raise ScenarioError(source, f"cannot be read: {reason}", "check the path and its permissions") from exc
-    if len(data) > LARGEST_TEXT:
-        raise ScenarioError(
-            source, f"larger than {LARGEST_TEXT} bytes", "shorten it; 'swarm.generate' stands for many robots"
-        )
-    return data
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Open a file; a pipe that nobody writes is opened at once, too, so that it can be refused."""
-    return os.open(path, flags | os.O_NONBLOCK)
-
-
-def _remedy_missing(path: Path) -> str:
-    try:
-        names = sorted(entry.name for entry in path.parent.iterdir() if entry.suffix in {".yaml", ".yml"})
-    except OSError:
-        return "check the path"
-    return nearest(path.name, names[:5]) if names else "check the path"
-
-
-def _line(data: bytes, offset: int) -> int:
-    return data.count(b"\n", 0, offset) + 1
 
 
 def _first_error(exc: ValidationError, root: Node) -> ScenarioError:

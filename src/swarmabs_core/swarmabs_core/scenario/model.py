@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, field_validator, model_
 
 from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
-from .controllers import DEFAULT_CONTROLLER, Angle, ControllerConfig, PdConfig
+from .controllers import DEFAULT_CONTROLLER, STEEPEST, Angle, ControllerConfig, PdConfig
 from .errors import describe
 from .faults import FAULT_KINDS, Fault, JoinFault
 from .fields import (
@@ -36,6 +36,28 @@ class Disturbance(Model):
     angular_frequency: Number = Field(default=0.5, description="angular frequency of the disturbance, rad/s")
 
 
+class PlaneSensor(Model):
+    """What is published of the plane's angle and angular velocity: rounded, after noise is added."""
+
+    noise: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
+        default=(0.0, 0.0), description="standard deviations of white noise on angle, rad, and angular velocity, rad/s"
+    )
+    resolution: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
+        default=(0.0, 0.0), description="steps to which angle, rad, and angular velocity, rad/s, are rounded; 0: none"
+    )
+
+
+class RobotSensor(Model):
+    """What a robot knows of its own position and velocity: rounded, after noise is added."""
+
+    noise: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
+        default=(0.0, 0.0), description="standard deviations of white noise on its own position, m, and velocity, m/s"
+    )
+    resolution: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
+        default=(0.0, 0.0), description="steps to which its own position, m, and velocity, m/s, are rounded; 0: none"
+    )
+
+
 class Plane(Model):
     """The tilting plane."""
 
@@ -57,6 +79,10 @@ class Plane(Model):
         default=False,
         description="whether the plane's motion acts on the double integrators, force -m g sin(th) + m p w^2",
     )
+    end_stop: Annotated[Positive, Field(lt=STEEPEST)] | None = Field(
+        default=None, description="angle of inelastic end stops on both sides, below 1.5 rad; null: none"
+    )
+    sensor: PlaneSensor = Field(default=PlaneSensor(), description="what is published of the plane's motion")
 
 
 class Manifold(Model):
@@ -95,6 +121,10 @@ class Swarm(Model):
         default=None, description="the robots, one by one"
     )
     generate: Generate | None = Field(default=None, description="a swarm drawn at random instead")
+    sensor: RobotSensor = Field(default=RobotSensor(), description="what a robot knows of its own motion")
+    actuator_lag: NonNegative = Field(
+        default=0.0, description="time constant with which velocity or force follows the command, s; 0: at once"
+    )
 
     @model_validator(mode="after")
     def _check_one_source(self) -> "Swarm":
@@ -155,7 +185,7 @@ class Scenario(Model):
     )
     duration: Duration = Field(default=30.0, description="simulated time, a multiple of step, s")
     step: Duration = Field(default=0.01, description="control period, s")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the losses drawn during the run")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the losses and the noise drawn during the run")
     plane: Plane = Field(default=Plane(), description="the tilting plane")
     manifold: Manifold = Field(default=Manifold(), description="the curve Js(tau) on which the swarm is held")
     controller: Annotated[ControllerConfig, Tagged("type", ALL_CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(

@@ -1,0 +1,129 @@
+"""The CSV file of a reference trajectory, whose rows take its place when a scenario is loaded."""
+
+import csv
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from swarmabs_core.spline import SHORTEST
+
+from .controllers import MOST_ROWS, STEEPEST
+from .errors import ScenarioError, show
+from .fields import LARGEST
+from .text_file import read_text
+from .timing import LONGEST
+from .yaml_tree import Entry, Mark, Node
+
+HEADER = ["time", "angle"]
+
+
+def with_rows(root: Node, folder: Path | None) -> Node:
+    """Return the tree with the rows of ``controller.trajectory.file`` in its place, if it names a file of type csv.
+
+    Parameters
+    ----------
+    root : Node
+        The tree of a scenario, overrides applied.
+    folder : Path, optional
+        Folder of the scenario's file, to which the name is relative. A name that comes from an override is relative
+        to the current folder.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, or has no header, a row that is not two numbers, times that do not increase, an
+        angle beyond 1.5 rad, or too few or too many rows.
+    """
+    controller = _entry(root, "controller")
+    trajectory = _entry(controller.node, "trajectory") if controller else None
+    kind = _entry(trajectory.node, "type") if trajectory else None
+    named = _entry(trajectory.node, "file") if trajectory else None
+    if not (controller and trajectory and kind and named) or kind.node.value != "csv":
+        return root
+    name, mark = named.node.value, named.node.mark
+    base = Path() if mark.line is None else folder
+    if not isinstance(name, str) or base is None:
+        return root
+    times, angles = read_rows(base / name)
+    entries = {key: entry for key, entry in _entries(trajectory.node).items() if key != "file"}
+    if entries.keys() & {"times", "angles"}:
+        return root
+    entries |= {"times": Entry(mark, _numbers(times, mark)), "angles": Entry(mark, _numbers(angles, mark))}
+    below = Entry(trajectory.mark, Node(entries, trajectory.node.mark))
+    above = Entry(controller.mark, Node({**_entries(controller.node), "trajectory": below}, controller.node.mark))
+    return Node({**_entries(root), "controller": above}, root.mark)
+
+
+def read_rows(path: Path) -> tuple[list[float], list[float]]:
+    """Return the times (s) and angles (rad) of a CSV file with the header ``time,angle``.
+
+    Raises
+    ------
+    ScenarioError
+        See `with_rows`; it names the file and the line.
+    """
+    source = str(path)
+    reader = csv.reader(read_text(path, "trajectory", "CSV").splitlines(), strict=True)
+    times: list[float] = []
+    angles: list[float] = []
+    try:
+        header = next(reader, [])
+        if [cell.strip() for cell in header] != HEADER:
+            raise ScenarioError(source, "no header time,angle", "let the first line be 'time,angle'", line=1)
+        for row in reader:
+            if not row:
+                continue
+            time, angle = _row(row, source, reader.line_num)
+            if times and not time - times[-1] >= SHORTEST:
+                raise ScenarioError(
+                    source,
+                    f"time {time!r} s follows {times[-1]!r} s",
+                    f"let the times increase by at least {SHORTEST} s",
+                    line=reader.line_num,
+                    field="time",
+                )
+            times.append(time)
+            angles.append(angle)
+    except csv.Error as exc:
+        raise ScenarioError(source, f"not CSV: {exc}", "give two numbers in each line", line=reader.line_num) from exc
+    if not 2 <= len(times) <= MOST_ROWS:
+        raise ScenarioError(source, f"{len(times)} rows", f"give 2 to {MOST_ROWS} rows of time,angle")
+    return times, angles
+
+
+def _row(row: list[str], source: str, line: int) -> tuple[float, float]:
+    if len(row) != len(HEADER):
+        raise ScenarioError(source, f"{len(row)} values", "give two numbers, time in s and angle in rad", line=line)
+    numbers = []
+    for name, text in zip(HEADER, row, strict=True):
+        try:
+            number = float(text) + 0.0
+        except ValueError:
+            number = math.nan
+        if not abs(number) <= LARGEST:
+            raise ScenarioError(source, f"{show(text)} is no number", "give a finite number", line=line, field=name)
+        numbers.append(number)
+    time, angle = numbers
+    if not 0.0 <= time <= LONGEST:
+        raise ScenarioError(source, f"{time!r} s is out of range", f"give 0 to {LONGEST} s", line=line, field="time")
+    if not abs(angle) < STEEPEST:
+        raise ScenarioError(
+            source,
+            f"{angle!r} rad is out of range",
+            f"stay within +-{STEEPEST} rad, in radians and not degrees",
+            line=line,
+            field="angle",
+        )
+    return time, angle
+
+
+def _entries(node: Node) -> Mapping[str, Entry]:
+    return node.value if isinstance(node.value, Mapping) else {}
+
+
+def _entry(node: Node, key: str) -> Entry | None:
+    return _entries(node).get(key)
+
+
+def _numbers(values: list[float], mark: Mark) -> Node:
+    return Node(tuple(Node(value, mark) for value in values), mark, 1 + len(values), 1)

@@ -1,0 +1,71 @@
+"""Reading the text files that a user names, and nothing but regular files of a bounded size."""
+
+import os
+import stat
+from pathlib import Path
+
+from .errors import ScenarioError
+from .fields import nearest
+from .yaml_tree import LARGEST_TEXT
+
+
+def read_text(path: Path, kind: str = "scenario", form: str = "YAML") -> str:
+    """Return the text of a file that a user has named as one of a kind.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be read, or is no text in UTF-8, or larger than `LARGEST_TEXT`.
+    """
+    source = str(path)
+    data = _read_bytes(path, source, kind, form)
+    if (nul := data.find(b"\0")) >= 0:
+        raise ScenarioError(
+            source, "not a text file: it has a NUL byte", f"give a {kind} in {form}", line=_line(data, nul)
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise ScenarioError(
+            source,
+            f"not UTF-8: byte 0x{data[exc.start]:02x} at offset {exc.start}",
+            "save the file as UTF-8",
+            line=_line(data, exc.start),
+        ) from exc
+
+
+def _read_bytes(path: Path, source: str, kind: str, form: str) -> bytes:
+    try:
+        with open(path, "rb", opener=_open_without_waiting) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ScenarioError(source, "not a regular file", f"give a {kind} file in {form}")
+            data = file.read(LARGEST_TEXT + 1)
+    except IsADirectoryError as exc:
+        raise ScenarioError(source, "is a directory", f"give a {kind} file in {form}") from exc
+    except FileNotFoundError as exc:
+        raise ScenarioError(source, "no such file", _remedy_missing(path)) from exc
+    except (OSError, ValueError) as exc:  # ValueError: the path has a NUL
+        reason = exc.strerror if isinstance(exc, OSError) and exc.strerror else str(exc)
+        raise ScenarioError(source, f"cannot be read: {reason}", "check the path and its permissions") from exc
+    if len(data) > LARGEST_TEXT:
+        raise ScenarioError(
+            source, f"larger than {LARGEST_TEXT} bytes", "shorten it; 'swarm.generate' stands for many robots"
+        )
+    return data
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open a file; a pipe that nobody writes is opened at once, too, so that it can be refused."""
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
+def _remedy_missing(path: Path) -> str:
+    try:
+        names = sorted(entry.name for entry in path.parent.iterdir() if entry.suffix in {".yaml", ".yml", path.suffix})
+    except OSError:
+        return "check the path"
+    return nearest(path.name, names[:5]) if names else "check the path"
+
+
+def _line(data: bytes, offset: int) -> int:
+    return data.count(b"\n", 0, offset) + 1

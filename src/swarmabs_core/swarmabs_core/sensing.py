@@ -1,0 +1,53 @@
+"""What sensors make of the truth: noise and finite resolution, the same in every run and every process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import blake2b
+from math import remainder
+from statistics import NormalDist
+
+Pair = tuple[float, float]
+
+_STANDARD = NormalDist()
+
+
+def standard_normal(text: str) -> float:
+    """Return a draw from the normal distribution of mean 0 and variance 1 that depends on a text alone.
+
+    The first 52 of the 64 bits of the text's BLAKE2b hash are the number n; the draw is the quantile at
+    ``(n + 1/2) / 2**52``, which is never 0 or 1.
+    """
+    digest = blake2b(text.encode(), digest_size=8).digest()
+    return _STANDARD.inv_cdf(((int.from_bytes(digest, "big") >> 12) + 0.5) * 2.0**-52)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A sensor of a position or an angle, and of its rate; without arguments a perfect one.
+
+    Parameters
+    ----------
+    noise : tuple of float
+        Standard deviations of white Gaussian noise, in the units of the value and of its rate.
+    resolution : tuple of float
+        Steps to which value and rate are rounded after the noise is added; 0 is arbitrarily fine.
+    """
+
+    noise: Pair = (0.0, 0.0)
+    resolution: Pair = (0.0, 0.0)
+
+    @property
+    def perfect(self) -> bool:
+        """Whether the sensor tells the truth."""
+        return not (any(self.noise) or any(self.resolution))
+
+    def measure(self, value: float, rate: float, draw: str) -> Pair:
+        """Return what the sensor says; the noise is drawn from the texts ``draw:value`` and ``draw:rate``."""
+        return self._one(0, value, f"{draw}:value"), self._one(1, rate, f"{draw}:rate")
+
+    def _one(self, index: int, true: float, text: str) -> float:
+        sigma, step = self.noise[index], self.resolution[index]
+        measured = true + sigma * standard_normal(text) if sigma else true
+        # The remainder of IEEE 754 is exact, and that of the nearest multiple, ties to the even one.
+        return measured - remainder(measured, step) if step else measured
