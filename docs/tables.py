@@ -27,6 +27,7 @@ from swarmabs_core.scenario import (
     AGENT_KINDS,
     CONTROLLER_CONFIGS,
     FAULT_KINDS,
+    OBSERVER_CONFIGS,
     TRAJECTORY_CONFIGS,
     Scenario,
 )
@@ -42,6 +43,7 @@ DOCS = Path(__file__).parent
 MESSAGES = DOCS.parent / "src" / "swarmabs_msgs" / "msg"
 _CHOSEN = {
     "controller": "`{type: pd}`",
+    "observer": "`{type: sum}`",
     "swarm.law": "`{type: paper}`",
     "swarm.agents": "see below",
     "faults": "`[]`",
@@ -201,6 +203,7 @@ def all_tables() -> dict[str, str]:
         "robots": variants(AGENT_KINDS, "kind"),
         "controllers": variants(CONTROLLER_CONFIGS, "type"),
         "trajectories": variants(TRAJECTORY_CONFIGS, "type"),
+        "observers": variants(OBSERVER_CONFIGS, "type"),
         "faults": variants(FAULT_KINDS, "kind"),
         "common": parameters(COMMON),
         "plane_sim": parameters(plane_sim.node.PARAMETERS),

@@ -6,17 +6,20 @@ import pytest
 from tests.swarmabs_core.helpers import agent_state
 from tests.swarmabs_ros.nodes import settings_from
 
-from abstraction_observer.node import PARAMETERS, config, make
-from swarmabs_core.behaviours import Observer, ObserverConfig
+from abstraction_observer.node import PARAMETERS, config, make, model
+from swarmabs_core.behaviours import Observer, ObserverConfig, ParentResponseObserver
+from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
     EVENTS,
+    PLANE_STATE,
     EventKind,
     SwarmEvent,
 )
+from swarmabs_core.parent_response import ParentModel
 from swarmabs_ros.status import StatusChannel
 
 CHANNEL = StatusChannel("abstraction_observer")
@@ -41,6 +44,16 @@ def test_it_hears_robots_and_sums_them_up() -> None:
     assert isinstance(spec.behaviour, Observer)
     assert set(spec.publications) == {ABSTRACT_STATE, AUXILIARY_STATE, EVENTS}
     assert set(spec.subscriptions) == {AGENT_STATE}
+
+
+def test_it_watches_the_plane_if_that_is_wanted() -> None:
+    friction = (0.02, 900.0, 600.0, 0.03, 800.0, 1.5)
+    given = settings_from(PARAMETERS, type="parent_response", inertia=0.7, friction=friction, bandwidth=12.0)
+    assert model(given) == ParentModel(0.7, Friction(*friction), 12.0)
+    assert model(settings_from(PARAMETERS)) is None
+    spec = make(given, CHANNEL)
+    assert isinstance(spec.behaviour, ParentResponseObserver)
+    assert set(spec.subscriptions) == {AGENT_STATE, PLANE_STATE}
 
 
 def test_silent_robots_are_dropped_only_if_that_is_wanted() -> None:

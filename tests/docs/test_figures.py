@@ -37,5 +37,5 @@ def test_picture_of_the_architecture(tmp_path: Path) -> None:
 
 
 def test_pictures_are_there() -> None:
-    for name in ("run.png", "architecture.svg"):
+    for name in ("run.png", "architecture.svg", "parent_response.png"):
         assert (ROOT / "docs" / "images" / name).is_file()

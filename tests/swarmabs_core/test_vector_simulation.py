@@ -106,10 +106,11 @@ def test_what_concerns_single_robots_is_left_to_the_state_machines(extra: str) -
         "swarm.sensor.noise=[1e-4, 0]",
         "swarm.sensor.resolution=[0, 1e-4]",
         "swarm.actuator_lag=0.02",
+        "observer={type: parent_response}",
     ],
 )
 def test_imperfect_worlds_are_left_to_the_state_machines(option: str) -> None:
-    plain = ("duration=0.3", "plane.angular_velocity=0.2")
+    plain = ("duration=0.3", "plane.angle=0.1", "plane.angular_velocity=0.2")
     scenario = builtin("arise_het_20", *plain, option)
     assert not vectorisable(scenario)
     found = digest_and_bag(simulated_steps(scenario))

@@ -57,6 +57,15 @@ def test_every_scenario_of_four_robots(folder: Path, scenario: str) -> None:
     same_as_simulated(folder, scenario, seconds(3.0))
 
 
+def test_an_imperfect_world_watched_through_the_plane(folder: Path) -> None:
+    options = (
+        *("plane.sensor={noise: [1e-4, 1e-3], resolution: [1e-5, 0]}", "plane.end_stop=0.1005"),
+        *("swarm.sensor={noise: [1e-3, 1e-3]}", "swarm.actuator_lag=0.02", "plane.angular_velocity=0.2"),
+        *("controller.trajectory={type: quintic}", "observer={type: parent_response}"),
+    )
+    same_as_simulated(folder, "arise_het_4", seconds(2.0), *options)
+
+
 def shuffled(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
     return random.Random(5).sample(processes, len(processes))
 

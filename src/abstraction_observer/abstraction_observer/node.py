@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 
-from swarmabs_core.behaviours import Observer, ObserverConfig
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS, Messages
+from swarmabs_core.behaviours import ObserverConfig, make_observer
+from swarmabs_core.friction import Friction
+from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS, PLANE_STATE, Messages
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.parent_response import ParentModel
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
@@ -16,6 +18,21 @@ PARAMETERS = (
     SCHEDULE,
     GRAVITY,
     Parameter("ksd", 1.0, "damping that the double integrators' law adds, N s/m", minimum=0.0),
+    Parameter(
+        "type",
+        "sum",
+        "where the torque comes from: the sum over the robots, or the plane's motion",
+        choices=("sum", "parent_response"),
+    ),
+    Parameter("inertia", 0.5, "parent_response: moment of inertia of the plane alone, kg m^2", above=0.0),
+    Parameter(
+        "friction",
+        (0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
+        "parent_response: g1 to g6 of the bearing's friction: g1, g4 in N m, g2, g3, g5 in s/rad, g6 in N m s/rad",
+        minimum=0.0,
+        length=6,
+    ),
+    Parameter("bandwidth", 50.0, "parent_response: bandwidth of the torque's filter, rad/s", above=0.0),
     Parameter("on_stall", "fail", "what becomes of a robot that does not answer", choices=("fail", "drop")),
 )
 
@@ -32,9 +49,21 @@ def config(settings: Settings) -> ObserverConfig:
     )
 
 
+def model(settings: Settings) -> ParentModel | None:
+    """Return what the observer knows of the plane, if it is to watch it."""
+    if settings.text("type") == "sum":
+        return None
+    friction = Friction(*settings.numbers("friction"))
+    return ParentModel(settings.number("inertia"), friction, settings.number("bandwidth"))
+
+
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    observer = Observer(config(settings))
+    watched = model(settings)
+    observer = make_observer(config(settings), watched)
+    subscriptions = {AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members"))))}
+    if watched is not None:
+        subscriptions[PLANE_STATE] = requested(PLANE_STATE, depth=10)
 
     def drop() -> Messages:
         return observer.drop(observer.missing_agents(), "silent")
@@ -42,7 +71,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     return NodeSpec(
         observer,
         (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
-        {AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members"))))},
+        subscriptions,
         on_stall=drop if settings.text("on_stall") == "drop" else None,
     )
 

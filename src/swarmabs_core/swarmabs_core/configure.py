@@ -18,6 +18,7 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
+from swarmabs_core.parent_response import ParentModel
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.parameters import Settings, Value
-    from swarmabs_core.scenario import Scenario
+    from swarmabs_core.scenario import ParentResponseObserver, Scenario
 
 RECORDING_WINDOW = 100
 """How many steps a recorded run may be ahead of what is on disk."""
@@ -84,6 +85,14 @@ def observer_config(scenario: Scenario) -> ObserverConfig:
         schedule=schedule(scenario),
         last_step=scenario.steps,
     )
+
+
+def parent_model(scenario: Scenario) -> ParentModel | None:
+    """Return what an observer of the plane's response knows of the plane; None if the robots are summed up."""
+    if scenario.observer.type != "parent_response":
+        return None
+    observer = cast("ParentResponseObserver", scenario.observer)
+    return ParentModel(scenario.plane.inertia, friction(scenario), observer.bandwidth)
 
 
 def plane_config(scenario: Scenario) -> PlaneConfig:

@@ -7,7 +7,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from swarmabs_core import configure
-from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
+from swarmabs_core.behaviours import Controller, Plane, make_agent, make_observer
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -47,7 +47,8 @@ class Simulation:
 
     def __init__(self, scenario: Scenario) -> None:
         agents = [make_agent(config) for config in configure.agent_configs(scenario)]
-        observer = Observer(configure.observer_config(scenario))
+        model = configure.parent_model(scenario)
+        observer = make_observer(configure.observer_config(scenario), model)
         plane = Plane(configure.plane_config(scenario))
         controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
@@ -60,7 +61,11 @@ class Simulation:
         hear = [agent.handle for agent in agents]
         self._subscribers: dict[Topic, tuple[Callable[[Message], Messages], ...]] = {
             AGENT_STATE: (observer.handle, plane.handle),
-            PLANE_STATE: (controller.handle, *(agent.handle for agent in feeling)),
+            PLANE_STATE: (
+                *(() if model is None else (observer.handle,)),
+                controller.handle,
+                *(agent.handle for agent in feeling),
+            ),
             ABSTRACT_STATE: tuple(hear),
             AUXILIARY_STATE: tuple(hear),
             DESIRED_ABSTRACT_STATE: tuple(hear),

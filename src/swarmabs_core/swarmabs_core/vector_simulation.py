@@ -2,8 +2,8 @@
 
 Addition, multiplication and division of arrays round element by element exactly as those of numbers do, and every sum
 over the robots is correctly rounded; no other function is applied to arrays. So the same formulas give the same bits,
-which is a test. What concerns single robots (faults, limits, safe stops), imperfect sensors and drives, and end stops
-are left to the state machines.
+which is a test. What concerns single robots (faults, limits, safe stops), imperfect sensors and drives, end stops and
+observers of the plane are left to the state machines.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def vectorisable(scenario: Scenario) -> bool:
     limits, plane, swarm = scenario.limits, scenario.plane, scenario.swarm
     individual = scenario.faults or limits.velocity or limits.force or plane.robot_gravity
     perfect = configure.plane_sensor(scenario).perfect and configure.robot_sensor(scenario).perfect
-    return perfect and swarm.law.type == PAPER.name and not (individual or plane.end_stop or swarm.actuator_lag)
+    special = plane.end_stop or swarm.actuator_lag or configure.parent_model(scenario)
+    return perfect and swarm.law.type == PAPER.name and not (individual or special)
 
 
 class ArrayStep(NamedTuple):

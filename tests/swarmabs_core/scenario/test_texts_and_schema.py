@@ -143,6 +143,8 @@ swarm:
     noise: [0.0, 0.0]
     resolution: [0.0, 0.0]
   actuator_lag: 0.0
+observer:
+  type: sum
 limits:
   velocity: null
   force: 2.0

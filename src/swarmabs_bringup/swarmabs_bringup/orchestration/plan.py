@@ -163,9 +163,12 @@ def plan(
             OBSERVER,
             "abstraction_observer.node",
             1,
-            common | swarm | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall},
+            common
+            | swarm
+            | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall}
+            | _observer_parameters(scenario),
             (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
-            (AGENT_STATE,),
+            (AGENT_STATE,) if scenario.observer.type == "sum" else (AGENT_STATE, PLANE_STATE),
         ),
         ProcessPlan(
             CONTROLLER,
@@ -198,6 +201,15 @@ def plan(
     ]
     _expect_counterparts(processes)
     return tuple(processes)
+
+
+def _observer_parameters(scenario: Scenario) -> dict[str, object]:
+    """Return what the observer knows of the plane, if it watches it."""
+    model = configure.parent_model(scenario)
+    if model is None:
+        return {}
+    friction = scenario.plane.friction
+    return {"type": "parent_response", "inertia": model.inertia, "friction": friction, "bandwidth": model.bandwidth}
 
 
 def _agent_processes(

@@ -7,6 +7,7 @@ from swarmabs_core.behaviours.group import AgentGroup
 from swarmabs_core.behaviours.imperfect import ImperfectAgent, make_agent
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.packing import PackingController, Unpacking
+from swarmabs_core.behaviours.parent_response import ParentResponseObserver, make_observer
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
 
 __all__ = [
@@ -22,8 +23,10 @@ __all__ = [
     "Observer",
     "ObserverConfig",
     "PackingController",
+    "ParentResponseObserver",
     "Plane",
     "PlaneConfig",
     "Unpacking",
     "make_agent",
+    "make_observer",
 ]

@@ -75,13 +75,13 @@ class Observer:
         if not isinstance(message, AgentState):
             raise UnexpectedMessageError("observer", message)
         self._gathering.add(message)
-        return self._finish() if self._gathering.complete() and not self._finished() else ()
+        return self._proceed()
 
     def drop(self, agents: Iterable[int], reason: str) -> Messages:
         """Declare robots dead from the current step on: they are taken to stand where they last were."""
         for agent_id in agents:
             self._membership.end(agent_id, self._gathering.step - 1, stays=True, reason=reason)
-        return self._finish() if self._gathering.complete() and not self._finished() else ()
+        return self._proceed()
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for robots' states."""
@@ -99,32 +99,39 @@ class Observer:
         last = self._config.last_step
         return last is not None and self._gathering.step > last
 
-    def _finish(self) -> Messages:
+    def _complete(self) -> bool:
+        return self._gathering.complete() and not self._finished()
+
+    def _proceed(self) -> Messages:
+        return (*self._announce(), *self._sum_up()) if self._complete() else ()
+
+    def _sum_up(self) -> Messages:
         config = self._config
         step = self._gathering.step
         stamp = step * config.period_ns
-        events = self._announce(step, stamp)
         states = self._gathering.take()
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left that takes part in the run")
         active = [s for s in states if s.status == Status.ACTIVE]
         weights = [Weight(s.mass, s.position, s.velocity) for s in states]
         weights.extend(self._standing.values())
-        total = abstraction(weights, config.gravity)
         spread = spread_sums((s.mass, s.position) for s in active)
         damping = damping_sums(
             ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
         )
         self._previous = {s.agent_id: s for s in states}
-        return (
-            *events,
-            AbstractState(
-                stamp, step, len(weights), total.torque, total.inertia, total.torque_rate, total.inertia_rate
-            ),
-            AuxiliaryState(stamp, step, *spread, *damping, total.q),
-        )
+        abstract, q = self._abstract(stamp, step, weights)
+        return abstract, AuxiliaryState(stamp, step, *spread, *damping, q)
 
-    def _announce(self, step: int, stamp: int) -> list[SwarmEvent]:
+    def _abstract(self, stamp: int, step: int, weights: list[Weight]) -> tuple[AbstractState, float]:
+        """Return the abstract state and Q."""
+        *sums, q = abstraction(weights, self._config.gravity)
+        return AbstractState(stamp, step, len(weights), *sums), q
+
+    def _announce(self) -> Messages:
+        """Return the changes of the membership that hold from the current step on."""
+        step = self._gathering.step
+        stamp = step * self._config.period_ns
         events = []
         for agent_id, kind, reason in self._membership.changes(step):
             if kind is EventKind.DEAD and agent_id in self._previous:
@@ -132,4 +139,4 @@ class Observer:
                 self._standing[agent_id] = Weight(last.mass, last.position, 0.0)
             position = self._previous[agent_id].position if agent_id in self._previous else 0.0
             events.append(SwarmEvent(stamp, step, agent_id, kind, position, reason))
-        return events
+        return tuple(events)

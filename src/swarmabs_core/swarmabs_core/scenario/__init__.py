@@ -32,12 +32,14 @@ from .faults import (
 )
 from .loader import load_scenario, parse_scenario
 from .model import Disturbance, Limits, Lockstep, Manifold, Plane, Scenario, Swarm, SwarmGains
+from .observers import OBSERVER_CONFIGS, ObserverConfig, ParentResponseObserver, SumObserver
 from .schema import json_schema
 
 __all__ = [
     "AGENT_KINDS",
     "CONTROLLER_CONFIGS",
     "FAULT_KINDS",
+    "OBSERVER_CONFIGS",
     "TRAJECTORY_CONFIGS",
     "Agent",
     "AgentFault",
@@ -59,6 +61,8 @@ __all__ = [
     "LossFault",
     "LqrConfig",
     "Manifold",
+    "ObserverConfig",
+    "ParentResponseObserver",
     "PdConfig",
     "Plane",
     "QuinticTrajectory",
@@ -66,6 +70,7 @@ __all__ = [
     "ScenarioError",
     "SineTrajectory",
     "SingleIntegratorAgent",
+    "SumObserver",
     "Swarm",
     "SwarmGains",
     "TrajectoryConfig",

@@ -22,6 +22,7 @@ from .fields import (
     problem,
     raise_findings,
 )
+from .observers import DEFAULT_OBSERVER, OBSERVER_CONFIGS, ObserverConfig, SumObserver
 from .plugins import ALL_CONTROLLER_CONFIGS, ALL_LAW_CONFIGS, DEFAULT_LAW, LawConfig, PaperLaw
 from .timing import NANOSECONDS, Duration, nearest_step, to_nanoseconds
 
@@ -192,6 +193,9 @@ class Scenario(Model):
         default=PdConfig(), description="the parent controller"
     )
     swarm: Swarm = Field(description="the robots and their gains")
+    observer: Annotated[ObserverConfig, Tagged("type", OBSERVER_CONFIGS, DEFAULT_OBSERVER)] = Field(
+        default=SumObserver(), description="where the robots' abstract state comes from"
+    )
     limits: Limits = Field(default=Limits(), description="limits of the robots' drives")
     lockstep: Lockstep = Field(default=Lockstep(), description="what happens when a robot does not answer")
     faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(

@@ -7,6 +7,7 @@ from .controllers import DEFAULT_CONTROLLER, DEFAULT_TRAJECTORY
 from .errors import describe, shorten
 from .fields import Location
 from .model import Scenario
+from .observers import DEFAULT_OBSERVER
 from .plugins import DEFAULT_LAW
 from .yaml_tree import Entry, Mark, Node, read_tree
 
@@ -15,6 +16,7 @@ _TYPED = {
     ("controller",): DEFAULT_CONTROLLER,
     ("controller", "trajectory"): DEFAULT_TRAJECTORY,
     ("swarm", "law"): DEFAULT_LAW,
+    ("observer",): DEFAULT_OBSERVER,
 }
 """The mappings whose keys depend on their ``type``, with the type they have when it is left out."""
 

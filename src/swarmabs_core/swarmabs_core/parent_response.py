@@ -1,0 +1,85 @@
+r"""The torque of the swarm, seen from the plane alone: an observer of the disturbance (docs/parent_response.md).
+
+Over a period the plane's angular momentum changes by all torques that act on it (eq. newDynamics, integrated),
+
+.. math:: (J + J_s) w \Big|_{k-1}^{k} = -\int (\cos\theta\,\tau_s + f_f(w) + \tau_d)\,dt
+
+so angle and angular velocity at both ends give the mean over the period of :math:`\tau_s + \tau_d/\cos\theta`: the
+swarm and what disturbs the plane cannot be told apart. A filter of first order takes the noise off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, expm1
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from swarmabs_core.friction import Friction
+
+
+@dataclass(frozen=True, slots=True)
+class ParentModel:
+    """What is known of the plane, and how fast the estimate follows.
+
+    Parameters
+    ----------
+    inertia : float
+        Moment of inertia J of the plane alone, kg m^2.
+    friction : Friction
+        Friction of the bearing.
+    bandwidth : float
+        Of the filter, rad/s; its delay is the inverse.
+    """
+
+    inertia: float
+    friction: Friction
+    bandwidth: float
+
+
+class TorqueEstimator:
+    """Estimates the torque of the swarm from one measurement of the plane per control period.
+
+    Parameters
+    ----------
+    model : ParentModel
+        The plane.
+    period : float
+        Control period, s.
+    """
+
+    def __init__(self, model: ParentModel, period: float) -> None:
+        self._model = model
+        self._period = period
+        self._share = -expm1(-model.bandwidth * period)
+        self._before: tuple[float, float, float] | None = None
+        self._torque = 0.0
+
+    def update(self, angle: float, angular_velocity: float, swarm_inertia: float) -> tuple[float, float]:
+        """Take the next measurement and return the estimated torque and its rate.
+
+        The first one says nothing of a torque yet: the estimate is 0 as if the plane were in equilibrium.
+
+        Parameters
+        ----------
+        angle, angular_velocity : float
+            Of the plane, rad and rad/s.
+        swarm_inertia : float
+            Moment of inertia J_s of the swarm, kg m^2, which the response does not tell.
+
+        Returns
+        -------
+        tuple of float
+            N m and N m/s.
+        """
+        friction = self._model.friction.torque(angular_velocity)
+        momentum = (self._model.inertia + swarm_inertia) * angular_velocity
+        before, self._before = self._before, (angle, momentum, friction)
+        if before is None:
+            return self._torque, 0.0
+        last_angle, last_momentum, last_friction = before
+        change = (momentum - last_momentum) / self._period + 0.5 * (last_friction + friction)
+        mean = -change / cos(0.5 * (last_angle + angle))
+        step = self._share * (mean - self._torque)
+        self._torque += step
+        return self._torque, step / self._period
