@@ -13,6 +13,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, Kind
 from swarmabs_core.parameters import Value
+from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.status import StatusChannel
 
@@ -45,6 +46,9 @@ def test_every_parameter_reaches_the_configuration() -> None:
         loss_probability=0.25,
         seed=99,
         feels_gravity=True,
+        sensor__noise=(0.1, 0.2),
+        sensor__resolution=(0.3, 0.4),
+        actuator_lag=0.9,
     )
     assert config(settings) == AgentConfig(
         agent_id=12,
@@ -64,6 +68,8 @@ def test_every_parameter_reaches_the_configuration() -> None:
         seed=99,
         feels_gravity=True,
         last_step=77,
+        sensor=Sensor((0.1, 0.2), (0.3, 0.4)),
+        actuator_lag=0.9,
     )
 
 

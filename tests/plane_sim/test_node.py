@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 from tests.swarmabs_ros.nodes import settings_from
 
 from plane_sim.node import PARAMETERS, config, make
@@ -10,6 +12,7 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
 from swarmabs_core.plant import Disturbance
+from swarmabs_core.sensing import Sensor
 from swarmabs_ros.status import StatusChannel
 
 
@@ -30,6 +33,11 @@ def test_every_parameter_reaches_the_configuration() -> None:
             angular_velocity=0.3,
             disturbance__amplitude=0.4,
             disturbance__angular_frequency=0.6,
+            end_stop=0.8,
+            sensor__noise=(0.1, 0.2),
+            sensor__resolution=(0.3, 0.4),
+            seed=5,
+            actuator_lag=0.9,
         )
     )
     assert found.members == (2, 9)
@@ -39,6 +47,14 @@ def test_every_parameter_reaches_the_configuration() -> None:
     assert (found.angle, found.angular_velocity) == (-0.2, 0.3)
     assert found.disturbance == Disturbance(0.4, 0.6)
     assert found.schedule == (Change(5, 9, ChangeKind.LEAVE),)
+    assert found.sensor == Sensor((0.1, 0.2), (0.3, 0.4))
+    assert (found.end_stop, found.seed, found.actuator_lag) == (0.8, 5, 0.9)
+
+
+def test_no_end_stop_and_a_perfect_sensor_by_default() -> None:
+    found = config(settings_from(PARAMETERS))
+    assert found.end_stop == inf
+    assert found.sensor.perfect
 
 
 def test_it_hears_robots_and_events_and_says_where_the_plane_is() -> None:

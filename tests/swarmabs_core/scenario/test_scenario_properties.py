@@ -1,5 +1,6 @@
 """Properties of all scenarios: texts load back, and no input does anything but load or be refused."""
 
+from itertools import accumulate
 from pathlib import Path
 
 import yaml
@@ -11,6 +12,7 @@ from swarmabs_core.scenario import (
     AriseConfig,
     ConstantTrajectory,
     ControllerConfig,
+    CsvTrajectory,
     DelayFault,
     Disturbance,
     DoubleIntegratorAgent,
@@ -27,6 +29,7 @@ from swarmabs_core.scenario import (
     Manifold,
     PdConfig,
     Plane,
+    QuinticTrajectory,
     Scenario,
     ScenarioError,
     SineTrajectory,
@@ -72,6 +75,18 @@ controllers: st.SearchStrategy[ControllerConfig] = st.one_of(
         trajectory=st.one_of(
             st.builds(ConstantTrajectory, angle=angles),
             st.builds(SineTrajectory, amplitude=angles, angular_frequency=numbers),
+            st.builds(
+                QuinticTrajectory,
+                start_angle=angles,
+                end_angle=angles,
+                start_time=not_negative,
+                duration=positive,
+            ),
+            st.lists(st.tuples(st.floats(0.001, 10.0), st.floats(-0.01, 0.01)), min_size=2, max_size=6).map(
+                lambda rows: CsvTrajectory(
+                    times=tuple(accumulate(2.0 + gap for gap, _ in rows)), angles=tuple(angle for _, angle in rows)
+                )
+            ),
         ),
     ),
 )
