@@ -98,10 +98,12 @@ class Swarm:
         """What the package's laws command the robots: velocities and forces."""
         desired = DesiredAbstractState(0, 0, 1, *map(float, [*a_d, *da_d, *da_d, *dda_d]))
         shared = (GAINS, GRAVITY, self.abstract(), self.sums(), desired)
-        return np.array([
-            double_integrator_command(m, c, p, v, *shared) if double else single_integrator_command(m, p, *shared)
-            for m, c, p, v, double in zip(self.m, self.c, self.p, self.v, self.double, strict=True)
-        ])
+        return np.array(
+            [
+                double_integrator_command(m, c, p, v, *shared) if double else single_integrator_command(m, p, *shared)
+                for m, c, p, v, double in zip(self.m, self.c, self.p, self.v, self.double, strict=True)
+            ]
+        )
 
     def acceleration(self, force: Array) -> Array:
         """Second derivative of the abstract state under forces on double integrators, by eq. EOM_DI."""

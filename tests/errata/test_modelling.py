@@ -1,9 +1,9 @@
-"""Sections Example Case and Constraint Analysis, tab. PhysicalParameters: the plane, its friction, the abstract space."""
+"""Section Example Case and tab. PhysicalParameters: the plane, its friction, the abstract space."""
 
 from __future__ import annotations
 
 from itertools import product
-from math import cos, inf, sin, sqrt, tanh
+from math import cos, sin, sqrt
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from tests.errata.paper import (
     INERTIA,
     LENGTH,
     MASS,
-    POSITION,
     TORQUE_MAX,
     friction,
     manifold,
@@ -32,7 +31,7 @@ from swarmabs_core.messages import (
     Kind,
     PlaneState,
 )
-from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, standing, straight, swarm_load
+from swarmabs_core.plant import Disturbance, PlaneDynamics, standing, straight, swarm_load
 from swarmabs_core.scenario.checks import largest_position
 
 PAPER = Friction(*FRICTION)
@@ -205,5 +204,3 @@ def test_manifold_leaves_the_absolutely_constrained_set() -> None:
     for torque in (0.0, 1.0, edge, TORQUE_MAX):
         found = largest_position(torque, curve.inertia(torque), MASS.tolist(), GRAVITY)
         assert found == pytest.approx(largest_by_optimisation(torque, curve.inertia(torque)), rel=1e-12)
-
-

@@ -121,8 +121,6 @@ class Motion:
             + self.rate(self.tau_d, t)
         )
 
-
-
     def adaptation(self, t: float) -> np.ndarray:
         """An estimate whose rate at T is that of eq. Lambda."""
         rate = GAMMA * self.dy(T) * self.r(T)
@@ -198,6 +196,27 @@ def test_n_d_of_the_theorem() -> None:
     lacking = motion.rate(motion.js, T, 2) * motion.rate(motion.th_d, T) + djs * dw + motion.rate(motion.tau_d, T)
     assert printed + lacking == pytest.approx(truth, abs=1e-5)
     assert motion.n_d(T) == pytest.approx(truth, abs=1e-5)
+
+
+def test_expansion_of_n() -> None:
+    """lem. NisBounded: J' th_d'' in the expansion of N, where J is constant and Js' is meant."""
+    motion = Motion()
+    inertia, djs, ddjs = INERTIA + motion.js(T), motion.rate(motion.js, T), motion.rate(motion.js, T, 2)
+    w_d, dw_d, ddw_d = (motion.rate(motion.th_d, T, k) for k in (1, 2, 3))
+    de1, dde1, e2, de2 = (
+        motion.rate(motion.e1, T),
+        motion.rate(motion.e1, T, 2),
+        motion.e2(T),
+        motion.rate(motion.e2, T),
+    )
+    rest = -float(motion.y(T) @ (GAMMA * motion.dy(T))) * motion.r(T)
+    rest += djs * dw_d + djs * (A1 * de1 + A2 * e2) + inertia * ddw_d + inertia * (A1 * dde1 + A2 * de2)
+    rest += ddjs * w_d - ddjs * de1 - djs * dde1 + slope(lambda s: SLOW.torque(motion.rate(motion.th, s)), T, 0.03)
+    rest += -float(motion.dy(T) @ LAM) - 0.5 * djs * motion.r(T) + e2 + motion.rate(motion.tau_d, T)
+    j_rate = 0.0
+    truth = motion.n(T)
+    assert abs(rest + j_rate * dw_d - truth) > 0.01
+    assert rest + djs * dw_d == pytest.approx(truth, abs=1e-5)
 
 
 def remainder(motion: Motion) -> float:
@@ -497,7 +516,7 @@ def test_ball_of_attraction_adds_what_it_may_not() -> None:
         assert not dominated(size, 0.5 * size, rest)  # inside the printed ball, as near to 0 as one likes
         assert not dominated(size, 0.5 * size, 1.0)
     # rho_E(0) = k1 must be below 2 sqrt(rest weight k); a weight of 4 makes it 11, for radii up to 0.47.
-    assert K_TAU < 2.0 * sqrt(rest * 4.0 * k)
+    assert 2.0 * sqrt(rest * 4.0 * k) > K_TAU
     for n_p, n_a in np.random.default_rng(1).uniform(0.0, 0.33, (2000, 2)):
         assert dominated(n_p, n_a, rest, weight=4.0)
 

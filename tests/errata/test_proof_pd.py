@@ -24,6 +24,8 @@ from tests.errata.paper import (
     slope,
 )
 
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.sweep.attraction import estimate, radius_squared
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.behaviours import Controller, ControllerConfig
 from swarmabs_core.controllers.feedback import StateFeedback
@@ -141,6 +143,9 @@ def test_eta_of_the_theorem() -> None:
     half_inertia = (INERTIA + CURVE.inertia(TORQUE_MAX)) / 2.0
     printed, right = region(max(1.0, half_inertia)), region(max(0.5, half_inertia))
     assert (printed, right) == pytest.approx((0.02, 0.04))
+    own = estimate(find_scenario("pd_si_4"))
+    assert own is not None
+    assert (own.printed, own.corrected) == pytest.approx((printed, right))
     assert largest_v(printed) < 0.51 * level  # not the largest ball
     assert largest_v(right) == pytest.approx(level, rel=1e-9)
     assert largest_v(1.01 * right) > level
@@ -153,6 +158,9 @@ def test_printed_region_needs_another_torque_limit() -> None:
     for eta in (max(1.0, half_inertia), max(0.5, half_inertia)):
         assert abs(region(eta) - printed) > 0.007
     assert region(max(0.5, half_inertia)) == pytest.approx(0.04)
+    own = estimate(find_scenario("pd_si_4"))
+    assert own is not None
+    assert own.corrected == pytest.approx(0.04)
     with_more = (INERTIA + CURVE.inertia(7.5)) / 2.0
     assert region(max(0.5, with_more)) == pytest.approx(printed, abs=5e-5)  # where it comes from
 
@@ -163,7 +171,8 @@ def test_region_lacks_the_square() -> None:
     radius = theta_max**2 / (2.0 * eta)
     inside_printed = 0.95 * radius  # as the angle alone
     assert 0.5 * inside_printed**2 > 0.5 * theta_max**2  # outside of the level set it should lie in
-    assert 0.5 * (radius**0.5) ** 2 == pytest.approx(0.5 * theta_max**2)
+    assert 0.5 * radius == pytest.approx(0.5 * theta_max**2)  # as norm(z)^2 it touches the level set
+    assert radius_squared(theta_max, eta) == pytest.approx(radius)
 
 
 def test_constrained_region_violates_its_constraint() -> None:
@@ -173,10 +182,10 @@ def test_constrained_region_violates_its_constraint() -> None:
     assert abs(z[3]) > 0.03
     assert CURVE.inertia(0.0) - z[3] < 0.0  # not even an inertia
 
-    right = 0.03**2
-    for sign in (-1.0, 1.0):  # the ball's extreme points on that axis; 2 on the other is farther off
-        assert abs(sign * right**0.5) <= 0.03 < 2.0
-        assert CURVE.inertia(0.0) - sign * right**0.5 > -0.006
+    right = 0.03**2  # the largest ball with abs(e_J) <= 0.03 and abs(e_tau) < 2: its radius is the smaller of them
+    for e_tau, e_j in np.sqrt(right) * np.stack([np.cos(np.linspace(0, 6.3, 64)), np.sin(np.linspace(0, 6.3, 64))]).T:
+        assert abs(e_tau) < 2.0
+        assert abs(e_j) <= 0.03
     initial = np.array([0.1, 0.0, 0.0273, 0.0288])
     assert initial @ initial > right  # so the paper's own start is not covered
 
@@ -184,7 +193,7 @@ def test_constrained_region_violates_its_constraint() -> None:
 def test_initial_abstract_error() -> None:
     """Section PD Controller: z_a0 = (0.0273, 0.0288) is (sum m p, sum m p^2), not an error."""
     printed = (0.0273, 0.0288)
-    assert (MASS @ POSITION, MASS @ POSITION**2) == pytest.approx(printed, abs=5e-5)
+    assert pytest.approx(printed, abs=5e-5) == (MASS @ POSITION, MASS @ POSITION**2)
 
     torque = K1 * 0.1
     truth = (torque - GRAVITY * MASS @ POSITION, manifold(torque) - MASS @ POSITION**2)
@@ -196,6 +205,9 @@ def test_initial_abstract_error() -> None:
     assert isinstance(desired, DesiredAbstractState)
     total = abstraction([Weight(float(m), float(p), 0.0) for m, p in zip(MASS, POSITION, strict=True)], GRAVITY)
     assert (desired.torque - total.torque, desired.inertia - total.inertia) == pytest.approx(truth, abs=1e-12)
+    own = estimate(find_scenario("pd_si_4"))
+    assert own is not None
+    assert own.error_squared(0.1, 0.0) == pytest.approx(0.01 + truth[0] ** 2 + truth[1] ** 2)
 
 
 def inertia_rate(th: float, w: float, e_tau: float, e_j: float) -> float:
@@ -268,7 +280,7 @@ def test_largest_rate_of_the_inertia() -> None:
         assert abs(inertia_rate(0.0, 0.0, 0.0, n)) == pytest.approx(truth)
         assert max(abs(inertia_rate(*z)) for z in states(square)) <= truth
         assert abs(truth - J_DOT_PRINTED) > 0.09
-    assert K_S2 * 0.04**0.5 == pytest.approx(2.0)
+    assert pytest.approx(2.0) == K_S2 * 0.04**0.5
 
 
 def test_initial_errors_of_arise() -> None:

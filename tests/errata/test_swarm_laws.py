@@ -17,7 +17,9 @@ from tests.errata.paper import (
     slope,
 )
 
+from swarmabs_core import simulate
 from swarmabs_core.abstraction import Weight, abstraction, is_degenerate, spread_sums
+from swarmabs_core.scenario import Scenario, parse_scenario
 from swarmabs_core.swarm_law import damping_matrix, pinv_row
 
 WANTED = (np.array([0.4, 0.06]), np.array([0.3, -0.1]), np.array([-0.5, 0.2]))
@@ -67,10 +69,12 @@ def test_damping_matrix_lacks_s3_and_gravity(seed: int) -> None:
     truth = swarm.phi @ np.diag((swarm.c + GAINS.ksd) / swarm.m) @ np.linalg.pinv(swarm.phi)
 
     p = swarm.p
-    printed = np.array([
-        [md @ (s2 - p * s1), 0.5 * md @ (p * s0 - s1)],
-        [2.0 * (md * p) @ (s2 - p * s1), (md * p) @ (p * s0 - s1)],
-    ])
+    printed = np.array(
+        [
+            [md @ (s2 - p * s1), 0.5 * md @ (p * s0 - s1)],
+            [2.0 * (md * p) @ (s2 - p * s1), (md * p) @ (p * s0 - s1)],
+        ]
+    )
     assert np.abs(printed - truth).max() > 1.0
     np.testing.assert_allclose(printed / s3 * [[1.0, GRAVITY], [1.0 / GRAVITY, 1.0]], truth, rtol=1e-7, atol=1e-8)
 
@@ -99,8 +103,8 @@ def test_abstract_and_spread_sums_do_not_suffice() -> None:
     null = np.array([1.0, -2.0, 1.0])  # moves neither torque nor inertia: in the null space of Phi
     still, moving = (Swarm(mass, damping, position, s * null, np.full(3, True)) for s in (0.0, 0.5))
 
-    for one, other in zip(still.abstract()[3:] + still.sums()[2:9], moving.abstract()[3:] + moving.sums()[2:9]):
-        assert one == pytest.approx(other, abs=1e-15)  # all that the printed law knows is the same
+    known = [swarm.abstract()[3:] + swarm.sums()[2:9] for swarm in (still, moving)]
+    assert known[0] == pytest.approx(known[1], abs=1e-15)  # all that the printed law knows is the same
     with_feedback = moving.commands(*WANTED) + GAINS.ksd * moving.v  # but for the robot's own damping
     printed = still.commands(*WANTED)  # what a law of these quantities alone has to command in both
     force = printed - GAINS.ksd * moving.v
@@ -108,7 +112,7 @@ def test_abstract_and_spread_sums_do_not_suffice() -> None:
 
     assert np.abs(with_feedback - printed).max() > 0.1
     np.testing.assert_allclose(moving.acceleration(moving.commands(*WANTED)), intended(moving), atol=1e-9)
-    q = abstraction([Weight(*robot) for robot in zip(mass, position, moving.v)], GRAVITY).q
+    q = abstraction([Weight(*robot) for robot in zip(mass, position, moving.v, strict=True)], GRAVITY).q
     assert q == pytest.approx(moving.q, rel=1e-14)
 
 
@@ -164,7 +168,7 @@ def test_swarm_is_singular_on_a_curve_not_at_a_point() -> None:
         assert total.inertia == pytest.approx((total.torque / GRAVITY) ** 2 / MASS.sum(), abs=1e-15)
     assert np.abs(np.diff(states, axis=0)).min() > 0.01  # three different points
 
-    sums = spread_sums(zip(MASS.tolist(), POSITION.tolist()))
+    sums = spread_sums(zip(MASS.tolist(), POSITION.tolist(), strict=True))
     assert not is_degenerate(sums.s0, sums.s3, 1.0)
 
 
@@ -201,9 +205,9 @@ def test_differentiable_is_not_uniformly_continuous() -> None:
 
 def test_underdamped_inertia_is_flung_apart() -> None:
     """Section PD Controller: with K_p = 10, K_d = 5 the inertia swings through what no swarm can have."""
-    start, goal = 2.0, 0.025
+    goal = 0.025
 
-    def lowest(kd: float) -> float:
+    def lowest_after(start: float, kd: float) -> float:
         """Smallest inertia of e'' = -10 e - kd e' from rest, by the exact solution."""
         t = np.linspace(0.0, 10.0, 5001)
         decay, w = kd / 2.0, np.sqrt(complex(10.0 - kd**2 / 4.0))
@@ -213,9 +217,25 @@ def test_underdamped_inertia_is_flung_apart() -> None:
             e = (np.exp(-decay * t) * (np.cos(w * t) + decay / w * np.sin(w * t))).real
         return float((goal + (start - goal) * e).min())
 
-    assert lowest(5.0) < 0.0  # an inertia below 0: no positions have it, S3 vanishes before
-    assert lowest(2.0 * np.sqrt(10.0)) > 0.0
-    assert lowest(7.0) > 0.0
+    assert lowest_after(2.0, 5.0) < 0.0  # an inertia below 0: no positions have it, S3 vanishes before
+    assert lowest_after(2.0, 2.0 * np.sqrt(10.0)) > 0.0
     # The paper's own run starts close enough.
-    start = float(MASS @ POSITION**2)
-    assert lowest(5.0) > 0.02
+    assert lowest_after(float(MASS @ POSITION**2), 5.0) > 0.02
+
+    def scenario(kd: float) -> Scenario:
+        """Ten heavy robots that start far out."""
+        return parse_scenario(
+            "schema: 1\nduration: 2.0\nmanifold: {torque_max: 1}\nplane: {angle: 0.0}\nswarm:\n"
+            f"  gains: {{kd: [{kd}, {kd}]}}\n"
+            "  generate: {double_integrator: 10, mass: [0.7, 1.1], position: 0.45}\n"
+        )
+
+    assert any("swarm.gains: Kd < 2 sqrt(Kp)" in text for text in scenario(5.0).warnings())
+    found = simulate(scenario(5.0))
+    assert found.abstract.inertia.min() < 0.01
+    assert np.abs(found.agents.position).max() > 1.0  # flung apart, off the plane
+    assert not any("swarm.gains" in text for text in scenario(6.33).warnings())
+    found = simulate(scenario(6.33))
+    assert found.abstract.inertia[0] > 1.5
+    assert found.abstract.inertia.min() > 0.0
+    assert np.abs(found.agents.position).max() < 0.5
