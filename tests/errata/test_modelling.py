@@ -83,6 +83,10 @@ def test_g4_may_exceed_g1() -> None:
         law = Friction(PAPER.g1, PAPER.g2, PAPER.g3, g4, PAPER.g5, PAPER.g6)
         assert all(w * law.torque(w) > 0.0 for w in speeds)
     assert [PAPER.torque(w) for w in speeds] == pytest.approx([friction(w) for w in speeds], rel=1e-13)
+    dt = 1e-7  # and the plane feels it
+    for w in (1e-4, 1e-3, 0.01, 1.0):
+        _, after = plane(dt).advance(0.0, w, 0.0, swarm_load([], GRAVITY))
+        assert INERTIA * (w - after) / dt == pytest.approx(friction(w), rel=1e-5)
 
 
 def test_friction_is_not_bounded_by_g1() -> None:

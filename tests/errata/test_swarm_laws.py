@@ -18,7 +18,8 @@ from tests.errata.paper import (
 )
 
 from swarmabs_core import simulate
-from swarmabs_core.abstraction import Weight, abstraction, is_degenerate, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, spread_sums
+from swarmabs_core.messages import AuxiliaryState
 from swarmabs_core.scenario import Scenario, parse_scenario
 from swarmabs_core.swarm_law import damping_matrix, pinv_row
 
@@ -78,7 +79,9 @@ def test_damping_matrix_lacks_s3_and_gravity(seed: int) -> None:
     assert np.abs(printed - truth).max() > 1.0
     np.testing.assert_allclose(printed / s3 * [[1.0, GRAVITY], [1.0 / GRAVITY, 1.0]], truth, rtol=1e-7, atol=1e-8)
 
-    found = np.reshape(damping_matrix(swarm.sums(), GRAVITY), (2, 2))
+    spread = spread_sums(zip(swarm.m, swarm.p, strict=True))
+    damping = damping_sums(zip(swarm.m, swarm.p, swarm.c, strict=True), GAINS.ksd)
+    found = np.reshape(damping_matrix(AuxiliaryState(0, 0, *spread, *damping, 0.0), GRAVITY), (2, 2))
     np.testing.assert_allclose(found, truth, rtol=1e-8, atol=1e-8)
 
 
@@ -114,6 +117,13 @@ def test_abstract_and_spread_sums_do_not_suffice() -> None:
     np.testing.assert_allclose(moving.acceleration(moving.commands(*WANTED)), intended(moving), atol=1e-9)
     q = abstraction([Weight(*robot) for robot in zip(mass, position, moving.v, strict=True)], GRAVITY).q
     assert q == pytest.approx(moving.q, rel=1e-14)
+    for count in (4, 8):  # what is broadcast, by the state machines and by the simulation on arrays
+        run = simulate(
+            parse_scenario(f"schema: 1\nduration: 0.05\nswarm: {{generate: {{double_integrator: {count}}}}}\n")
+        )
+        velocity = run.agents.velocity
+        assert np.abs(velocity[-1]).max() > 1e-3
+        np.testing.assert_allclose(run.auxiliary.q, (run.agents.mass * velocity**2).sum(axis=1), rtol=1e-12)
 
 
 def test_one_gain_for_all_robots() -> None:
