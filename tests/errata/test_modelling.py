@@ -32,7 +32,7 @@ from swarmabs_core.messages import (
     PlaneState,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, standing, straight, swarm_load
-from swarmabs_core.scenario.checks import largest_position
+from swarmabs_core.theory.constraint_sets import StateClass, classify, largest_position
 
 PAPER = Friction(*FRICTION)
 
@@ -205,6 +205,8 @@ def test_manifold_leaves_the_absolutely_constrained_set() -> None:
     edge = 2.288
     assert largest_by_optimisation(edge - 0.001, curve.inertia(edge - 0.001)) < 0.5 * LENGTH
     assert largest_by_optimisation(edge + 0.001, curve.inertia(edge + 0.001)) > 0.5 * LENGTH
+    for torque, found in ((edge - 0.001, StateClass.ADMISSIBLE), (edge + 0.001, StateClass.PARTIAL)):
+        assert classify(torque, curve.inertia(torque), MASS.tolist(), LENGTH, GRAVITY) is found
     for torque in (0.0, 1.0, edge, TORQUE_MAX):
         found = largest_position(torque, curve.inertia(torque), MASS.tolist(), GRAVITY)
         assert found == pytest.approx(largest_by_optimisation(torque, curve.inertia(torque)), rel=1e-12)

@@ -28,8 +28,12 @@ from tests.errata.paper import (
     slope,
 )
 
+from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.controllers.arise import AriseGains, regressor
 from swarmabs_core.friction import Friction
+from swarmabs_core.theory.arise_conditions import error_gradient
+from swarmabs_core.theory.check import check_scenario
+from swarmabs_core.theory.report import Condition, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -196,6 +200,10 @@ def test_n_d_of_the_theorem() -> None:
     lacking = motion.rate(motion.js, T, 2) * motion.rate(motion.th_d, T) + djs * dw + motion.rate(motion.tau_d, T)
     assert printed + lacking == pytest.approx(truth, abs=1e-5)
     assert motion.n_d(T) == pytest.approx(truth, abs=1e-5)
+    # In the paper's run the disturbance's rate, up to 0.05, is the largest part: the check must have it.
+    beta = arise_condition("beta")
+    assert beta.inputs["zeta_printed"] < 0.01
+    assert beta.inputs["zeta_corrected"] > 0.045
 
 
 def test_expansion_of_n() -> None:
@@ -283,6 +291,10 @@ def test_constants_that_bound_n_tilde() -> None:
         c = random.choice([-1.0, 1.0]) * random.uniform(0.0, 24.0)
         bound = np.abs(errors) @ right(abs(djs), abs(ddjs), abs(c))
         assert size(*errors, js * random.random(), djs, ddjs, c) <= bound * (1.0 + 1e-12)
+    # The check's c_max is the length of the gradient of N~ where the inertia rests.
+    gradient = error_gradient(INERTIA + js, 24.0, A1, A2)
+    for axis, (e1, e2, r) in enumerate(np.eye(3)):
+        assert abs(gradient[axis]) == pytest.approx(size(r, e2, e1, js, 0.0, 0.0, 24.0))
 
 
 def test_largest_constant_is_no_bound() -> None:
@@ -434,6 +446,12 @@ def test_bounds_on_the_disturbance() -> None:
     assert max(abs(slope(lambda t: 0.05 * cos(0.5 * t), s)) for s in np.linspace(0.0, 13.0, 50)) <= own[2] + 1e-9
 
 
+def arise_condition(name: str, scenario: str = "arise_si_4") -> Condition:
+    """A condition of the theorem as the package checks it for one of the paper's runs."""
+    report = check_scenario(find_scenario(scenario))
+    return {c.name: c for theorem in report.theorems for c in theorem.conditions}[name]
+
+
 def decrease(ks: float, c_max: float) -> float:
     """Largest -eta_3 n^2 - (k_s r^2 - c_max n r) over 0 <= r <= n at n = 1; V_p' is negative iff this is."""
     r = np.linspace(0.0, 1.0, 100_001)
@@ -467,6 +485,11 @@ def test_papers_own_run_is_not_covered() -> None:
     assert ks < c**2 / (4.0 * ETA_3) == 144.0
     assert decrease(ks, c) > 0.0
     assert decrease(145.0, c) < 0.0
+
+    checked = arise_condition("ks, friction alone")
+    assert checked.printed is not None
+    assert (checked.printed.bound, checked.corrected.bound) == pytest.approx((24.0, 144.0))
+    assert checked.verdict is Verdict.FAILS
 
 
 def test_lyapunov_bounds_lack_the_squares() -> None:
@@ -531,6 +554,10 @@ def test_number_of_bounded_states() -> None:
     assert z_p + y_p + z_a_double != 9
     assert z_p + y_p + z_a_double == 12
     assert z_p + y_p + z_a_single == 10
+    for scenario, count in (("arise_si_4", 10), ("arise_di_4", 12)):
+        state = arise_condition("initial state", scenario).inputs["state"]
+        assert isinstance(state, tuple)
+        assert len(state) == count
 
 
 def test_initial_state_is_outside_of_the_printed_region() -> None:
@@ -564,3 +591,4 @@ def test_region_is_not_reproducible() -> None:
     # Right: the minimum, and the square of c_max. Then there is no region at all.
     for c in (1.0, 24.0):
         assert rho(2.0 * min(ETA_3 - c**2 / (4.0 * KS), K_TAU)) < 0.0
+    assert arise_condition("initial state").corrected.bound == 0.0

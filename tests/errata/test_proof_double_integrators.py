@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from tests.errata.paper import GAINS, THETA_MAX, random_swarm
 
+from swarmabs_core.theory.error_dynamics import epsilon_bound, second_order_energy
+
 KP, KD = GAINS.kp[0], GAINS.kd[0]
 
 
@@ -50,6 +52,7 @@ def test_second_condition_on_epsilon() -> None:
     for kp, kd in [(KP, KD), (1.0, 5.0), (30.0, 1.0), (0.1, 0.2)]:
         for eps in np.linspace(0.01, 2.0, 100) * bound(kp, kd) * 0.999:
             assert proves(kp, kd, eps) == (eps < bound(kp, kd))
+        assert epsilon_bound(kp, kd) == pytest.approx(bound(kp, kd))
 
 
 def test_characteristic_polynomial_of_m2() -> None:
@@ -109,6 +112,7 @@ def test_lyapunov_function_of_arise_lacks_the_half() -> None:
     truth = 0.5 * (KP * z[0] ** 2 + 2.0 * z[0] * z[1] + z[1] ** 2)
     assert z @ m1(KP, 1.0) @ z == pytest.approx(2.0 * truth)
     assert 0.5 * z @ m1(KP, 1.0) @ z == pytest.approx(truth)
+    assert second_order_energy(GAINS.kp, 1.0, (z[0], 0.0), (z[1], 0.0)) == pytest.approx(truth)
 
 
 def test_rate_bound_of_the_swarm_lacks_the_square() -> None:

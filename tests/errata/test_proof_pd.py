@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from math import cos, pi
 
 import numpy as np
 import pytest
@@ -25,7 +25,6 @@ from tests.errata.paper import (
 )
 
 from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.sweep.attraction import estimate, radius_squared
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.behaviours import Controller, ControllerConfig
 from swarmabs_core.controllers.feedback import StateFeedback
@@ -33,6 +32,9 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
+from swarmabs_core.theory.attraction import estimate, radius_squared
+from swarmabs_core.theory.check import check_scenario
+from swarmabs_core.theory.level_set import matrix_eigenvalues, potential
 
 K1, K2 = PD_PRINTED
 K_S2 = GAINS.k[1]
@@ -63,8 +65,7 @@ def energy_rate(th: float, w: float, k2: float = K2, inertia_rate: float = 0.0) 
     wanted = K1 * th + k2 * w
     inertia = manifold(wanted)
     dw = acceleration(th, w, wanted, inertia, inertia_rate)
-    potential_slope = slope(lambda x: K1 * (x * sin(x) + cos(x) - 1.0), th)
-    return potential_slope * w + (INERTIA + inertia) * w * dw + 0.5 * inertia_rate * w**2
+    return slope(lambda x: K1 * potential(x), th) * w + (INERTIA + inertia) * w * dw + 0.5 * inertia_rate * w**2
 
 
 GRID = [(th, w) for th in np.linspace(-THETA_MAX, THETA_MAX, 9) for w in (-0.3, -0.05, -0.01, 0.01, 0.05, 0.3)]
@@ -79,6 +80,7 @@ def test_matrix_m_is_not_positive_definite() -> None:
         symmetric = np.linalg.eigvalsh((m + m.T) / 2.0)  # what z'Mz is
         assert symmetric == pytest.approx(expected, abs=5e-3)
         assert symmetric[0] < 0.0 < symmetric[1]
+        assert matrix_eigenvalues(K1, K2, THETA_MAX, j_dot) == pytest.approx(symmetric)
 
 
 def test_printed_lyapunov_function_grows() -> None:
@@ -122,6 +124,10 @@ def test_condition_on_k2() -> None:
 
     assert worst(right - 0.01) > 0.0
     assert worst(right + 0.01) < 0.0  # below both printed bounds, and it decreases
+
+    checked = {c.name: c for t in check_scenario(find_scenario("pd_si_4")).theorems for c in t.conditions}["k2"]
+    assert checked.corrected.value == pytest.approx(c * K2 + FRICTION[5])
+    assert checked.corrected.bound == pytest.approx(checked.inputs["inertia_rate_corrected"] / 2.0)
 
 
 def region(eta: float) -> float:
@@ -301,3 +307,7 @@ def test_initial_errors_of_arise() -> None:
     assert right == pytest.approx((-0.075, -0.0420, 0.4541), abs=1e-3)
     assert abs(right[1] - printed[1]) > 0.01
     assert abs(right[2] - printed[2]) > 0.5
+    checked = {c.name: c for t in check_scenario(find_scenario("arise_si_4")).theorems for c in t.conditions}
+    state = checked["initial state"].inputs["state"]
+    assert isinstance(state, tuple)
+    assert state[:3] == pytest.approx(right, abs=1e-3)
