@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi
+from math import cos, pi, sin
 
 import numpy as np
 import pytest
@@ -34,6 +34,7 @@ from swarmabs_core.messages import DesiredAbstractState, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
 from swarmabs_core.theory.attraction import estimate, radius_squared
 from swarmabs_core.theory.check import check_scenario
+from swarmabs_core.theory.constraint_sets import StateClass, classify
 from swarmabs_core.theory.level_set import matrix_eigenvalues, potential
 
 K1, K2 = PD_PRINTED
@@ -194,6 +195,18 @@ def test_constrained_region_violates_its_constraint() -> None:
         assert abs(e_j) <= 0.03
     initial = np.array([0.1, 0.0, 0.0273, 0.0288])
     assert initial @ initial > right  # so the paper's own start is not covered
+
+
+def test_errors_have_less_room_than_said() -> None:
+    """Section PD Controller: abs(e_J) <= 0.03 and abs(e_tau) < 2 are "acceptable" about the manifold."""
+    masses = MASS.tolist()
+    assert OFFSET - 0.03 < 0.0  # the error 0.03 at tau = 0: an inertia that no positions have
+    assert classify(0.0, OFFSET - 0.03, masses, 1.0, GRAVITY) is StateClass.EMPTY
+    for direction in np.linspace(0.0, 2.0 * pi, 33):
+        torque, inertia = 0.0249 * sin(direction), OFFSET + 0.0249 * cos(direction)
+        assert inertia > (torque / GRAVITY) ** 2 / MASS.sum()
+        assert classify(torque, inertia, masses, 1.0, GRAVITY) is StateClass.ADMISSIBLE
+    assert np.hypot(0.0482, -0.0026) > 0.025  # e_a(0)
 
 
 def test_initial_abstract_error() -> None:
