@@ -1,0 +1,179 @@
+"""The runs that figures are drawn from: found among bags, or made where they are missing."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.bag import SCENARIO_FILE, NotABagError, find_bag, load_arrays, open_bag
+from swarmabs_bringup.run_folder import new_run_folder
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.summary import summarise
+from swarmabs_core.arrays import RunArrays
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import PLANE_STATE
+from swarmabs_core.scenario import Scenario, dump_scenario, parse_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+    from swarmabs_bringup.orchestration.progress import Outcome
+    from swarmabs_bringup.run_folder import RunFolder
+
+    Execute = Callable[[Scenario, RunFolder], Outcome]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """A run as its bag holds it: its own scenario and its messages."""
+
+    scenario: Scenario
+    arrays: RunArrays
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A complete bag: its MCAP file and the scenario attached to it."""
+
+    bag: Path
+    scenario: Scenario
+
+    def load(self) -> RecordedRun:
+        """Read the whole bag.
+
+        Raises
+        ------
+        DamagedBagError
+            If the bag is damaged.
+        """
+        return RecordedRun(self.scenario, load_arrays(self.bag))
+
+    @property
+    def altered(self) -> bool:
+        """Whether the run is not that of the built-in scenario of its name."""
+        return dump_scenario(self.scenario) != dump_scenario(find_scenario(self.scenario.name).resolved())
+
+
+def find_runs(paths: Iterable[Path], needed: Collection[str]) -> dict[str, Source]:
+    """Return the bags of the needed scenarios by the names of these.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Runs' folders, bags' folders, MCAP files, and folders of such.
+    needed : collection of str
+        Names of scenarios.
+
+    Raises
+    ------
+    InputError
+        If a path holds no bag, or there are two complete bags of one scenario.
+    """
+    found: dict[str, Source] = {}
+    for path in paths:
+        for bag in _bags(path):
+            source = _source(bag)
+            if source is None or source.scenario.name not in needed:
+                continue
+            name = source.scenario.name
+            other = found.setdefault(name, source)
+            if other.bag.resolve() != bag.resolve():
+                raise InputError(f"{other.bag} and {bag} are both of {name}; name one of them")
+    return found
+
+
+def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
+    """Return the runs that `make_run` has made in a folder before, by the names of their scenarios.
+
+    Raises
+    ------
+    InputError
+        If something else is where a run would be made.
+    """
+    found = {}
+    for name in needed:
+        path = folder / name
+        if path.exists():
+            source = _source(find_bag(path))
+            if source is None or source.scenario.name != name or source.altered:
+                raise InputError(f"{path} is not a complete run of the built-in {name}; remove it, or name another -o")
+            found[name] = source
+    return found
+
+
+def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
+    """Run a scenario and keep its results in a folder, which appears whole or not at all.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to run.
+    folder : Path
+        Where the folder of the run is made, under the scenario's name.
+    execute : callable
+        Carries the run out, such as `swarmabs_bringup.simulate.simulate_run`.
+
+    Raises
+    ------
+    RunError
+        If the run fails.
+    """
+    begun = time.monotonic()
+    resolved = scenario.resolved()
+    target = folder / resolved.name
+    with tempfile.TemporaryDirectory(dir=folder, prefix=f".{resolved.name}-") as temporary:
+        made = new_run_folder(Path(temporary) / "run")
+        outcome = execute(resolved, made)
+        if outcome.status != "ok":
+            raise RunError(f"{resolved.name}: {outcome.reason}")
+        summary = summarise(
+            resolved,
+            outcome.figures,
+            status=outcome.status,
+            reason=outcome.reason,
+            wall_time=time.monotonic() - begun,
+            stepping_seconds=outcome.stepping_seconds,
+        )
+        made.write_summary(summary)
+        made.path.rename(target)
+    return Source(find_bag(target), resolved)
+
+
+def missing_text(missing: Iterable[str], drawn: Mapping[str, Collection[str]]) -> str:
+    """Say which scenarios have no bag, and which figures need them."""
+    return "; ".join(
+        f"{name} (for {', '.join(figure for figure, needed in drawn.items() if name in needed)})" for name in missing
+    )
+
+
+def _bags(path: Path) -> list[Path]:
+    """Return the bag that a path names, or those of the runs in a folder."""
+    try:
+        return [find_bag(path)]
+    except NotABagError:
+        if not path.is_dir():
+            raise
+    folders = [child for child in sorted(path.iterdir()) if not child.name.startswith(".")]
+    bags = []
+    for child in folders:
+        if child.suffix == ".mcap" or (child.is_dir() and any((*child.glob("*.mcap"), *child.glob("bag/*.mcap")))):
+            bags.append(find_bag(child))
+    if not bags:
+        raise NotABagError(f"{path} holds neither a bag nor folders of runs")
+    return bags
+
+
+def _source(bag: Path) -> Source | None:
+    """Return a bag with its scenario, None if its run did not come to its end."""
+    opened = open_bag(bag, damaged=True)
+    attached = opened.attachment(SCENARIO_FILE)
+    if opened.problem is not None or opened.aborted() is not None:
+        return None
+    if attached is None:
+        raise InputError(f"{bag} holds no scenario, so it is not known what it is a run of; leave it out of --from")
+    scenario = parse_scenario(attached.decode(), source=f"{bag}:{SCENARIO_FILE}")
+    states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
+    return Source(bag, scenario) if states == scenario.steps + 1 else None

@@ -1,0 +1,76 @@
+"""How the figures look, and how they become files.
+
+Okabe and Ito's colours, which people with any colour vision tell apart, and with each colour a dash pattern of its own,
+so that grey prints do as well. Sizes are those at which the figures are printed: one or two columns of IEEE's
+transactions, the smallest text 7 pt.
+"""
+
+from __future__ import annotations
+
+import io
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Literal
+
+import matplotlib.style
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.figure import Figure
+
+Format = Literal["png", "svg"]
+FORMATS: tuple[Format, ...] = ("png", "svg")
+
+COLUMN, PAGE = 3.5, 7.16
+"""Width of a column and of a page of two, inches."""
+
+BLACK, GREY, LIGHT = "#000000", "#767676", "#f0f0f0"
+ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"
+BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
+
+SOLID, DASHED, DOTTED = "-", (0, (4, 1.5)), (0, (1, 1.5))
+ROBOTS = ((ORANGE, SOLID), (SKY, (0, (6, 1.2))), (GREEN, (0, (3, 1.2))), (PURPLE, (0, (1, 1))))
+"""Colour and dashes of the first, second, third and fourth robot."""
+
+_SETTINGS = {
+    "figure.dpi": 300,
+    "savefig.dpi": 300,
+    "savefig.facecolor": "white",
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "axes.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 2.0,
+    "legend.handletextpad": 0.4,
+    "legend.columnspacing": 0.8,
+    "lines.linewidth": 1.1,
+    "grid.linewidth": 0.5,
+    "grid.color": "#dddddd",
+    # Text stays text, and the same figure gives the same bytes.
+    "svg.fonttype": "none",
+    "svg.hashsalt": "swarmabs",
+}
+_METADATA: dict[Format, dict[str, None]] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in the figures' style for the time of the block, whatever the user's matplotlibrc says."""
+    with matplotlib.style.context(["default", _SETTINGS]):
+        yield
+
+
+def rendered(figure: Figure, kind: Format) -> bytes:
+    """Return a figure as the content of a file; call it within `styled`."""
+    file = io.BytesIO()
+    figure.savefig(file, format=kind, metadata=_METADATA[kind])
+    return file.getvalue()
