@@ -7,6 +7,7 @@ import click
 from swarmabs_bringup.cli.bench import bench
 from swarmabs_bringup.cli.check import check
 from swarmabs_bringup.cli.environment import doctor, env
+from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
 from swarmabs_bringup.cli.run import run, simulate
@@ -24,7 +25,7 @@ def swarm() -> None:
     """
 
 
-for command in (run, simulate, check, info, scenario, env, doctor, bench, sweep, test):
+for command in (run, simulate, check, info, scenario, env, doctor, bench, sweep, figures, test):
     swarm.add_command(command)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,9 +92,7 @@ def figures(
             files |= draw_files(name, sources, formats or FORMATS)
         written = [_write_whole(output / name, content) for name, content in files.items()]
     except OSError as error:
-        raise RunError(
-            f"{output}: {error.strerror or error}; free space or choose another folder with -o"
-        ) from error
+        raise RunError(f"{output}: {error.strerror or error}; free space or choose another folder with -o") from error
     if as_json:
         bags_used = {name: str(sources[name].bag) for name in needed}
         print_json({"files": [str(path) for path in written], "bags": bags_used, "made": missing})
@@ -121,6 +120,8 @@ def _executed(processes: bool, show: Callable[[Progress], None]) -> Execute:  # 
 def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{folder} cannot be written; choose another folder with -o")
     except OSError as error:
         raise InputError(f"{folder} cannot be made: {error.strerror}; choose another folder with -o") from error
 

@@ -107,7 +107,9 @@ def positions(axes: Axes, run: RecordedRun) -> None:
     agents = run.arrays.agents
     for column, number in enumerate(agents.ids.tolist()):
         colour, dashes = ROBOTS[column % len(ROBOTS)]
-        axes.plot(run.arrays.time, agents.position[:, column], color=colour, linestyle=dashes, label=f"p$_{{{number}}}$")
+        axes.plot(
+            run.arrays.time, agents.position[:, column], color=colour, linestyle=dashes, label=f"p$_{{{number}}}$"
+        )
     _label_positions(axes)
 
 
@@ -115,7 +117,7 @@ def positions_by_kind(axes: Axes, run: RecordedRun) -> None:
     """Draw the positions of many robots in the colours of their kinds."""
     agents = run.arrays.agents
     for column in range(len(agents.ids)):
-        _, colour = KINDS[Kind(int(agents.kind[:, column].max()))]
+        _, colour = KINDS[Kind(max(agents.kind[:, column].tolist()))]
         axes.plot(run.arrays.time, agents.position[:, column], color=colour, linewidth=0.4)
     _label_positions(axes)
 
@@ -169,7 +171,7 @@ def above(axes: Axes, heading: str, lines: Sequence[Line2D]) -> None:
 
 
 def _figure(height: float) -> Figure:
-    engine = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.03)
+    engine = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.05, hspace=0.03)
     return Figure(figsize=(PAGE, height), layout=engine)
 
 
@@ -194,7 +196,7 @@ def _label_pair(axes: Axes, other: Axes, left: str, right: str) -> None:
     axes.set_ylabel(left, color=BLUE, labelpad=2.0)
     other.set_ylabel(right, color=VERMILION, labelpad=2.0)
     for one in (axes, other):
-        one.yaxis.set_major_locator(MaxNLocator(5, steps=(1, 2, 2.5, 5, 10)))
+        one.yaxis.set_major_locator(MaxNLocator(6, steps=(1, 2, 2.5, 5, 10), min_n_ticks=4))
     axes.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.5)
 
 

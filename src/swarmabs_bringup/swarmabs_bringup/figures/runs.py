@@ -97,7 +97,10 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
     for name in needed:
         path = folder / name
         if path.exists():
-            source = _source(find_bag(path))
+            try:
+                source = _source(find_bag(path))
+            except NotABagError:
+                source = None
             if source is None or source.scenario.name != name or source.altered:
                 raise InputError(f"{path} is not a complete run of the built-in {name}; remove it, or name another -o")
             found[name] = source
@@ -156,14 +159,17 @@ def _bags(path: Path) -> list[Path]:
     except NotABagError:
         if not path.is_dir():
             raise
-    folders = [child for child in sorted(path.iterdir()) if not child.name.startswith(".")]
-    bags = []
-    for child in folders:
-        if child.suffix == ".mcap" or (child.is_dir() and any((*child.glob("*.mcap"), *child.glob("bag/*.mcap")))):
-            bags.append(find_bag(child))
+    bags = [find_bag(child) for child in sorted(path.iterdir()) if _is_run(child)]
     if not bags:
         raise NotABagError(f"{path} holds neither a bag nor folders of runs")
     return bags
+
+
+def _is_run(path: Path) -> bool:
+    """Tell whether something in a folder is to be read: a bag's file or folder or a run's folder, not a hidden one."""
+    if path.name.startswith("."):
+        return False
+    return path.suffix == ".mcap" or (path.is_dir() and any((*path.glob("*.mcap"), *path.glob("bag/*.mcap"))))
 
 
 def _source(bag: Path) -> Source | None:
