@@ -107,14 +107,14 @@ def draw_mapping_example(
     limit = float(np.abs(plane).max())
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), zlim=(-limit, limit))
     axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.98)
-    for number, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis), start=1):
-        axis.set_label_text(f"p$_{number}$, m")
+    for name, axis in (("p₁", axes.xaxis), ("p₂", axes.yaxis), ("p₃", axes.zaxis)):
+        axis.set_label_text(f"{name}, m")
         axis.set_major_locator(MaxNLocator(5, prune="both"))
         axis.labelpad = -3.0
         axis.set_tick_params(pad=-1.0)
     handles = [
-        Patch(facecolor=SKY, label=f"τ$_s$ = {torque:g} N m"),
-        Patch(facecolor=VERMILION, label=f"J$_s$ = {inertia:g} kg m²"),
+        Patch(facecolor=SKY, label=f"τₛ = {torque:g} N m"),
+        Patch(facecolor=VERMILION, label=f"Jₛ = {inertia:g} kg m²"),
         Line2D(
             [],
             [],

@@ -79,8 +79,8 @@ def draw_position_mapping() -> Figure:
     _manifold(axes, swarm, configure.manifold(scenario))
     corner = sum(swarm.masses) * swarm.length**2 / 4.0
     axes.set(
-        xlabel="torque τ$_s$, N m",
-        ylabel="inertia J$_s$, kg m²",
+        xlabel="torque τₛ, N m",
+        ylabel="inertia Jₛ, kg m²",
         xlim=(-1.06 * swarm.largest_torque, 1.06 * swarm.largest_torque),
         ylim=(0.0, 1.15 * corner),
     )
@@ -114,7 +114,7 @@ def _samples(axes: Axes, swarm: Swarm) -> None:
             marker=marker,
             color=colour,
             linewidths=0.5 if marker != "o" else 0.0,
-            label=f"random state in {_symbol(kind)}",
+            label=f"random state in {kind.value}",
         )
 
 
@@ -140,13 +140,13 @@ def _boundaries(axes: Axes, swarm: Swarm) -> None:
     least = [smallest_inertia(t, swarm.masses, swarm.gravity) for t in torque.tolist()]
     inner = [largest_admissible_inertia(t, swarm.masses, swarm.length, swarm.gravity) for t in torque.tolist()]
     axes.plot(torque, least, color=SKY, linestyle=SOLID, linewidth=1.8, label="lower bound")
-    axes.plot(torque, inner, color=BLACK, linestyle=DASHED, linewidth=1.0, label="upper boundary of A$_A$")
+    axes.plot(torque, inner, color=BLACK, linestyle=DASHED, linewidth=1.0, label="upper boundary of A_A")
 
 
 def _manifold(axes: Axes, swarm: Swarm, manifold: Manifold) -> None:
     torque = np.linspace(-manifold.torque_max, manifold.torque_max, _FINE + 1)
     inertia = [manifold.inertia(t) for t in torque.tolist()]
-    axes.plot(torque, inertia, color=GREEN, linewidth=2.2, label="manifold A$_c$")
+    axes.plot(torque, inertia, color=GREEN, linewidth=2.2, label="manifold A_c")
     reach = manifold_reach(manifold.curvature, manifold.offset, swarm.masses, swarm.length, swarm.gravity)
     leaves = reach.admissible
     axes.plot(
@@ -157,10 +157,5 @@ def _manifold(axes: Axes, swarm: Swarm, manifold: Manifold) -> None:
         markersize=4.5,
         color="white",
         markeredgecolor=BLACK,
-        label=f"A$_c$ leaves A$_A$: |τ| = {leaves:.3f} N m",
+        label=f"A_c leaves A_A: |τ| = {leaves:.3f} N m",
     )
-
-
-def _symbol(kind: StateClass) -> str:
-    letter, _, index = kind.value.partition("_")
-    return f"{letter}$_{index}$"

@@ -30,6 +30,7 @@ STRETCHED = 5.0
 KINDS = {Kind.SINGLE_INTEGRATOR: ("SI", ORANGE), Kind.DOUBLE_INTEGRATOR: ("DI", BLUE)}
 SWARMS = ("single integrators", "double integrators", "heterogeneous")
 _MILLI = 1e3
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _MARGIN = 1.08
 
 
@@ -96,7 +97,7 @@ def parent_state(axes: Axes, run: RecordedRun) -> Pair:
     wanted = [reference(t) for t in time.tolist()]
     axes.plot(time, run.arrays.angle, color=BLUE, label="θ")
     if any(wanted):
-        axes.plot(time, wanted, color=BLACK, linestyle=DOTTED, linewidth=0.9, label="θ$_d$")
+        axes.plot(time, wanted, color=BLACK, linestyle=DOTTED, linewidth=0.9, label="θ wanted")
     other.plot(time, run.arrays.angular_velocity, color=VERMILION, linestyle=DASHED, label="ω")
     _label_pair(axes, other, "θ, rad", "ω, rad/s")
     return axes, other
@@ -108,7 +109,11 @@ def positions(axes: Axes, run: RecordedRun) -> None:
     for column, number in enumerate(agents.ids.tolist()):
         colour, dashes = ROBOTS[column % len(ROBOTS)]
         axes.plot(
-            run.arrays.time, agents.position[:, column], color=colour, linestyle=dashes, label=f"p$_{{{number}}}$"
+            run.arrays.time,
+            agents.position[:, column],
+            color=colour,
+            linestyle=dashes,
+            label=f"p{str(number).translate(_SUBSCRIPTS)}",
         )
     _label_positions(axes)
 
@@ -125,10 +130,10 @@ def positions_by_kind(axes: Axes, run: RecordedRun) -> None:
 def abstract_error(axes: Axes, run: RecordedRun) -> Pair:
     """Draw the error of the abstract state, wanted minus actual; return both pairs of axes."""
     wanted, actual, other = run.arrays.desired, run.arrays.abstract, axes.twinx()
-    axes.plot(run.arrays.time, wanted.torque - actual.torque, color=BLUE, label="e$_τ$")
+    axes.plot(run.arrays.time, wanted.torque - actual.torque, color=BLUE, label="τ")
     inertia = _MILLI * (wanted.inertia - actual.inertia)
-    other.plot(run.arrays.time, inertia, color=VERMILION, linestyle=DASHED, label="e$_J$")
-    _label_pair(axes, other, "e$_τ$, N m", "e$_J$, 10⁻³ kg m²")
+    other.plot(run.arrays.time, inertia, color=VERMILION, linestyle=DASHED, label="J")
+    _label_pair(axes, other, "error of τ, N m", "error of J, 10⁻³ kg m²")
     return axes, other
 
 

@@ -2,7 +2,7 @@
 
 Okabe and Ito's colours, which people with any colour vision tell apart, and with each colour a dash pattern of its own,
 so that grey prints do as well. Sizes are those at which the figures are printed: one or two columns of IEEE's
-transactions, the smallest text 7 pt.
+transactions, the smallest text 7 pt. No text is set as mathematics, which would make it smaller and tear it to letters.
 """
 
 from __future__ import annotations
