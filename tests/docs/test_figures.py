@@ -9,15 +9,16 @@ from pathlib import Path
 import pytest
 from tests.docs.pages import ROOT
 
+from swarmabs_bringup.figures import FIGURES
 from swarmabs_bringup.run_folder import new_run_folder
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.simulate import simulate_run
 
-FIGURES = ROOT / "docs" / "figures"
+SCRIPTS = ROOT / "docs" / "figures"
 
 
 def draw(script: str, *arguments: Path) -> None:
-    command = [sys.executable, FIGURES / script, *arguments]
+    command = [sys.executable, SCRIPTS / script, *arguments]
     process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
     assert process.returncode == 0, process.stderr
 
@@ -39,3 +40,14 @@ def test_picture_of_the_architecture(tmp_path: Path) -> None:
 def test_pictures_are_there() -> None:
     for name in ("run.png", "architecture.svg", "parent_response.png"):
         assert (ROOT / "docs" / "images" / name).is_file()
+
+
+@pytest.mark.timeout(60)
+def test_pictures_of_the_paper(tmp_path: Path) -> None:
+    for name in (scenario for figure in FIGURES.values() for scenario in figure.scenarios):
+        simulate_run(find_scenario(name, ["duration=0.2"]).resolved(), new_run_folder(tmp_path / "runs" / name))
+    draw("paper.py", tmp_path / "runs", tmp_path)
+    for name in FIGURES:
+        assert (tmp_path / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+        assert (ROOT / "docs" / "images" / f"{name}.png").stat().st_size < 200_000
+        assert f"## {name}\n" in (ROOT / "docs" / "figures.md").read_text(encoding="utf-8")

@@ -52,6 +52,12 @@ def test_files_are_pictures_of_the_printed_width_with_their_texts(name: str, sho
         assert expected in text
 
 
+def test_a_format_does_not_depend_on_the_others(short_runs: Path) -> None:
+    found = find_runs([short_runs], FIGURES["PD_res"].scenarios)
+    both = draw_files("PD_res", found, FORMATS)
+    assert draw_files("PD_res", found, ["svg"]) | draw_files("PD_res", found, ["png"]) == both
+
+
 @pytest.mark.timeout(60)
 def test_other_processes_give_the_same_bytes(short_runs: Path) -> None:
     names = ("mappingEx", "posMapping", "PD_res", "ARISE_lg_swarm")

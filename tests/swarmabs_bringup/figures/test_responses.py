@@ -27,7 +27,7 @@ def draw(name: str, runs: Path) -> Figure:
     found = find_runs([runs], needed)
     with styled():
         figure = FIGURES[name].draw([found[scenario].load() for scenario in needed])
-        rendered(figure, "png")
+        rendered(figure, ["png"])
     return figure
 
 
@@ -164,6 +164,6 @@ def test_a_robot_that_is_not_there_yet_is_not_drawn(tmp_path: Path) -> None:
     assert isinstance(run, RecordedRun)
     with styled():
         figure = FIGURES["PD_res"].draw([run, run, run])
-        rendered(figure, "svg")
+        rendered(figure, ["svg"])
     robots = grid(figure, 3)[0][0][1]
     assert np.isnan(drawn(robots, "p₄")[1]).sum() == 10

@@ -61,4 +61,4 @@ def draw_files(name: str, sources: Mapping[str, Source], formats: Sequence[Forma
     runs = [sources[scenario].load() for scenario in wanted.scenarios]
     with styled():
         figure = wanted.draw(runs)
-        return {f"{name}.{kind}": rendered(figure, kind) for kind in formats}
+        return {f"{name}.{kind}": content for kind, content in rendered(figure, formats).items()}

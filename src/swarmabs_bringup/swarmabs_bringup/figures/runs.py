@@ -153,20 +153,16 @@ def missing_text(missing: Iterable[str], drawn: Mapping[str, Collection[str]]) -
 
 
 def _bags(path: Path) -> list[Path]:
-    """Return the bag that a path names, or those of the runs in a folder."""
-    try:
+    """Return the bag that a path names, or all those in a folder: a bag's, a run's, or one of several runs."""
+    if not path.is_dir():
         return [find_bag(path)]
-    except NotABagError:
-        if not path.is_dir():
-            raise
-    bags = [find_bag(child) for child in sorted(path.iterdir()) if _is_run(child)]
+    bags = [find_bag(child) for child in sorted(path.iterdir()) if _holds_bag(child)]
     if not bags:
         raise NotABagError(f"{path} holds neither a bag nor folders of runs")
     return bags
 
 
-def _is_run(path: Path) -> bool:
-    """Tell whether something in a folder is to be read: a bag's file or folder or a run's folder, not a hidden one."""
+def _holds_bag(path: Path) -> bool:
     if path.name.startswith("."):
         return False
     return path.suffix == ".mcap" or (path.is_dir() and any((*path.glob("*.mcap"), *path.glob("bag/*.mcap"))))

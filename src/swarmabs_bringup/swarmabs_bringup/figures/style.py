@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import matplotlib.style
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.figure import Figure
 
@@ -69,8 +69,14 @@ def styled() -> Iterator[None]:
         yield
 
 
-def rendered(figure: Figure, kind: Format) -> bytes:
-    """Return a figure as the content of a file; call it within `styled`."""
-    file = io.BytesIO()
-    figure.savefig(file, format=kind, metadata=_METADATA[kind])
-    return file.getvalue()
+def rendered(figure: Figure, formats: Sequence[Format]) -> dict[Format, bytes]:
+    """Return a figure as the contents of files; call it within `styled`."""
+    # Laid out once: each format measures text in its own way, and would move what another one has placed.
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    found: dict[Format, bytes] = {}
+    for kind in formats:
+        file = io.BytesIO()
+        figure.savefig(file, format=kind, metadata=_METADATA[kind])
+        found[kind] = file.getvalue()
+    return found

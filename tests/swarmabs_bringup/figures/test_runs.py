@@ -1,0 +1,95 @@
+"""Runs are found where the user points to, and made whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from tests.swarmabs_bringup.figures.conftest import NAMES, record
+
+from swarmabs_bringup.bag import NotABagError
+from swarmabs_bringup.figures.runs import find_made, find_runs, make_run
+from swarmabs_bringup.orchestration.progress import Outcome
+from swarmabs_bringup.run_folder import RunFolder
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.simulate import simulate_run
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.scenario import Scenario
+
+
+@pytest.mark.parametrize("part", ["pd_si_4", "pd_si_4/bag", "pd_si_4/bag/bag_0.mcap"])
+def test_a_run_is_named_in_three_ways(short_runs: Path, part: str) -> None:
+    found = find_runs([short_runs / part], NAMES)
+    assert found.keys() == {"pd_si_4"}
+    assert found["pd_si_4"].bag == short_runs / "pd_si_4" / "bag" / "bag_0.mcap"
+    assert found["pd_si_4"].altered  # it is shorter than the paper's
+    assert len(found["pd_si_4"].load().arrays.time) == 31
+
+
+def test_a_folder_of_runs_is_searched_by_what_the_bags_say(short_runs: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_runs / "arise_het_20", tmp_path / "any_name")
+    shutil.copy(short_runs / "pd_di_4" / "bag" / "bag_0.mcap", tmp_path / "loose.mcap")
+    shutil.copytree(short_runs / "pd_si_4", tmp_path / ".hidden")
+    (tmp_path / "notes.txt").write_text("no bag")
+    assert find_runs([tmp_path], NAMES).keys() == {"arise_het_20", "pd_di_4"}
+    assert find_runs([tmp_path], ["pd_di_4"]).keys() == {"pd_di_4"}
+    assert find_runs([short_runs], NAMES).keys() == set(NAMES)
+
+
+def test_a_bag_that_is_named_twice_is_one(short_runs: Path) -> None:
+    assert len(find_runs([short_runs / "pd_si_4", short_runs], ["pd_si_4"])) == 1
+
+
+def test_two_bags_of_a_scenario_are_refused(short_runs: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_runs / "pd_si_4", tmp_path / "pd_si_4-002")
+    with pytest.raises(InputError, match=r"pd_si_4/bag.* and .*pd_si_4-002/bag.* are both of pd_si_4; name one"):
+        find_runs([short_runs, tmp_path], NAMES)
+
+
+def test_incomplete_bags_are_passed_over(short_runs: Path, tmp_path: Path) -> None:
+    whole = (short_runs / "pd_si_4" / "bag" / "bag_0.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    assert find_runs([tmp_path], NAMES) == {}
+    (tmp_path / "whole.mcap").write_bytes(whole)
+    assert find_runs([tmp_path], NAMES)["pd_si_4"].bag == tmp_path / "whole.mcap"
+
+
+def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(NotABagError, match="holds neither a bag nor folders of runs"):
+        find_runs([tmp_path], NAMES)
+    with pytest.raises(NotABagError, match=r"cannot read .*nothing"):
+        find_runs([tmp_path / "nothing"], NAMES)
+
+
+def simulated(scenario: Scenario, folder: RunFolder) -> Outcome:
+    return simulate_run(scenario, folder)
+
+
+def test_a_run_that_was_made_is_found_again(tmp_path: Path) -> None:
+    assert find_made(tmp_path, ["pd_si_4"]) == {}
+    made = make_run(find_scenario("pd_si_4"), tmp_path, simulated)
+    assert {path.name for path in (tmp_path / "pd_si_4").iterdir()} == {"bag", "logs", "scenario.yaml", "summary.json"}
+    assert [path.name for path in tmp_path.iterdir()] == ["pd_si_4"]
+    assert find_made(tmp_path, ["pd_si_4", "pd_di_4"]) == {"pd_si_4": made}
+    assert not made.altered
+
+
+def test_a_variant_or_leftovers_are_not_taken_for_the_papers_run(tmp_path: Path) -> None:
+    record(tmp_path / "pd_si_4", "pd_si_4")
+    (tmp_path / "pd_di_4").mkdir()
+    for name in ("pd_si_4", "pd_di_4"):
+        with pytest.raises(InputError, match=f"{name} is not a complete run of the built-in {name}; remove it"):
+            find_made(tmp_path, [name])
+
+
+def test_a_failed_run_leaves_nothing_and_can_be_made_again(tmp_path: Path) -> None:
+    def failing(scenario: Scenario, folder: RunFolder) -> Outcome:
+        simulate_run(scenario, folder)
+        return Outcome("failed", "the plane turns over", {})
+
+    scenario = find_scenario("pd_si_4", ["duration=0.1"])
+    with pytest.raises(RunError, match="pd_si_4: the plane turns over"):
+        make_run(scenario, tmp_path, failing)
+    assert list(tmp_path.iterdir()) == []
+    assert make_run(scenario, tmp_path, simulated).bag.exists()
