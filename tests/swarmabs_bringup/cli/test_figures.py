@@ -56,7 +56,7 @@ def test_bags_are_drawn_and_a_missing_one_is_made_only_when_asked(
         record(here / "runs" / name, name)
     out, shown = figures(capfd, "PD_res", "--from", "runs", "-o", "out", code=2)
     assert out == ""
-    assert shown.startswith("error: --from has no complete bag of pd_het_4 (for PD_res); add it")
+    assert shown.startswith("error: --from has no bag of pd_het_4 (for PD_res); add it")
     assert not (here / "out").exists()
     _, shown = figures(capfd, "--from", "runs", "-o", "out", code=2)
     assert all(f"{name} (for ARISE_lg_swarm)" in shown for name in ("arise_het_20", "arise_het_200"))

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 from tests.swarmabs_bringup.figures.conftest import NAMES, record
 
-from swarmabs_bringup.bag import NotABagError
+from swarmabs_bringup.bag import BagWriter, NotABagError
 from swarmabs_bringup.figures.runs import find_made, find_runs, make_run
 from swarmabs_bringup.orchestration.progress import Outcome
 from swarmabs_bringup.run_folder import RunFolder
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.simulate import simulate_run
-from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.scenario import Scenario
+from swarmabs_core.errors import InputError, RunError, SwarmabsError
+from swarmabs_core.messages import MAIN_TOPICS
+from swarmabs_core.scenario import Scenario, dump_scenario
 
 
 @pytest.mark.parametrize("part", ["pd_si_4", "pd_si_4/bag", "pd_si_4/bag/bag_0.mcap"])
@@ -47,12 +49,28 @@ def test_two_bags_of_a_scenario_are_refused(short_runs: Path, tmp_path: Path) ->
         find_runs([short_runs, tmp_path], NAMES)
 
 
-def test_incomplete_bags_are_passed_over(short_runs: Path, tmp_path: Path) -> None:
+def test_a_bag_of_no_use_is_left_out_among_others_and_refused_alone(short_runs: Path, tmp_path: Path) -> None:
     whole = (short_runs / "pd_si_4" / "bag" / "bag_0.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    assert find_runs([tmp_path], NAMES) == {}
+    with BagWriter(tmp_path / "foreign", topics=MAIN_TOPICS, attachments={}):
+        pass
+    scenario = dump_scenario(find_scenario("pd_di_4").resolved()).encode()
+    with BagWriter(tmp_path / "empty", topics=MAIN_TOPICS, attachments={"scenario.yaml": scenario}):
+        pass
+    (tmp_path / "stub.mcap").write_bytes(whole[:3])
     (tmp_path / "whole.mcap").write_bytes(whole)
-    assert find_runs([tmp_path], NAMES)["pd_si_4"].bag == tmp_path / "whole.mcap"
+    reasons: list[str] = []
+    assert find_runs([tmp_path], NAMES, reasons.append)["pd_si_4"].bag == tmp_path / "whole.mcap"
+    expected = (
+        "cut.mcap is not complete: ",
+        "bag_0.mcap is not complete: 0 of 3001 states",
+        "holds no scenario",
+        "3 byt",
+    )
+    assert [text in reason for text, reason in zip(expected, reasons, strict=True)] == [True] * 4
+    for name, text in zip(("cut.mcap", "empty", "foreign", "stub.mcap"), expected, strict=True):
+        with pytest.raises(SwarmabsError, match=re.escape(text)):
+            find_runs([tmp_path / name], NAMES)
 
 
 def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
@@ -79,7 +97,7 @@ def test_a_variant_or_leftovers_are_not_taken_for_the_papers_run(tmp_path: Path)
     record(tmp_path / "pd_si_4", "pd_si_4")
     (tmp_path / "pd_di_4").mkdir()
     for name in ("pd_si_4", "pd_di_4"):
-        with pytest.raises(InputError, match=f"{name} is not a complete run of the built-in {name}; remove it"):
+        with pytest.raises(InputError, match=rf"{name}.*; remove .*, or name another -o"):
             find_made(tmp_path, [name])
 
 

@@ -66,14 +66,14 @@ def figures(
             raise click.UsageError(f"no figure {name!r}; there are {', '.join(FIGURES)}")
     chosen = {name: figure.scenarios for name, figure in FIGURES.items() if name in names or not names}
     needed = [name for scenarios in chosen.values() for name in scenarios]
-    sources = find_runs(bags, needed)
+    sources = find_runs(bags, needed, lambda reason: click.echo(f"warning: left out: {reason}", err=True))
     if not bags or make is not None:
         make = make or "simulate"
         sources = find_made(output / "runs", [name for name in needed if name not in sources]) | sources
     missing = [name for name in needed if name not in sources]
     if missing and make is None:
         raise InputError(
-            f"--from has no complete bag of {missing_text(missing, chosen)}; add it, name the figures to draw, "
+            f"--from has no bag of {missing_text(missing, chosen)}; add it, name the figures to draw, "
             "or make it with --simulate or --run"
         )
     for source in sources.values():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _VIEW = (24.0, -14.0)
 """Elevation and azimuth of the eye, degrees."""
 _LIGHT = np.array([0.3, -0.6, 0.75])
-_EXTENT = 1.2
+_EXTENT = 1.08
 """Half of the plane's side over the sphere's radius, where the ellipsoid is a sphere."""
 
 
@@ -106,7 +106,7 @@ def draw_mapping_example(
     axes.plot(*ellipse(example).T, color=YELLOW, linewidth=1.4, zorder=3)
     limit = float(np.abs(plane).max())
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), zlim=(-limit, limit))
-    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.98)
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.0)
     for name, axis in (("p₁", axes.xaxis), ("p₂", axes.yaxis), ("p₃", axes.zaxis)):
         axis.set_label_text(f"{name}, m")
         axis.set_major_locator(MaxNLocator(5, prune="both"))

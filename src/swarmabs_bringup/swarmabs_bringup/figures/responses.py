@@ -55,7 +55,7 @@ def draw_three_swarms(runs: Sequence[RecordedRun]) -> Figure:
     for axes in middle:
         axes.set_ylim(limits[:, 0].min(), limits[:, 1].max())
     for axes, name in zip(left, SWARMS, strict=True):
-        axes.annotate(name, (0, 0.5), (-40, 0), "axes fraction", "offset points", rotation=90, ha="right", va="center")
+        axes.annotate(name, (0, 0.5), (-44, 0), "axes fraction", "offset points", rotation=90, ha="right", va="center")
     above(left[0], "plane", _named(*parents[0]))
     above(middle[0], "robots", _named(middle[0]))
     above(right[0], "error of the abstract state", _named(*errors[0]))
@@ -162,7 +162,7 @@ def time_axis(axes: Axes, end: float) -> None:
         return np.where(place < 1.0, place * STRETCHED, STRETCHED + (place - 1.0) * rest)
 
     axes.set_xscale("function", functions=(to_place, to_time))
-    spacing = next(size for size in (10.0, 20.0, 50.0, 100.0, 1000.0) if end < 4.0 * size or size == 1000.0)
+    spacing = next((size for size in (10.0, 20.0, 25.0, 50.0, 100.0) if end < 3.5 * size), end)
     axes.set_xticks([0.0, 2.0, 4.0, *np.arange(spacing, end + 1e-9, spacing)])
     axes.axvspan(0.0, STRETCHED, color=LIGHT, zorder=-2.0)
     axes.axvline(STRETCHED, color=GREY, linewidth=0.6, zorder=-1.0)

@@ -13,7 +13,7 @@ from swarmabs_bringup.run_folder import new_run_folder
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.summary import summarise
 from swarmabs_core.arrays import RunArrays
-from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.scenario import Scenario, dump_scenario, parse_scenario
 
@@ -57,7 +57,9 @@ class Source:
         return dump_scenario(self.scenario) != dump_scenario(find_scenario(self.scenario.name).resolved())
 
 
-def find_runs(paths: Iterable[Path], needed: Collection[str]) -> dict[str, Source]:
+def find_runs(
+    paths: Iterable[Path], needed: Collection[str], pass_over: Callable[[str], None] = lambda _: None
+) -> dict[str, Source]:
     """Return the bags of the needed scenarios by the names of these.
 
     Parameters
@@ -66,22 +68,30 @@ def find_runs(paths: Iterable[Path], needed: Collection[str]) -> dict[str, Sourc
         Runs' folders, bags' folders, MCAP files, and folders of such.
     needed : collection of str
         Names of scenarios.
+    pass_over : callable, optional
+        Told why a bag that stands among others is left out, such as that its run ended early.
 
     Raises
     ------
     InputError
-        If a path holds no bag, or there are two complete bags of one scenario.
+        If a path holds no bag, or a single one that cannot be used, or there are two bags of one scenario.
     """
     found: dict[str, Source] = {}
     for path in paths:
-        for bag in _bags(path):
-            source = _source(bag)
-            if source is None or source.scenario.name not in needed:
+        bags = _bags(path)
+        for bag in bags:
+            try:
+                source = _source(bag)
+            except SwarmabsError as error:
+                if len(bags) == 1:
+                    raise
+                pass_over(str(error))
                 continue
             name = source.scenario.name
-            other = found.setdefault(name, source)
-            if other.bag.resolve() != bag.resolve():
-                raise InputError(f"{other.bag} and {bag} are both of {name}; name one of them")
+            if name in needed:
+                other = found.setdefault(name, source)
+                if other.bag.resolve() != bag.resolve():
+                    raise InputError(f"{other.bag} and {bag} are both of {name}; name one of them")
     return found
 
 
@@ -99,10 +109,10 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
         if path.exists():
             try:
                 source = _source(find_bag(path))
-            except NotABagError:
-                source = None
-            if source is None or source.scenario.name != name or source.altered:
-                raise InputError(f"{path} is not a complete run of the built-in {name}; remove it, or name another -o")
+            except SwarmabsError as error:
+                raise InputError(f"{error}; remove {path}, or name another -o") from error
+            if source.scenario.name != name or source.altered:
+                raise InputError(f"{path} is not a run of the built-in {name}; remove it, or name another -o")
             found[name] = source
     return found
 
@@ -168,14 +178,17 @@ def _holds_bag(path: Path) -> bool:
     return path.suffix == ".mcap" or (path.is_dir() and any((*path.glob("*.mcap"), *path.glob("bag/*.mcap"))))
 
 
-def _source(bag: Path) -> Source | None:
-    """Return a bag with its scenario, None if its run did not come to its end."""
+def _source(bag: Path) -> Source:
+    """Return a bag with its scenario, and refuse one that is of no use."""
     opened = open_bag(bag, damaged=True)
+    reason = opened.problem or opened.aborted()
+    if reason is not None:
+        raise InputError(f"{bag} is not complete: {reason}")
     attached = opened.attachment(SCENARIO_FILE)
-    if opened.problem is not None or opened.aborted() is not None:
-        return None
     if attached is None:
-        raise InputError(f"{bag} holds no scenario, so it is not known what it is a run of; leave it out of --from")
+        raise InputError(f"{bag} holds no scenario, so it is not known what it is a run of")
     scenario = parse_scenario(attached.decode(), source=f"{bag}:{SCENARIO_FILE}")
     states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
-    return Source(bag, scenario) if states == scenario.steps + 1 else None
+    if states != scenario.steps + 1:
+        raise InputError(f"{bag} is not complete: {states} of {scenario.steps + 1} states of the plane")
+    return Source(bag, scenario)
