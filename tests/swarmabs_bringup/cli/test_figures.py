@@ -11,6 +11,7 @@ from tests.swarmabs_bringup.figures.conftest import record
 
 from swarmabs_bringup.cli import main
 
+pytestmark = pytest.mark.timeout(60)
 PD = ("pd_si_4", "pd_di_4", "pd_het_4")
 
 
@@ -31,7 +32,6 @@ def names(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
-@pytest.mark.timeout(60)
 def test_missing_runs_are_simulated_and_used_again(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     first, shown = figures(capfd, "PD_res", "-o", "out", "--format", "svg")
     assert first["files"] == ["out/PD_res.svg"]
@@ -48,7 +48,6 @@ def test_missing_runs_are_simulated_and_used_again(capfd: pytest.CaptureFixture[
     assert (here / "out/PD_res.svg").read_bytes() == content
 
 
-@pytest.mark.timeout(60)
 def test_bags_are_drawn_and_a_missing_one_is_made_only_when_asked(
     capfd: pytest.CaptureFixture[str], here: Path
 ) -> None:
@@ -88,7 +87,6 @@ def test_a_folder_that_cannot_be_made_is_refused(capfd: pytest.CaptureFixture[st
     assert "error: out/below/runs cannot be made: " in shown
 
 
-@pytest.mark.timeout(60)
 def test_a_damaged_bag_stops_it_before_any_file_is_written(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     for name in PD:
         record(here / "runs" / name, name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +17,19 @@ from tests.swarmabs_bringup.figures.conftest import ReadBag, record
 from swarmabs_bringup.figures import FIGURES
 from swarmabs_bringup.figures.responses import STRETCHED
 from swarmabs_bringup.figures.runs import RecordedRun, find_runs
-from swarmabs_bringup.figures.style import PAGE, rendered, styled
+from swarmabs_bringup.figures.style import PAGE, styled
 
 Floats = NDArray[np.float64]
 ROWS = ("si", "di", "het")
 
 
+@cache
 def draw(name: str, runs: Path) -> Figure:
     needed = FIGURES[name].scenarios
     found = find_runs([runs], needed)
     with styled():
         figure = FIGURES[name].draw([found[scenario].load() for scenario in needed])
-        rendered(figure, ["png"])
+        figure.draw_without_rendering()
     return figure
 
 
@@ -148,14 +150,14 @@ def test_text_can_be_read_in_print_and_stays_clear_of_the_data(short_runs: Path)
 def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     for kind in ROWS:
-        record(runs / kind, f"pd_{kind}_4", "duration=30.0")
+        record(runs / kind, f"pd_{kind}_4", "duration=12.0")
     axes = grid(draw("PD_res", runs), 3)[0][0][0]
     left, right = axes.get_xlim()
     places = axes.transAxes.inverted().transform(
-        axes.transData.transform([(t, 0.0) for t in (left, 2.5, STRETCHED, 17.5, right)])
+        axes.transData.transform([(t, 0.0) for t in (left, 2.5, STRETCHED, 8.5, right)])
     )
     np.testing.assert_allclose(places[:, 0], [0.0, 0.25, 0.5, 0.75, 1.0], atol=1e-9)
-    assert (left, right) == (0.0, 30.0)
+    assert (left, right) == (0.0, 12.0)
 
 
 def test_a_robot_that_is_not_there_yet_is_not_drawn(tmp_path: Path) -> None:
@@ -164,6 +166,6 @@ def test_a_robot_that_is_not_there_yet_is_not_drawn(tmp_path: Path) -> None:
     assert isinstance(run, RecordedRun)
     with styled():
         figure = FIGURES["PD_res"].draw([run, run, run])
-        rendered(figure, ["svg"])
+        figure.draw_without_rendering()
     robots = grid(figure, 3)[0][0][1]
     assert np.isnan(drawn(robots, "p₄")[1]).sum() == 10
