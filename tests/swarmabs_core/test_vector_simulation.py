@@ -12,7 +12,7 @@ from swarmabs_core.errors import RunError
 from swarmabs_core.messages import Topic
 from swarmabs_core.recording import Digest, Step
 from swarmabs_core.scenario import Scenario, parse_scenario
-from swarmabs_core.simulation import ARRAYS_FROM, Simulation, simulated_steps
+from swarmabs_core.simulation import Simulation, simulated_steps
 from swarmabs_core.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable
 
 
@@ -92,7 +92,7 @@ def test_events_stand_where_the_state_machines_put_them() -> None:
     ],
 )
 def test_what_concerns_single_robots_is_left_to_the_state_machines(extra: str) -> None:
-    scenario = swarm(ARRAYS_FROM, seed=1, extra=extra)
+    scenario = swarm(6, seed=1, extra=extra)
     assert not vectorisable(scenario)
     assert digest_and_bag(simulated_steps(scenario)) == digest_and_bag(Simulation(scenario).steps())
 
@@ -119,7 +119,7 @@ def test_imperfect_worlds_are_left_to_the_state_machines(option: str) -> None:
 
 
 def test_a_swarm_that_loses_its_spread_goes_on_with_the_state_machines(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenario = swarm(ARRAYS_FROM, seed=2)
+    scenario = swarm(6, seed=2)
     machines = digest_and_bag(Simulation(scenario).steps())
     whole = VectorSimulation.steps
 

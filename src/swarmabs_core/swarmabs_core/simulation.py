@@ -32,10 +32,6 @@ if TYPE_CHECKING:
     from swarmabs_core.scenario import Scenario
 
 
-ARRAYS_FROM = 6
-"""Number of robots from which on simulating on arrays is faster."""
-
-
 class Simulation:
     """Observer, plane, parent controller and robots of a scenario, connected by a queue.
 
@@ -94,7 +90,7 @@ class Simulation:
 
 
 def simulated_steps(scenario: Scenario) -> Iterator[Step]:
-    """Simulate a scenario, on arrays where there are many robots that all do the same; the bits do not depend on it.
+    """Simulate a scenario, on arrays where all robots do the same all the time; the bits do not depend on it.
 
     Parameters
     ----------
@@ -111,24 +107,23 @@ def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     RunError
         If the run fails, such as by a plane that turns over.
     """
-    done = 0
-    if len(scenario.agents) >= ARRAYS_FROM:
-        # Small swarms are faster without, and do not wait for numpy.
-        from swarmabs_core.vector_simulation import (  # noqa: PLC0415
-            NotVectorisableError,
-            VectorSimulation,
-            vectorisable,
-        )
+    # Nodes import this package too, and need no numpy.
+    from swarmabs_core.vector_simulation import (  # noqa: PLC0415
+        NotVectorisableError,
+        VectorSimulation,
+        vectorisable,
+    )
 
-        if vectorisable(scenario):
-            try:
-                for step in VectorSimulation(scenario).steps():
-                    yield step
-                    done += 1
-            except NotVectorisableError:
-                pass
-            else:
-                return
+    done = 0
+    if vectorisable(scenario):
+        try:
+            for step in VectorSimulation(scenario).steps():
+                yield step
+                done += 1
+        except NotVectorisableError:
+            pass
+        else:
+            return
     yield from islice(Simulation(scenario).steps(), done, None)
 
 
