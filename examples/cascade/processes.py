@@ -137,7 +137,8 @@ class CascadeRun:
             profile.write_text(profile_xml(domain, peers=range(len(self._processes))), encoding="utf-8")
             environment = dds_environment(domain, str(profile.resolve()))
             environment["PYTHONPATH"] = os.pathsep.join((str(FOLDER), os.environ.get("PYTHONPATH", "")))
-            launcher = stack.enter_context(LauncherClient(environment, logs / "launcher.log", processes=len(self._processes)))
+            client = LauncherClient(environment, logs / "launcher.log", processes=len(self._processes))
+            launcher = stack.enter_context(client)
             for layer in self._processes.values():
                 log = self._folders[layer.namespace].logs / f"{layer.node}.log"
                 launcher.spawn(layer.process, layer.arguments, log)
