@@ -127,7 +127,8 @@ def _oscillating_extrema(kp: float, kd: float, excess: float, rate: float) -> tu
 def _creeping_extremum(kp: float, kd: float, excess: float, rate: float) -> float:
     """Return x where x' vanishes, or 0 if it does not; a double root is split by its millionth part."""
     root = max(sqrt(kd * kd / 4.0 - kp), 5e-7 * kd)
-    slow, fast = -kd / 2.0 + root, -kd / 2.0 - root
+    fast = -kd / 2.0 - root
+    slow = kp / fast  # which keeps its digits where both terms of its sum nearly cancel
     of_slow, of_fast = (rate - fast * excess) / (2.0 * root), (slow * excess - rate) / (2.0 * root)
     ratio = -of_fast * fast / (of_slow * slow) if of_slow else 0.0
     if ratio <= 1.0:
