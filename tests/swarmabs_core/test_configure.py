@@ -93,3 +93,10 @@ def test_nested_settings_are_joined_by_dots() -> None:
         ).reference(3.0)
         == 0.2
     )
+
+
+@pytest.mark.parametrize(("robots", "window"), [(4, 100), (200, 100), (1000, 20), (2000, 10), (20_000, 4)])
+def test_a_large_swarm_is_fewer_steps_ahead_of_its_recorder(robots: int, window: int) -> None:
+    kinds = ("single_integrator", "double_integrator")
+    halves = [f"swarm.generate.{kind}={robots // 2}" for kind in kinds]
+    assert configure.recording_window(builtin("arise_het_200", *halves)) == window

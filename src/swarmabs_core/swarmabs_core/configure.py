@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from swarmabs_core.parameters import Settings, Value
     from swarmabs_core.scenario import ParentResponseObserver, Scenario
 
-RECORDING_WINDOW = 100
-"""How many steps a recorded run may be ahead of what is on disk."""
+RECORDING_STEPS = 100
+RECORDING_MESSAGES = 20_000
+"""How many steps, and how many states of robots, a recorded run may be ahead of what is on disk."""
+SHORTEST_RECORDING_WINDOW = 4
 
 KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
 
@@ -52,6 +54,12 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
             if fault.kind != "loss" and fault.kind != "delay"  # noqa: PLR1714 - so that mypy knows the type
         )
     )
+
+
+def recording_window(scenario: Scenario) -> int:
+    """Return how many steps a recorded run may be ahead of what is on disk: few where a step has many messages."""
+    fitting = RECORDING_MESSAGES // len(scenario.agents)
+    return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, fitting))
 
 
 def friction(scenario: Scenario) -> Friction:

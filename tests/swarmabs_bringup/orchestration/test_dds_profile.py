@@ -9,6 +9,11 @@ import socket
 from xml.etree import ElementTree as ET
 
 import pytest
+import rclpy
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from tests.processes import until
 
 from swarmabs_bringup.orchestration.dds_profile import (
     CONTROLLER_PARTICIPANT,
@@ -31,6 +36,9 @@ from swarmabs_bringup.orchestration.domain import (
     metatraffic_port,
     multicast_port,
 )
+from swarmabs_core.messages import AGENT_STATE
+from swarmabs_ros.endpoints import WaitSetReceiver, profile, ros_type
+from swarmabs_ros.qos import Qos
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 LARGE_SWARM = COORDINATORS + 195
@@ -154,3 +162,21 @@ def test_multicast_that_never_arrives_is_found_wanting(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(socket, "socket", Swallowing)
     assert not multicast_works(timeout=0.01)
+
+
+@pytest.mark.usefixtures("ros")
+def test_as_many_messages_wait_for_a_reader_as_it_asks_for() -> None:
+    """Fast DDS by itself keeps 5,000 at most, whatever the depth: less than a large swarm sends in three steps."""
+    messages, block = 6000, 500
+    rclpy.init()
+    node = Node("patient", enable_rosout=False)
+    publisher = node.create_publisher(ros_type(AGENT_STATE), AGENT_STATE.name, profile(Qos("reliable", block)))
+    reader = WaitSetReceiver(node, {AGENT_STATE: Qos("reliable", messages)})
+    until(lambda: reader.publisher_count(AGENT_STATE), "the reader has met the publisher")
+    data = serialize_message(ros_type(AGENT_STATE)())
+    for _ in range(messages // block):
+        for _ in range(block):
+            publisher.publish(data)
+        assert publisher.wait_for_all_acked(Duration(seconds=10))
+    assert sum(reader.take(AGENT_STATE) is not None for _ in range(messages)) == messages
+    node.destroy_node()

@@ -118,7 +118,7 @@ def test_the_controller_is_configured_as_the_scenario_says(scenario: str, monkey
         table = parent_controller.node.table(node)
         parent_controller.node.make(Settings(declare(node, (*COMMON, *table))), StatusChannel(CONTROLLER))
     ((config, law),) = made
-    assert config == configure.controller_config(loaded, recording_window=configure.RECORDING_WINDOW)
+    assert config == configure.controller_config(loaded, recording_window=configure.recording_window(loaded))
     assert content(law) == content(configure.parent_controller(loaded))
 
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from swarmabs_bringup.recorder.node import CREDIT_EVERY, Recorder
+from swarmabs_bringup.recorder.node import CREDITS, Recorder
 from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_core import configure
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, Message, PlaneState, RecordingProgress
 from swarmabs_core.recording import RecordedStep
@@ -17,6 +18,7 @@ from swarmabs_core.scenario import Scenario
 from swarmabs_core.simulation import Simulation
 
 STEPS = 60
+CREDIT_EVERY = configure.RECORDING_STEPS // CREDITS
 
 
 @dataclass

@@ -46,6 +46,8 @@ CONTROLLER_PARTICIPANT = 2
 """Participant id of the parent controller, the one coordinator that does not hear the robots."""
 
 _BUFFER = 4 * 2**20
+_MOST_SAMPLES = 100_000
+"""Messages that may wait for a reader; by itself Fast DDS stops at 5,000, whatever depth a reader asks for."""
 
 _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -96,6 +98,14 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
         </builtin>
       </rtps>
     </participant>
+    <data_reader profile_name="reader" is_default_profile="true">
+      <topic>
+        <resourceLimitsQos>
+          <max_samples>{most_samples}</max_samples>
+          <max_samples_per_instance>{most_samples}</max_samples_per_instance>
+        </resourceLimitsQos>
+      </topic>
+    </data_reader>
   </profiles>
 </dds>
 """
@@ -163,6 +173,7 @@ def profile_xml(
     )
     return _PROFILE.format(
         buffer=_BUFFER,
+        most_samples=_MOST_SAMPLES,
         participant=participant,
         multicast=_MULTICAST.format(group=GROUP_VARIABLE, port=multicast_port(domain)) if multicast else "",
         port_base=PORT_BASE,

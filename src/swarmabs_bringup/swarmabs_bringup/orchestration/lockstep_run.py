@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from swarmabs_core.scenario import Scenario
 
 START_SILENCE = 30.0
-"""Time, s, in which at least one more process must become ready."""
+"""Time, s, in which at least one more process must be forked or become ready."""
 STALL_GRACE = 1.0
 """Time, s, for which reports of a stall are gathered before they are judged."""
 CLOSING_SECONDS = 20.0
@@ -177,8 +177,9 @@ class LockstepRun:
             if state.done is not None:
                 return None
             if self._started is None:
-                if len(state.ready) > known or self._restart_lost(launcher):
-                    known, news = len(state.ready), now
+                come = len(state.pids) + len(state.ready)
+                if come > known or self._restart_lost(launcher):
+                    known, news = come, now
                 if state.all_ready():
                     self._started = now
                     state.started = True

@@ -181,7 +181,7 @@ def plan(
                 "manifold.curvature": manifold.curvature,
                 "manifold.offset": manifold.offset,
                 "manifold.torque_max": manifold.torque_max,
-                "recording_window": configure.RECORDING_WINDOW,
+                "recording_window": configure.recording_window(scenario),
                 "controller.type": scenario.controller.type,
                 "packed": packed,
             }

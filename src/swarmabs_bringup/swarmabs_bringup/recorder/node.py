@@ -40,8 +40,8 @@ PARAMETERS = (
     Parameter("logs", "", "folder whose log files are attached at the end"),
 )
 
-CREDIT_EVERY = 10
-"""Steps between two reports of how far the recording is."""
+CREDITS = 10
+"""Reports of how far the recording is in as many steps as the run may be ahead of it."""
 REPORT_SECONDS = 0.1
 """Time between two reports to the orchestrator, s."""
 GATHER_SECONDS = 0.005
@@ -67,6 +67,7 @@ class Recorder:
         self._recording = recording
         self._on_step = on_step
         self._collector = RunCollector(configure.members(scenario), configure.schedule(scenario), scenario.steps)
+        self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
         self._credited = -1
         self._newest = -1
 
@@ -89,14 +90,14 @@ class Recorder:
             self._recording.add(step)
         written = self._collector.step - 1
         self._on_step(self._collector.step)
-        if written - self._credited < CREDIT_EVERY and not self._collector.finished:
+        if written - self._credited < self._credit_every and not self._collector.finished:
             return ()
         self._credited = written
         return (self._credit(),)
 
     def _still_here(self, step: int) -> Messages:
         newer, self._newest = step > self._newest, max(step, self._newest)
-        return (self._credit(),) if newer and step - self._collector.step >= CREDIT_EVERY else ()
+        return (self._credit(),) if newer and step - self._collector.step >= self._credit_every else ()
 
     def _credit(self) -> RecordingProgress:
         written = self._credited
@@ -168,7 +169,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
             figures = recording.abort(problem or "stopped before the end", log)
         status.send("done", complete=problem is None and recorder.finished, problem=problem, figures=figures)
 
-    depth = min(20_000, max(1000, 100 * len(scenario.agents)))
+    # What may be under way, and the step that is being recorded.
+    depth = max(1000, (configure.recording_window(scenario) + 1) * len(scenario.agents))
     subscriptions = {
         topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=True) for topic in _EVERYTHING
     }
