@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 from swarmabs_bringup.bench.results import read_result
-from swarmabs_bringup.bench.tables import draw, markdown, notes, tables
+from swarmabs_bringup.bench.tables import draw, draw_large, markdown, notes, tables
 
 DOCS = Path(__file__).parent
-PAGE, CHART = DOCS / "performance.md", DOCS / "images" / "speed.svg"
+PAGE = DOCS / "performance.md"
+CHART, LARGE_CHART = DOCS / "images" / "speed.svg", DOCS / "images" / "large.svg"
 _PART = re.compile(r"(<!-- bench: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -31,6 +32,8 @@ def main(arguments: list[str]) -> int:
     PAGE.write_text(_PART.sub(renewed, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     if "product" in document:
         draw(document, CHART)
+    if "large" in document:
+        draw_large(document, LARGE_CHART)
     return 0
 
 

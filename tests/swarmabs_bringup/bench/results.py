@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from swarmabs_bringup.bench.floors import FLOORS
-from swarmabs_bringup.bench.suites import product_summary
+from swarmabs_bringup.bench.launching import LaunchResult
+from swarmabs_bringup.bench.processes import Memory
+from swarmabs_bringup.bench.suites import Settings, product_summary, spread, start_row
 
 LOAD = {
     "seconds": 2.0,
@@ -32,3 +34,24 @@ def document(*repeats: dict[str, Any], robots: int = 4) -> dict[str, Any]:
         "settings": {"repeat": len(repeats), "window": 6.0},
         "product": [{"robots": robots, "summary": product_summary(list(repeats)), "repeats": list(repeats)}],
     }
+
+
+def of_starts(*seconds: float, failures: tuple[str, ...] = (), retried: int = 0) -> dict[str, Any]:
+    """Return a result of the suite `start`: clean starts of 200 robots that took these times, and failed ones."""
+    memory = Memory(1, 1, {}, 1)
+    results = [LaunchResult(second, 0.5, memory, retried) for second in seconds]
+    return {**document(repeat(1.0)), "start": [start_row(200, results, failures, Settings(busy=True))]}
+
+
+def of_large(speed: float | None) -> dict[str, Any]:
+    """Return a result of the suite `large`: a run of 2,000 robots with this speed, or one that failed."""
+    speeds = [] if speed is None else [speed]
+    measures = ("start_seconds", "steps_per_second", "total_bytes", "cpu_ms_per_step")
+    row = {
+        "robots": 2000,
+        "agents_per_process": 50,
+        "failures": [] if speeds else ["it stalled"],
+        "summary": {name: spread(speeds) for name in measures},
+        "repeats": [],
+    }
+    return {**document(repeat(1.0)), "large": [row]}

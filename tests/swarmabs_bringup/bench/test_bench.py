@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -10,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.processes import marked_processes, until
 from tests.swarmabs_bringup.bench.results import document, repeat
 
 from swarmabs_bringup.bench.floors import FLOORS
 from swarmabs_bringup.bench.processes import AGENTS
-from swarmabs_bringup.bench.results import CHART, DOCUMENT, TABLES
+from swarmabs_bringup.bench.results import CHART, DOCUMENT, LARGE_CHART, TABLES
 from swarmabs_bringup.cli import main
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
@@ -22,9 +24,12 @@ pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
 SPREAD = {"median", "smallest", "largest"}
 
 
+LARGE = ("--large", "4", "--agents-per-process", "3")
+
+
 def measured(capsys: pytest.CaptureFixture[str], folder: Path, suite: str) -> dict[str, Any]:
     """Return the document of a tiny run of a suite."""
-    arguments = ["bench", "--suite", suite, "--robots", "4", "--repeat", "1", "--window", "0.6", "--json"]
+    arguments = ["bench", "--suite", suite, "--robots", "4", "--repeat", "1", "--window", "0.6", "--json", *LARGE]
     assert main([*arguments, "-o", str(folder)]) == 0
     shown = capsys.readouterr()
     found: dict[str, Any] = json.loads(shown.out)
@@ -53,6 +58,7 @@ def test_product_is_measured_beside_all_floors(capsys: pytest.CaptureFixture[str
     [
         ("start", {"start_seconds", "shut_down_seconds"}),
         ("memory", {"agent_bytes", "total_bytes"}),
+        ("large", {"start_seconds", "steps_per_second", "total_bytes", "cpu_ms_per_step"}),
         ("recorder", {"messages_per_second", "core_share", "messages_per_core_second"}),
         ("simulate", {"real_time_factor", "real_time_factor_without_bag"}),
     ],
@@ -67,6 +73,11 @@ def test_a_suite_gives_a_well_formed_document(
     assert all(
         spread is None or (spread.keys() == SPREAD and spread["smallest"] > 0.0) for spread in row["summary"].values()
     )
+    if suite == "start":
+        assert (row["starts"], row["clean"], row["failures"], row["busy_processes"]) == (1, 1, [], 0)
+    if suite == "large":
+        assert (row["agents_per_process"], row["failures"]) == (3, [])
+        assert (tmp_path / LARGE_CHART).is_file()
     if suite == "memory":
         assert row["repeats"][0]["coordinators"].keys() == {"plane", "observer", "controller", "recorder"}
         assert AGENTS not in row["repeats"][0]["coordinators"]
@@ -76,7 +87,7 @@ def test_a_suite_gives_a_well_formed_document(
 
 
 @pytest.mark.usefixtures("nothing_survives")
-@pytest.mark.parametrize("suite", ["product", "start", "recorder"])
+@pytest.mark.parametrize("suite", ["product", "start", "large", "recorder"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_benchmark_leaves_nothing(tmp_path: Path, suite: str, number: signal.Signals) -> None:
     folder = tmp_path / "result"
@@ -95,12 +106,40 @@ def test_an_interrupted_benchmark_leaves_nothing(tmp_path: Path, suite: str, num
     assert not folder.exists()
 
 
+@pytest.mark.usefixtures("nothing_survives")
+def test_starts_on_a_busy_machine_are_counted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    arguments = ["bench", "--suite", "start", "--robots", "4", "--starts", "2", "--busy", "--window", "0.6", "--json"]
+    assert main([*arguments, "-o", str(tmp_path)]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["start"]
+    assert (row["starts"], row["clean"], len(row["repeats"])) == (2, 2, 2)
+    assert row["busy_processes"] >= 2
+
+
+@pytest.mark.parametrize("suite", ["product", "start", "large"])
+def test_a_benchmark_that_is_killed_takes_its_processes_with_it(
+    nothing_survives: str, tmp_path: Path, suite: str
+) -> None:
+    """Nobody can tidy up then: the kernel ends what was started."""
+    arguments = ["--suite", suite, "--robots", "4", "--repeat", "9", "--window", "30", "--busy", *LARGE]
+    with subprocess.Popen(
+        [sys.executable, "-m", "swarmabs_bringup.cli", "bench", *arguments, "-o", str(tmp_path / "result")],
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(tmp_path)},  # its temporary files stay, as those of anything that is killed
+    ) as process:
+        until(lambda: len(marked_processes(nothing_survives)) > 6, "its processes are there", 60.0)
+        process.kill()
+        process.wait()
+        until(lambda: not marked_processes(nothing_survives), "all processes are gone")
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
         (["--robots", "4,x"], "'4,x' is not a list such as 4,20"),
         (["--robots", "1"], "a swarm has at least 2 robots"),
         (["--suite", "all the rest"], "is not one of"),
+        (["--starts", "0"], "0 is not in the range"),
+        (["--large", "1"], "a swarm has at least 2 robots"),
         (["--window", "0"], "0.0 is not in the range"),
     ],
 )

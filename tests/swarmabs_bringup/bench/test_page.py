@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 from tests.processes import ROOT
-from tests.swarmabs_bringup.bench.results import document, repeat
+from tests.swarmabs_bringup.bench.results import document, of_large, repeat
 
 from swarmabs_bringup.bench.results import DOCUMENT
 
@@ -23,7 +23,8 @@ def script(tmp_path: Path) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.PAGE, module.CHART = tmp_path / "page.md", tmp_path / "chart.svg"  # type: ignore[attr-defined]
+    module.PAGE = tmp_path / "page.md"  # type: ignore[attr-defined]
+    module.CHART, module.LARGE_CHART = tmp_path / "chart.svg", tmp_path / "large.svg"  # type: ignore[attr-defined]
     (tmp_path / "page.md").write_text(PAGE, encoding="utf-8")
     return module
 
@@ -38,6 +39,12 @@ def test_what_was_measured_is_renewed_and_the_rest_stays(script: ModuleType, tmp
     assert (tmp_path / "chart.svg").is_file()
 
 
+def test_every_suite_has_its_chart(script: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / DOCUMENT).write_text(json.dumps(of_large(8.0)), encoding="utf-8")
+    assert script.main([str(tmp_path)]) == 0
+    assert (tmp_path / "large.svg").is_file()
+
+
 def test_without_a_result_the_script_says_how_it_is_used(
     script: ModuleType, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -48,5 +55,5 @@ def test_without_a_result_the_script_says_how_it_is_used(
 
 def test_the_page_has_a_place_for_every_table() -> None:
     page = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    for name in ("speed", "cost", "start", "memory", "simulate", "recorder", "notes"):
+    for name in ("speed", "cost", "start", "memory", "large", "model", "hosts", "simulate", "recorder", "notes"):
         assert page.count(f"<!-- bench: {name} -->") == 1

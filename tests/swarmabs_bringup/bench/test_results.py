@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.swarmabs_bringup.bench.results import document, repeat
+from tests.swarmabs_bringup.bench.results import document, of_large, of_starts, repeat
 
-from swarmabs_bringup.bench.results import CHART, DOCUMENT, TABLES, read_result, write_result
+from swarmabs_bringup.bench.results import CHART, DOCUMENT, LARGE_CHART, TABLES, read_result, write_result
 from swarmabs_bringup.bench.suites import product_summary, spread
 from swarmabs_bringup.bench.tables import comparison, markdown, shown, tables
 from swarmabs_core.errors import InputError
@@ -84,3 +84,53 @@ def test_a_comparison_tells_changes_from_noise() -> None:
 
 def test_only_what_both_have_is_compared() -> None:
     assert not comparison(document(*REPEATS), document(*REPEATS, robots=20)).rows
+
+
+def test_starts_are_counted_and_those_that_failed_have_no_time() -> None:
+    found = of_starts(9.0, 30.0, 10.0, failures=("a run did not make its first step",), retried=1)
+    table = next(table for table in tables(found) if table.name == "start")
+    assert table.rows[0][:4] == ("200", "3 of 4", "3", "10 (9-30)")
+    assert int(table.rows[0][-1]) > 0
+    assert all(len(row) == len(table.headings) for row in table.rows)
+
+
+def test_no_clean_start_is_a_result_too(tmp_path: Path) -> None:
+    found = of_starts(failures=("no",))
+    write_result(found, tmp_path)
+    assert "| 200 | 0 of 1 | 0 | - | - |" in (tmp_path / TABLES).read_text(encoding="utf-8")
+    assert not [row for row in comparison(found, of_starts(1.0)).rows if row[0] == "start"]
+
+
+def test_clean_starts_are_compared() -> None:
+    rows = {row[2]: row for row in comparison(of_starts(1.0, 1.0), of_starts(2.0, failures=("no",))).rows}
+    assert rows["clean starts"] == ("start", "200", "clean starts", "2 of 2", "1 of 2", "0.50", "")
+    assert rows["start_seconds"][5] == "2.00"
+
+
+def test_a_result_from_before_starts_were_counted_is_still_shown_and_compared() -> None:
+    old = of_starts(1.0)
+    for key in ("starts", "clean", "retried", "busy_processes", "failures"):
+        del old["start"][0][key]
+    table = next(table for table in tables(old) if table.name == "start")
+    assert table.rows[0] == ("200", "-", "-", "1", "0.5", "-")
+    assert [row[2] for row in comparison(old, of_starts(3.0)).rows if row[0] == "start"] == [
+        "start_seconds",
+        "shut_down_seconds",
+    ]
+
+
+@pytest.mark.parametrize(("speed", "shown_speed", "failed"), [(8.0, "8", "0"), (None, "-", "1")])
+def test_large_simulations_are_shown_and_drawn(
+    tmp_path: Path, speed: float | None, shown_speed: str, failed: str
+) -> None:
+    found = of_large(speed)
+    (row,) = next(table for table in tables(found) if table.name == "large").rows
+    assert (row[:2], row[3], row[-1]) == (("2000", "50"), shown_speed, failed)
+    write_result(found, tmp_path)
+    assert (tmp_path / LARGE_CHART).is_file()
+
+
+def test_large_simulations_are_compared() -> None:
+    rows = {row[2]: row for row in comparison(of_large(8.0), of_large(12.0)).rows if row[0] == "large"}
+    assert rows["steps_per_second"][1:] == ("2000", "steps_per_second", "8", "12", "1.50", "")
+    assert not [row for row in comparison(of_large(8.0), of_large(None)).rows if row[0] == "large"]

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -17,6 +18,8 @@ import psutil
 
 from swarmabs_bringup.bench.processes import Memory, crew_of, memory_of
 from swarmabs_bringup.bench.scenarios import swarm_of
+from swarmabs_bringup.orchestration.lockstep_run import STARTED_AGAIN
+from swarmabs_bringup.parent_death import die_with_parent
 from swarmabs_core.errors import RunError
 from swarmabs_core.scenario import dump_scenario
 
@@ -34,11 +37,22 @@ _LINE = 65536
 
 @dataclass(frozen=True, slots=True)
 class LaunchResult:
-    """From the command to the first step, s; from Ctrl-C to the end of everything, s; memory after the warm-up."""
+    """How a run has started and ended.
+
+    Parameters
+    ----------
+    start_seconds, shut_down_seconds : float
+        From the command to the first step, and from Ctrl-C to the end of everything.
+    memory : Memory
+        After the warm-up.
+    retried : int
+        How many processes did not come up at first and were started again.
+    """
 
     start_seconds: float
     shut_down_seconds: float
     memory: Memory
+    retried: int
 
 
 def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
@@ -50,14 +64,15 @@ def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
         If it does not start, does not end, or leaves a process behind.
     """
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
-        scenario = Path(folder) / "scenario.yaml"
+        scenario, run = Path(folder) / "scenario.yaml", Path(folder) / "run"
         scenario.write_text(dump_scenario(swarm_of(robots, _STEPS)), encoding="utf-8")
         begun = time.monotonic()
         process = subprocess.Popen(
-            [sys.executable, "-m", "swarmabs_bringup.cli", "run", str(scenario), "-o", str(Path(folder) / "run")],
+            [sys.executable, "-m", "swarmabs_bringup.cli", "run", str(scenario), "-o", str(run)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C in a terminal is for us alone
+            preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - it calls nothing but the kernel
         )
         try:
             _wait_for_first_step(process, begun + START_SECONDS)
@@ -70,12 +85,13 @@ def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
         finally:
             _end(process)
         ended = time.monotonic()
+        retried = (run / "logs" / "orchestrator.log").read_text(encoding="utf-8").count(STARTED_AGAIN)
     left = [child.pid for child in below if child.is_running()]
     if left:
         raise RunError(f"processes {left} are left of an interrupted run")
     if memory is None:
         raise RunError(f"the robots of a run had ended {warm_up:g} s after its first step")
-    return LaunchResult(started - begun, ended - interrupted, memory)
+    return LaunchResult(started - begun, ended - interrupted, memory, retried)
 
 
 def _wait_for_first_step(process: subprocess.Popen[bytes], deadline: float) -> None:

@@ -22,11 +22,12 @@ _ROLES = {
     "recorder": "recorder",
 }
 AGENTS = "agents"
+_AGENT_NAMES = ("agent_", "agents_")
 
 
 def role_of(name: str) -> str | None:
     """Return the role of a process of a run or of a floor by the name that Linux keeps of it, None for others."""
-    return AGENTS if name.startswith("agent_") else _ROLES.get(name)
+    return AGENTS if name.startswith(_AGENT_NAMES) else _ROLES.get(name)
 
 
 def crew_of(root: int) -> dict[int, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.bench.processes import Load, Sample, crew_of, load_between, sample
+from swarmabs_bringup.bench.processes import Load, Memory, Sample, crew_of, load_between, memory_of, sample
 from swarmabs_bringup.bench.scenarios import swarm_of
 from swarmabs_bringup.orchestration import LockstepRun
 from swarmabs_bringup.run_folder import new_run_folder
@@ -49,14 +49,18 @@ class Watch:
     ----------
     warm_up : float
         Time, s, after the first step that does not count.
+    look_at_memory : bool
+        Whether to measure the processes' memory too, at the end of the warm-up.
     """
 
-    def __init__(self, warm_up: float) -> None:
+    def __init__(self, warm_up: float, *, look_at_memory: bool = False) -> None:
         self._warm_up = warm_up
+        self._look_at_memory = look_at_memory
         self._crew: dict[int, str] = {}
         self.started: float | None = None
         self.first: Sample | None = None
         self.last: Sample | None = None
+        self.memory: Memory | None = None
 
     def __call__(self, progress: Progress) -> None:
         """Take notice of a run's progress."""
@@ -67,7 +71,11 @@ class Watch:
             self.started = now
             self._crew = crew_of(os.getpid())  # takes its time, which must not stand between a step and its sample
         elif self.first is None:
-            if progress.step and now - self.started >= self._warm_up:
+            if not progress.step or now - self.started < self._warm_up:
+                return
+            if self._look_at_memory and self.memory is None:
+                self.memory = memory_of(self._crew)  # takes its time, as above
+            else:
                 self.first = sample(self._crew, progress.step, now)
         elif self.last is None and progress.step >= LATE * progress.steps:
             self.last = sample(self._crew, progress.step, now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.bench.tables import draw, markdown, notes, tables
+from swarmabs_bringup.bench.tables import draw, draw_large, markdown, notes, tables
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -13,12 +13,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DOCUMENT, TABLES, CHART = "bench.json", "bench.md", "bench.svg"
+LARGE_CHART = "large.svg"
 
 
 def write_result(document: Mapping[str, Any], folder: Path) -> None:
     """Write a result: last its document, under a temporary name until it is whole."""
     if "product" in document:
         draw(document, folder / CHART)
+    if "large" in document:
+        draw_large(document, folder / LARGE_CHART)
     parts = [
         *notes(document),
         *(f"## {table.name}\n\n{table.caption}\n\n{markdown(table)}" for table in tables(document)),

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import importlib.util
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from swarmabs_bringup.bench.busy import busy_machine, busy_processes
 from swarmabs_bringup.bench.floors import BARE_RCLPY, FLOORS, floors_folder, measure_floor
-from swarmabs_bringup.bench.launching import measure_launch
+from swarmabs_bringup.bench.large import LargeResult, measure_large
+from swarmabs_bringup.bench.launching import LaunchResult, measure_launch
 from swarmabs_bringup.bench.machine import machine_facts
 from swarmabs_bringup.bench.product import measure_product
 from swarmabs_bringup.bench.recording import measure_recorder
 from swarmabs_bringup.bench.simulating import SOLVER, measure_against_solver, measure_simulate
-from swarmabs_core.errors import InputError
+from swarmabs_bringup.bench.tables import PRODUCT
+from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
-Suite = Literal["product", "start", "memory", "simulate", "recorder"]
+Suite = Literal["product", "start", "memory", "large", "simulate", "recorder"]
 SUITES: tuple[Suite, ...] = get_args(Suite)
 SCHEMA = 1
 """Version of the document."""
 
-PRODUCT = "product"
 _SOLVED_SECONDS = 30.0
 _PART = 0.75
 """Speed of the product in parts of the floor's for which the length of its runs is made."""
@@ -44,6 +47,14 @@ class Settings:
         How often each measurement is made.
     window, warm_up : float
         Length of a measurement and of the time before it that does not count, s.
+    starts : int, optional
+        How often a run is started and ended for the suites start and memory; None for `repeat` times.
+    busy : bool
+        Whether other processes keep the machine busy meanwhile.
+    large : tuple of int
+        Numbers of robots in the suite large.
+    agents_per_process : int
+        How many of them share a process.
     """
 
     suites: tuple[Suite, ...] = SUITES
@@ -51,6 +62,10 @@ class Settings:
     repeat: int = 3
     window: float = 6.0
     warm_up: float = 2.0
+    starts: int | None = None
+    busy: bool = False
+    large: tuple[int, ...] = (200, 500, 1000, 2000)
+    agents_per_process: int = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +123,10 @@ def run_suites(settings: Settings, tell: Callable[[str], None]) -> dict[str, Any
     if PRODUCT in settings.suites:
         document["product"] = _product(settings, tell)
     if {"start", "memory"} & set(settings.suites):
-        document |= _launch(settings, tell)
+        with busy_machine() if settings.busy else nullcontext():
+            document |= _launch(settings, tell)
+    if "large" in settings.suites:
+        document["large"] = _large(settings, tell)
     if "simulate" in settings.suites:
         document |= _simulate(settings, tell)
     if "recorder" in settings.suites:
@@ -164,22 +182,25 @@ def product_summary(repeats: list[dict[str, Any]]) -> dict[str, Any]:
 def _launch(settings: Settings, tell: Callable[[str], None]) -> dict[str, list[dict[str, Any]]]:
     """Measure start, memory and end in the same runs."""
     start, memory = [], []
+    starts = settings.starts or settings.repeat
     for robots in settings.robots:
-        results = []
-        for number in range(settings.repeat):
-            tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: start, memory and end")
-            result = measure_launch(robots, warm_up=settings.warm_up)
+        results: list[LaunchResult] = []
+        failures: list[str] = []
+        for number in range(starts):
+            tell(f"{robots} robots, start {number + 1} of {starts}: start, memory and end")
+            try:
+                result = measure_launch(robots, warm_up=settings.warm_up)
+            except RunError as error:  # how many starts are clean is what is measured
+                failures.append(str(error))
+                tell(f"  {error}")
+                continue
             size = result.memory.agent_median / 2**20
             tell(
                 f"  first step after {result.start_seconds:.1f} s, {size:.1f} MiB per robot, ended after"
                 f" {result.shut_down_seconds:.1f} s"
             )
             results.append(result)
-        summary = {
-            "start_seconds": spread(result.start_seconds for result in results),
-            "shut_down_seconds": spread(result.shut_down_seconds for result in results),
-        }
-        start.append({"robots": robots, "summary": summary})
+        start.append(start_row(robots, results, failures, settings))
         summary = {
             "agent_bytes": spread(result.memory.agent_median for result in results),
             "total_bytes": spread(result.memory.total for result in results),
@@ -187,6 +208,65 @@ def _launch(settings: Settings, tell: Callable[[str], None]) -> dict[str, list[d
         memory.append({"robots": robots, "summary": summary, "repeats": [asdict(result.memory) for result in results]})
     found = {"start": start, "memory": memory}
     return {name: rows for name, rows in found.items() if name in settings.suites}
+
+
+def start_row(
+    robots: int, results: Sequence[LaunchResult], failures: Sequence[str], settings: Settings
+) -> dict[str, Any]:
+    """Sum up the starts of a swarm: in a clean one all processes have met, and the first step was made."""
+    return {
+        "robots": robots,
+        "starts": len(results) + len(failures),
+        "clean": len(results),
+        "retried": sum(result.retried for result in results),
+        "busy_processes": busy_processes() if settings.busy else 0,
+        "failures": list(failures),
+        "summary": {
+            "start_seconds": spread(result.start_seconds for result in results),
+            "shut_down_seconds": spread(result.shut_down_seconds for result in results),
+        },
+        "repeats": [
+            {name: getattr(result, name) for name in ("start_seconds", "shut_down_seconds", "retried")}
+            for result in results
+        ],
+    }
+
+
+def _large(settings: Settings, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    rows = []
+    for robots in settings.large:
+        results: list[LargeResult] = []
+        failures: list[str] = []
+        for number in range(settings.repeat):
+            tell(
+                f"{robots} robots, {settings.agents_per_process} in a process, repeat {number + 1} of {settings.repeat}"
+            )
+            try:
+                result = measure_large(
+                    robots, settings.agents_per_process, warm_up=settings.warm_up, window=settings.window
+                )
+            except RunError as error:  # whether so many robots run at all is a result too
+                failures.append(str(error))
+                tell(f"  {error}")
+                continue
+            tell(f"  first step after {result.start_seconds:.1f} s, {result.steps_per_second:.1f} steps/s")
+            results.append(result)
+        summary = {
+            "start_seconds": spread(result.start_seconds for result in results),
+            "steps_per_second": spread(result.steps_per_second for result in results),
+            "total_bytes": spread(result.memory.total for result in results if result.memory is not None),
+            "cpu_ms_per_step": spread(result.load.cpu_ms_per_step for result in results if result.load is not None),
+        }
+        rows.append(
+            {
+                "robots": robots,
+                "agents_per_process": settings.agents_per_process,
+                "failures": failures,
+                "summary": summary,
+                "repeats": [asdict(result) for result in results],
+            }
+        )
+    return rows
 
 
 def _simulate(settings: Settings, tell: Callable[[str], None]) -> dict[str, Any]:

@@ -6,29 +6,35 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bringup.bench.floors import FLOORS
+from swarmabs_bringup.bench.model import AGENTS, ROUND_TRIP, costs, model, spread_out
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from matplotlib.axes import Axes
+
     Document = Mapping[str, Any]
 
+PRODUCT = "product"
 _NAMES = {
     "rclpy_best_effort": "bare rclpy",
     "rclpy_reliable": "bare rclpy, reliable",
     "zeromq": "ZeroMQ",
     "datagrams": "Unix datagrams",
-    "product": "swarm run",
+    PRODUCT: "swarm run",
 }
 # Okabe and Ito's colours, which people with any colour vision tell apart; marks and dashes differ too.
 _LOOKS = {
-    "product": ("#d55e00", "o", "-"),
+    PRODUCT: ("#d55e00", "o", "-"),
     "rclpy_best_effort": ("#0072b2", "s", "--"),
     "rclpy_reliable": ("#56b4e9", "D", "--"),
     "zeromq": ("#009e73", "^", "-."),
     "datagrams": ("#666666", "v", ":"),
 }
 _MIB = 2**20
+_DEPLOYMENTS = ((1000, 10), (1000, 50), (1000, 1000), (10_000, 50), (10_000, 200), (10_000, 10_000))
+"""Robots and hosts for which the steps per second are derived."""
 
 
 class Table(NamedTuple):
@@ -59,10 +65,11 @@ def tables(document: Document) -> tuple[Table, ...]:
         ("product", _cost),
         ("start", _start),
         ("memory", _memory),
+        ("large", _large),
         ("simulate", _simulate),
         ("recorder", _recorder),
     )
-    return tuple(make(document[suite]) for suite, make in made if suite in document)
+    return (*(make(document[suite]) for suite, make in made if suite in document), *_modelled(document))
 
 
 def _speed(rows: list[dict[str, Any]]) -> Table:
@@ -107,10 +114,25 @@ def _cost(rows: list[dict[str, Any]]) -> Table:
 def _start(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "start",
-        "from the command to the first step, and from Ctrl-C to the end of all processes, s",
-        ("robots", "first step", "end"),
-        _rows(rows, ("start_seconds", "shut_down_seconds")),
+        "starts in which all processes have met and made the first step, the time (s) from the command to that step"
+        " and from Ctrl-C to the end of all processes, and other processes that kept the machine busy",
+        ("robots", "clean starts", "processes retried", "first step", "end", "busy beside"),
+        tuple(
+            (
+                str(row["robots"]),
+                _clean(row),
+                str(row.get("retried", "-")),
+                *(shown(row["summary"][key]) for key in ("start_seconds", "shut_down_seconds")),
+                str(row.get("busy_processes", "-")),
+            )
+            for row in rows
+        ),
     )
+
+
+def _clean(row: Mapping[str, Any]) -> str:
+    """Say how many starts were clean; results from before these were counted have none."""
+    return f"{row['clean']} of {row['starts']}" if "starts" in row else "-"
 
 
 def _memory(rows: list[dict[str, Any]]) -> Table:
@@ -120,6 +142,75 @@ def _memory(rows: list[dict[str, Any]]) -> Table:
         ("robots", "a robot", "all"),
         _rows(rows, ("agent_bytes", "total_bytes"), _MIB),
     )
+
+
+def _large(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "large",
+        "several robots in a process, recording on: the time (s) to the first step, steps per second, processor time of"
+        " all processes per step (ms), memory of all processes (PSS, MiB), and runs that failed",
+        ("robots", "in a process", "first step", "steps/s", "CPU ms", "memory", "failed"),
+        tuple(
+            (
+                str(row["robots"]),
+                str(row["agents_per_process"]),
+                *(shown(row["summary"][key]) for key in ("start_seconds", "steps_per_second", "cpu_ms_per_step")),
+                shown(row["summary"]["total_bytes"], _MIB),
+                str(len(row["failures"])),
+            )
+            for row in rows
+        ),
+    )
+
+
+def _modelled(document: Document) -> tuple[Table, ...]:
+    """Return the model of cost, and what it says of robots on many hosts; nothing if no run was looked at twice."""
+    found = costs(document.get("product", ()))
+    known, cores = model(found), document["machine"]["usable_cores"]
+    if known is None:
+        return ()
+    fit = f"{_short(known.step.a)} ms + {_short(1000.0 * known.step.b)} us per robot"
+    cost = Table(
+        "model",
+        f"wall time of a step, measured and as {fit}; processor time of a step; and how much of {cores} cores that is",
+        (
+            "robots",
+            "step, ms",
+            "fitted, ms",
+            "CPU of robots, ms",
+            "of coordinators, ms",
+            "busiest of them, ms",
+            "of cores",
+        ),
+        tuple(
+            (
+                str(c.robots),
+                _short(c.step),
+                _short(known.step.at(c.robots)),
+                _short(c.cpu.get(AGENTS, 0.0)),
+                _short(c.coordinators),
+                _short(max((cost for role, cost in c.cpu.items() if role != AGENTS), default=0.0)),
+                f"{(c.coordinators + c.cpu.get(AGENTS, 0.0)) / (c.step * cores):.0%}",
+            )
+            for c in found
+        ),
+    )
+    hosts = Table(
+        "hosts",
+        f"derived, not measured: steps per second on hosts of {cores} such cores and one for the coordinators, with"
+        f" {ROUND_TRIP:g} ms on the network",
+        ("robots", "hosts", "robots per host", "one message per robot", "one message per host"),
+        tuple(
+            (
+                str(robots),
+                str(number),
+                str(robots // number),
+                *(_short(1000.0 / spread_out(known, robots, number, cores, relays=relays)) for relays in (False, True)),
+            )
+            for robots, number in _DEPLOYMENTS
+        ),
+    )
+    return cost, hosts
 
 
 def _simulate(rows: list[dict[str, Any]]) -> Table:
@@ -174,45 +265,74 @@ def markdown(table: Table) -> str:
 def draw(document: Document, picture: Path) -> None:
     """Draw the steps per second by the number of robots."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-    from matplotlib.ticker import NullFormatter, ScalarFormatter  # noqa: PLC0415
 
     figure = Figure(figsize=(7.2, 4.6), dpi=130, layout="constrained")
     axes = figure.subplots()
     rows = document["product"]
-    numbers = [row["robots"] for row in rows]
-    for key, (colour, mark, dashes) in _LOOKS.items():
-        spreads = [row["summary"]["steps_per_second"][key] for row in rows]
-        middle = [spread["median"] for spread in spreads]
-        below = [spread["median"] - spread["smallest"] for spread in spreads]
-        above = [spread["largest"] - spread["median"] for spread in spreads]
-        axes.errorbar(
-            numbers,
-            middle,
-            yerr=(below, above),
-            label=_NAMES[key],
-            color=colour,
-            marker=mark,
-            linestyle=dashes,
-            linewidth=2.2 if key == "product" else 1.4,
-            capsize=3,
-        )
-    axes.set(xscale="log", yscale="log", xlabel="robots, one process each", ylabel="steps per second")
+    for key in _LOOKS:
+        _curve(axes, [(row["robots"], row["summary"]["steps_per_second"][key]) for row in rows], key, _NAMES[key])
+    axes.set(xlabel="robots, one process each", ylabel="steps per second")
+    _finish(axes, [row["robots"] for row in rows])
+    axes.legend(frameon=False)
+    figure.savefig(picture, facecolor="white")
+
+
+def draw_large(document: Document, picture: Path) -> None:
+    """Draw start and speed of large simulations by the number of robots."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
+    figure = Figure(figsize=(7.2, 3.4), dpi=130, layout="constrained")
+    rows = document["large"]
+    panels = (("start_seconds", "s to the first step", "zeromq"), ("steps_per_second", "steps per second", PRODUCT))
+    for axes, (measure, label, look) in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        axes.set(xlabel=f"robots, {rows[0]['agents_per_process']} in a process", ylabel=label)
+        points = [(row["robots"], row["summary"][measure]) for row in rows if row["summary"][measure] is not None]
+        if points:  # logarithmic axes cannot be empty
+            _curve(axes, points, look, label)
+            _finish(axes, [row["robots"] for row in rows])
+    figure.savefig(picture, facecolor="white")
+
+
+def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str, label: str) -> None:
+    """Draw medians with their spreads."""
+    colour, mark, dashes = _LOOKS[look]
+    spreads = [spread for _, spread in points]
+    middle = [spread["median"] for spread in spreads]
+    below = [spread["median"] - spread["smallest"] for spread in spreads]
+    above = [spread["largest"] - spread["median"] for spread in spreads]
+    axes.errorbar(
+        [robots for robots, _ in points],
+        middle,
+        yerr=(below, above),
+        label=label,
+        color=colour,
+        marker=mark,
+        linestyle=dashes,
+        linewidth=2.2 if look == PRODUCT else 1.4,
+        capsize=3,
+    )
+
+
+def _finish(axes: Axes, numbers: list[int]) -> None:
+    """Give both axes logarithmic scales with plain numbers."""
+    from matplotlib.ticker import NullFormatter, ScalarFormatter  # noqa: PLC0415 - slow to import
+
+    axes.set(xscale="log", yscale="log")
     axes.set_xticks(numbers, [str(number) for number in numbers])
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_formatter(ScalarFormatter())
     axes.grid(which="both", color="#eeeeee")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
-    figure.savefig(picture, facecolor="white")
 
 
 def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, float]]]:
     """Yield suite, robots, name and spread of all that was measured."""
-    for suite in ("product", "start", "memory", "simulate", "recorder"):
+    for suite in ("product", "start", "memory", "large", "simulate", "recorder"):
         for row in document.get(suite, ()):
             summary = dict(row["summary"])
-            summary |= summary.pop("steps_per_second", {})
+            if suite == PRODUCT:
+                summary |= summary.pop("steps_per_second")
             for name, spread in summary.items():
                 if isinstance(spread, dict):
                     yield suite, row["robots"], name, spread
@@ -229,9 +349,20 @@ def comparison(old: Document, new: Document) -> Table:
             ratio = f"{spread['median'] / known['median']:.2f}"
             verdict = "" if apart else "within the spread"
             rows.append((suite, str(robots), name, shown(known), shown(spread), ratio, verdict))
+    rows.extend(_compared_starts(old, new))
     return Table(
         "comparison",
         "medians (smallest-largest) of two results",
         ("suite", "robots", "measure", "old", "new", "new/old", ""),
         tuple(rows),
     )
+
+
+def _compared_starts(old: Document, new: Document) -> Iterator[tuple[str, str, str, str, str, str, str]]:
+    """Yield how many starts were clean, where both results have counted."""
+    counted = {row["robots"]: row for row in old.get("start", ()) if row.get("clean")}
+    for row in new.get("start", ()):
+        known = counted.get(row["robots"])
+        if known is not None and "starts" in row:
+            ratio = (row["clean"] / row["starts"]) / (known["clean"] / known["starts"])
+            yield ("start", str(row["robots"]), "clean starts", _clean(known), _clean(row), f"{ratio:.2f}", "")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RUNS = Path("runs")
 WIDTH = 160
 """Of what is printed into a file or pipe, characters."""
-SUITES = ("product", "start", "memory", "simulate", "recorder")
+SUITES = ("product", "start", "memory", "large", "simulate", "recorder")
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, ...]:
@@ -54,6 +54,27 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     help="Length of a measurement.",
 )
 @click.option(
+    "--starts",
+    type=click.IntRange(1),
+    metavar="N",
+    help="How often to start and end a run in the suites start and memory.  [default: as --repeat]",
+)
+@click.option("--busy", is_flag=True, help="Keep all cores busy with other processes during these starts.")
+@click.option(
+    "--large",
+    default="200,500,1000,2000",
+    show_default=True,
+    callback=_numbers,
+    help="Numbers of robots in the suite large.",
+)
+@click.option(
+    "--agents-per-process",
+    type=click.IntRange(1),
+    default=50,
+    show_default=True,
+    help="Robots that share a process in the suite large.",
+)
+@click.option(
     "--compare",
     nargs=2,
     type=click.Path(path_type=Path),
@@ -69,9 +90,13 @@ def bench(
     robots: tuple[int, ...],
     repeat: int,
     window: float,
+    starts: int | None,
+    large: tuple[int, ...],
+    agents_per_process: int,
     compare: tuple[Path, Path] | None,
     output: Path | None,
     *,
+    busy: bool,
     as_json: bool,
 ) -> None:
     """Measure speed, start, memory and recording; the speed beside what DDS and ZeroMQ reach at best.
@@ -93,7 +118,7 @@ def bench(
             _show((table,))
         return
     chosen = tuple(suite for suite in ALL if suite in suites or "all" in suites)
-    settings = Settings(chosen, robots, repeat, window, min(2.0, window / 3.0))
+    settings = Settings(chosen, robots, repeat, window, min(2.0, window / 3.0), starts, busy, large, agents_per_process)
     check_prerequisites(settings)
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, "bench")
     try:

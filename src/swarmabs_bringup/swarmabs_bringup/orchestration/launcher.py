@@ -22,13 +22,14 @@ from typing import Any, NoReturn
 
 from swarmabs_bringup.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
+from swarmabs_bringup.parent_death import die_with_parent
 from swarmabs_core.controllers import controller_type
 from swarmabs_core.law_registry import law_type
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
 
 NODES = ("plane_sim.node", "abstraction_observer.node", "parent_controller.node", "agent_node.node")
-_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
+_PR_SET_NAME = 15
 CROWDED = "--crowded"
 """Argument by which the launcher learns that there are many more processes than cores."""
 
@@ -84,11 +85,8 @@ class Launcher:
         """Turn the forked process into a node; it never returns to the launcher's loop."""
         code = 1
         try:
-            libc = ctypes.CDLL(None)
-            libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-            libc.prctl(_PR_SET_NAME, command["name"].encode(), 0, 0, 0)
-            if os.getppid() != launcher:  # the launcher died before the kernel was told
-                os._exit(1)
+            die_with_parent(launcher)
+            ctypes.CDLL(None).prctl(_PR_SET_NAME, command["name"].encode(), 0, 0, 0)
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             for descriptor in self._wake:

@@ -38,6 +38,8 @@ STALL_GRACE = 1.0
 CLOSING_SECONDS = 20.0
 """Time, s, that the recorder has to complete the bag."""
 POLL = 0.1
+STARTED_AGAIN = "did not come up: again"
+"""What the orchestrator's log says of a process that it starts once more."""
 
 _SIGNALS = {ChangeKind.KILL: signal.SIGKILL, ChangeKind.FREEZE: signal.SIGSTOP, ChangeKind.LEAVE: signal.SIGTERM}
 
@@ -207,7 +209,7 @@ class LockstepRun:
         """Start again the robots' processes that have ended before the run began; tell whether there were any."""
         names = self._supervision.to_restart()
         for name in names:
-            self._note(f"{name} (process {self._supervision.pids[name]}) did not come up: again")
+            self._note(f"{name} (process {self._supervision.pids[name]}) {STARTED_AGAIN}")
         self._spawn(launcher, (process for process in self._plan if process.name in names))
         return bool(names)
 
