@@ -91,7 +91,7 @@ def test_a_suite_gives_a_well_formed_document(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_benchmark_leaves_nothing(tmp_path: Path, suite: str, number: signal.Signals) -> None:
     folder = tmp_path / "result"
-    arguments = ["--suite", suite, "--robots", "4", "--repeat", "9", "--window", "30", "-o", str(folder)]
+    arguments = ["--suite", suite, "--robots", "4", "--repeat", "9", "--window", "30", *LARGE, "-o", str(folder)]
     with subprocess.Popen(
         [sys.executable, "-m", "swarmabs_bringup.cli", "bench", *arguments], stderr=subprocess.PIPE, text=True
     ) as process:
