@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ import psutil
 import pytest
 from tests.processes import until
 from tests.swarmabs_bringup.sweep.helpers import finished, summary
+
+import swarmabs_core
 
 pytestmark = [pytest.mark.full, pytest.mark.timeout(90), pytest.mark.usefixtures("nothing_survives")]
 
@@ -30,8 +33,9 @@ class Cluster:
         until(self._listens, "the scheduler listens", 40.0)
         self.nanny: subprocess.Popen[bytes] | None = None
 
-    def add_workers(self) -> None:
-        self.nanny = self._start("dask_worker", self.address, "--nworkers", "2", "--nthreads", "1")
+    def add_workers(self, **environment: str) -> None:
+        arguments = (self.address, "--nworkers", "2", "--nthreads", "1")
+        self.nanny = self._start("dask_worker", *arguments, **environment)
 
     def workers(self) -> list[psutil.Process]:
         assert self.nanny is not None
@@ -48,9 +52,9 @@ class Cluster:
                     process.kill()
                     process.wait()
 
-    def _start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+    def _start(self, module: str, *arguments: str, **variables: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments, "--no-dashboard"]
-        environment = {**os.environ, "DASK_TEMPORARY_DIRECTORY": str(self._folder)}
+        environment = {**os.environ, "DASK_TEMPORARY_DIRECTORY": str(self._folder), **variables}
         with (self._folder / f"{module}.log").open("wb") as log:
             return subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
 
@@ -84,6 +88,20 @@ def test_worker_that_is_killed_costs_nothing(
     assert sweep(small, "-o", "local")[0] == 0
     for name in ("results.parquet", "region.png", "sweep.yaml"):
         assert (tmp_path / "remote" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
+
+
+def test_workers_with_another_swarmabs_are_refused(cluster: Cluster, sweep: Sweep, small: Path, tmp_path: Path) -> None:
+    """A single changed line of the mathematics is another swarmabs, whatever its version says."""
+    other = tmp_path / "other"
+    shutil.copytree(Path(swarmabs_core.__file__).parent, other / "swarmabs_core")
+    with (other / "swarmabs_core" / "plant.py").open("a", encoding="utf-8") as file:
+        file.write("\n# changed\n")
+    cluster.add_workers(PYTHONPATH=os.pathsep.join([str(other), os.environ["PYTHONPATH"]]))
+    code, _, err = sweep(small, "-o", "remote", "--scheduler", cluster.address)
+    assert (code, "Traceback" in err) == (2, False)
+    assert "error: worker tcp://127.0.0.1:" in err
+    assert "install the same there and start it again" in err
+    assert not (tmp_path / "remote").exists()
 
 
 def test_scheduler_that_is_lost_leaves_a_folder_to_go_on_with(

@@ -19,8 +19,8 @@ from distributed.scheduler import KilledWorker
 
 from swarmabs_bringup.sweep.engine import Common, Task
 from swarmabs_bringup.sweep.evaluate import evaluate, lost
+from swarmabs_bringup.sweep.identity import Identity, identity, stranger
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.fingerprint import libm_fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,7 +46,7 @@ class SchedulerEngine:
     Raises
     ------
     InputError
-        If there is no scheduler, it has no workers, or they cannot import this package.
+        If there is no scheduler, it has no workers, or one of them has no swarmabs or another one than this.
     """
 
     def __init__(self, address: str) -> None:
@@ -59,15 +59,22 @@ class SchedulerEngine:
             raise InputError(f"no Dask scheduler at {address}: {error}; give e.g. tcp://127.0.0.1:8786") from error
         try:
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER)
-            prints: dict[str, str] = self._client.run(libm_fingerprint)
+            workers = {name: Identity(*found) for name, found in self._client.run(identity).items()}
         except LateError as error:
             self.close()
             raise InputError(f"the scheduler at {address} has no workers; start some with 'dask worker'") from error
-        except ImportError as error:
+        except (ImportError, AttributeError) as error:
             self.close()
-            raise InputError(f"the workers of {address} lack this package: {error}; install it there") from error
+            raise InputError(
+                f"the workers of {address} lack this swarmabs: {error}; install it there and start them again"
+            ) from error
+        mine = identity()
+        strange = stranger(mine, workers)
+        if strange is not None:
+            self.close()
+            raise InputError(f"{strange}: results would not belong together; install the same there and start it again")
         self._threads = self._count_threads()
-        self._differing = sorted(name for name, text in prints.items() if text != libm_fingerprint())
+        self._differing = sorted(name for name, theirs in workers.items() if theirs.libm != mine.libm)
 
     @property
     def description(self) -> str:
