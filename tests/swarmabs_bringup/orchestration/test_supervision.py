@@ -268,3 +268,12 @@ def test_robots_that_share_a_process_are_named_by_it() -> None:
     state.take({"node": "launcher", "event": "spawned", "name": "agents_001_to_003", "child": 77})
     state.take(stalled(PLANE, ["agent 1", "agent 3"], 4))
     assert state.diagnose({}).culprits == ("agents_001_to_003",)
+
+
+def test_a_robot_that_has_ended_does_not_wait_any_more() -> None:
+    state = started(dispensable=frozenset(ROBOTS))
+    state.take(stalled("agent_002", ["swarm/abstract_state"]))
+    state.take(exited("agent_002", -9))
+    assert not state.stalls
+    state.take(stalled(OBSERVER, ["agent 2"]))
+    assert state.diagnose({}).culprits == ("agent_002",)

@@ -108,6 +108,7 @@ class LockstepRun:
         self._started: float | None = None
         self._finished: float | None = None
         self._stalled_since: float | None = None
+        self._stalled_at = -1
 
     def run(self) -> Outcome:
         """Run to the end, whatever it is; afterwards no process, port or shared memory of the run is left.
@@ -231,8 +232,7 @@ class LockstepRun:
 
     def _inject_faults(self, launcher: LauncherClient) -> None:
         """End or stop the processes whose last state is recorded; as state machines they have fallen silent already."""
-        recorded = -1 if self._supervision.progress is None else self._supervision.progress["step"]
-        while self._faults and self._faults[0].step <= recorded:
+        while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)
             if fault.agent_id not in self._own_process:  # its state machine is silent, its neighbours go on
                 continue
@@ -241,10 +241,16 @@ class LockstepRun:
             self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
             launcher.signal(name, _SIGNALS[fault.kind])
 
+    def _recorded(self) -> int:
+        """Return the last step that is known to be recorded, -1 for none."""
+        return -1 if self._supervision.progress is None else int(self._supervision.progress["step"])
+
     def _check_stalls(self, now: float) -> Failure | None:
         state, lockstep = self._supervision, self._scenario.lockstep
-        if not state.stalls or self._finished is not None:
-            self._stalled_since = None
+        recorded = self._recorded()
+        # A robot that says it waits, and is stopped before it says that it waits no more, does not hold up the run.
+        if not state.stalls or self._finished is not None or recorded > self._stalled_at:
+            self._stalled_at, self._stalled_since = recorded, None
             return None
         if self._stalled_since is None:
             self._stalled_since = now

@@ -105,6 +105,7 @@ class Supervision:
 
     def _exited(self, name: str, code: int) -> None:
         self.exited[name] = code
+        self.stalls.pop(name, None)
         finished = name == RECORDER and self.done is not None
         if self._may_restart(name):
             self.lost.append(name)
