@@ -315,12 +315,14 @@ def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str,
 
 def _finish(axes: Axes, numbers: list[int]) -> None:
     """Give both axes logarithmic scales with plain numbers."""
-    from matplotlib.ticker import NullFormatter, ScalarFormatter  # noqa: PLC0415 - slow to import
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter  # noqa: PLC0415 - slow to import
 
     axes.set(xscale="log", yscale="log")
     axes.set_xticks(numbers, [str(number) for number in numbers])
     axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.grid(which="both", color="#eeeeee")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
