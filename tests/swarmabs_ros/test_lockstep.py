@@ -159,6 +159,19 @@ def test_what_the_behaviour_answers_to_a_stall_is_published(bench: Bench) -> Non
     assert 77 in bench.steps()
 
 
+def test_what_is_silent_after_an_answer_to_a_stall_is_a_stall_of_its_own(bench: Bench) -> None:
+    """The answer makes a step, such as one without the robots that were dropped; in the next others may be silent."""
+    calls = []
+
+    def drop() -> Messages:
+        calls.append(bench.clock.now)
+        return (desired(77),)
+
+    bench.run(Follower(10), 16.0, on_stall=drop)
+    assert calls == pytest.approx([5.0, 10.0, 15.0], abs=0.5)
+    assert bench.events() == ["stalled", "recovered"] * 3
+
+
 @pytest.mark.parametrize("lingers", [True, False])
 def test_only_who_lingers_repeats_its_end(bench: Bench, lingers: bool) -> None:  # noqa: FBT001
     bench.inbox.deliver(0.0, plane(0))

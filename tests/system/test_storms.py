@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.system.helpers import (
+    bag_digest,
     bag_messages,
     lockstep,
     named_processes,
@@ -17,6 +18,8 @@ from tests.system.helpers import (
 )
 
 from swarmabs_bringup.orchestration import Progress
+from swarmabs_core.cdr import decode
+from swarmabs_core.messages import EventKind, SwarmEvent
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(600)]
 
@@ -51,10 +54,44 @@ class Storm:
         return not self._blows
 
 
+def dead_robots(folder: Path) -> set[int]:
+    """Return the robots that the bag says have fallen silent."""
+    found = set()
+    for message in bag_messages(folder):
+        if message.topic == "swarm/events":
+            event = decode(SwarmEvent, message.payload)
+            assert isinstance(event, SwarmEvent)
+            if event.kind == EventKind.DEAD:
+                found.add(event.agent_id)
+    return found
+
+
 def drawn(seed: int, count: int) -> tuple[random.Random, list[int]]:
     """Return a source of chance, and so many different robots."""
     chance = random.Random(seed)
     return chance, chance.sample(range(1, ROBOTS + 1), count)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_run_that_drops_silent_robots_goes_on_without_them(folder: Path, mark: str, seed: int) -> None:
+    chance, victims = drawn(seed, 60)
+    killed, stopped, paused = victims[:30], victims[30:45], victims[45:]
+    blows: list[Blow] = [(chance.randrange(20), robot, signal.SIGKILL) for robot in killed]
+    blows += [(chance.randrange(20), robot, signal.SIGSTOP) for robot in stopped]
+    for robot in paused:
+        look = chance.randrange(20)
+        blows += [(look, robot, signal.SIGSTOP), (look + chance.randrange(1, 40), robot, signal.SIGCONT)]
+    storm = Storm(mark, blows)
+    drop = "lockstep={on_stall: drop, stall_timeout: 2.0}"
+    outcome = lockstep(folder, SCENARIO, LENGTH, drop, on_progress=storm)
+    assert outcome.status == "ok", outcome.reason
+    assert storm.over
+    # A robot that is paused is dropped or not, as it happens.
+    assert {*killed, *stopped} <= dead_robots(folder) <= set(victims)
+    messages = bag_messages(folder)
+    assert outcome.figures["digest"] == bag_digest(messages)
+    last = {m.agent_id for m in messages if m.topic == "swarm/agent_state" and m.step == STEPS}
+    assert last == set(range(1, ROBOTS + 1)) - dead_robots(folder)
 
 
 @pytest.mark.parametrize(

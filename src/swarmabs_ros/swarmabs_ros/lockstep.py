@@ -101,7 +101,7 @@ class Lockstep:
                         time.sleep(self._gather)
                     continue
                 now = time.monotonic()
-                self._check_stall(repeater.silence(now))
+                self._check_stall(repeater, now)
             else:
                 time.sleep(min(SLICE, repeater.wait(now)))
                 now = time.monotonic()
@@ -142,14 +142,18 @@ class Lockstep:
             if step > newest - steps:
                 publisher.publish(data)
 
-    def _check_stall(self, silence: float) -> None:
+    def _check_stall(self, repeater: Repeater, now: float) -> None:
+        silence = repeater.silence(now)
         if self._stalled or not self._stall_timeout or silence < self._stall_timeout:
             return
         self._stalled = True
         step, missing = self._behaviour.missing()
         self._status.send("stalled", step=step, missing=missing[:20], count=len(missing), silence=round(silence, 1))
-        if self._on_stall is not None:
-            self._publish(self._on_stall())
+        answer = self._on_stall() if self._on_stall is not None else ()
+        if answer:  # a step is made: whoever is silent in the next one is another stall
+            self._publish(answer)
+            repeater.progress(now)
+            self._recovered()
 
     def _recovered(self) -> None:
         if self._stalled:
