@@ -109,3 +109,9 @@ def test_bounds_hold_in_any_course_of_events(course: list[tuple[float, bool]]) -
         assert due in {0, 1, 4, 16, 64, WINDOW}
         assert due <= WINDOW
         assert (FIRST - 1e-9 if due else 0.0) <= repeater.wait(now) <= LONGEST + 1e-9
+
+
+def test_a_large_swarm_is_more_patient_and_repeats_less() -> None:
+    repetitions = silence(Repeater(0.0, first=0.4, most=20), 0.0, 5)
+    assert repetitions[0][0] == pytest.approx(1.6)
+    assert [size for _, size in repetitions] == [1, 4, 16, 20, 1]

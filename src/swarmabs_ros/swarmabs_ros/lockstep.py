@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPIC_OF
-from swarmabs_ros.repeat import WINDOW, Repeater
+from swarmabs_ros.repeat import FIRST, WINDOW, Repeater
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -45,6 +45,10 @@ class Lockstep:
         Whether to go on repeating the last messages when the behaviour has finished.
     gather : float
         Time, s, for which messages may gather once the first has come, before they are handled.
+    repeat_after : float
+        Shortest wait before a repetition, s.
+    repeat_steps : int
+        Most steps that are repeated.
     """
 
     def __init__(
@@ -58,6 +62,8 @@ class Lockstep:
         on_stall: Callable[[], Messages] | None = None,
         lingers: bool = True,
         gather: float = 0.0,
+        repeat_after: float = FIRST,
+        repeat_steps: int = WINDOW,
     ) -> None:
         self._behaviour = behaviour
         self._receiver = receiver
@@ -67,6 +73,8 @@ class Lockstep:
         self._on_stall = on_stall
         self._lingers = lingers
         self._gather = gather
+        self._repeat_after = repeat_after
+        self._repeat_steps = repeat_steps
         self._sent: deque[tuple[int, Publisher, bytes]] = deque()
         self._stalled = False
         self._stopping = False
@@ -86,7 +94,7 @@ class Lockstep:
             If the behaviour refuses to go on.
         """
         behaviour, receiver = self._behaviour, self._receiver
-        repeater = Repeater(time.monotonic())
+        repeater = Repeater(time.monotonic(), first=self._repeat_after, most=self._repeat_steps)
         self._publish(behaviour.start())
         while not self._stopping:
             topics = behaviour.awaits()

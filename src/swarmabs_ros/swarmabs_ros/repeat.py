@@ -21,12 +21,20 @@ class Repeater:
     ----------
     now : float
         Current time, s, of any clock that does not jump.
+    first : float
+        Shortest wait before a repetition, s. In a large swarm a step takes longer than a small one's patience, and
+        whoever repeats itself before it can be answered adds to what makes the step long.
+    most : int
+        Most steps that are repeated.
     """
 
-    def __init__(self, now: float) -> None:
-        self._usual = FIRST
+    def __init__(self, now: float, *, first: float = FIRST, most: int = WINDOW) -> None:
+        self._first = first
+        self._longest = max(LONGEST, 4.0 * first)
+        self._most = most
+        self._usual = first
         self._last = now
-        self._interval = 4.0 * FIRST
+        self._interval = 4.0 * first
         self._window = 1
         self._due = now + self._interval
 
@@ -34,8 +42,8 @@ class Repeater:
         """Note that a step was made."""
         # This follows the step time that four steps of five keep to: a lost message, which delays a step by this very
         # wait, must not make the next wait longer. All would wait ever longer for each other.
-        self._usual = min(self._usual * (1.1 if now - self._last > self._usual else 0.98), LONGEST)
-        self._interval = min(max(FIRST, 4.0 * self._usual), LONGEST)
+        self._usual = min(self._usual * (1.1 if now - self._last > self._usual else 0.98), self._longest)
+        self._interval = min(max(self._first, 4.0 * self._usual), self._longest)
         self._last = now
         self._window = 1
         self._due = now + self._interval
@@ -49,10 +57,10 @@ class Repeater:
         if now < self._due:
             return 0
         window = self._window
-        self._window = 4 * window if window < WINDOW else 1
-        self._interval = min(1.5 * self._interval, LONGEST)
+        self._window = 4 * window if window < self._most else 1
+        self._interval = min(1.5 * self._interval, self._longest)
         self._due = now + self._interval
-        return min(window, WINDOW)
+        return min(window, self._most)
 
     def silence(self, now: float) -> float:
         """Return the time since the last progress, s."""

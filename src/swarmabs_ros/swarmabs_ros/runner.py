@@ -20,6 +20,7 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import SLICE, Lockstep
 from swarmabs_ros.parameters import declare
+from swarmabs_ros.repeat import FIRST, WINDOW
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -37,6 +38,10 @@ COMMON = (
     Parameter("last_step", -1, "step with which the run ends; -1: none", minimum=-1),
     Parameter("receive", "wait_set", "how messages are waited for", choices=("wait_set", "executor")),
     Parameter("stall_timeout", 5.0, "silence that is reported as a stall, s; 0: never", minimum=0.0),
+    Parameter(
+        "repeat_after", FIRST, "shortest wait for an answer before the last messages are sent again, s", above=0.0
+    ),
+    Parameter("repeat_steps", WINDOW, "most steps whose messages are sent again at once", minimum=1, maximum=WINDOW),
     Parameter("match", (), "endpoints to wait for before the start, each 'TOPIC NUMBER'; none: start at once"),
 )
 """Parameters that every node has."""
@@ -216,6 +221,8 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         on_stall=spec.on_stall,
         lingers=spec.lingers,
         gather=spec.gather,
+        repeat_after=settings.number("repeat_after"),
+        repeat_steps=settings.integer("repeat_steps"),
     )
     stopped = False
 

@@ -74,7 +74,7 @@ def _recorder_and_feeder(planned: Sequence[ProcessPlan]) -> Sequence[ProcessPlan
     recorder = next(process for process in planned if process.name == RECORDER)
     topics = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS)
     match = {"match": [f"{topic.name} 1" for topic in topics]}
-    kept = ("period_ns", "last_step", "stall_timeout", "scenario_file")
+    kept = ("period_ns", "last_step", "stall_timeout", "repeat_after", "repeat_steps", "scenario_file")
     feeder = ProcessPlan(
         "feeder",
         "swarmabs_bringup.bench.feeder",

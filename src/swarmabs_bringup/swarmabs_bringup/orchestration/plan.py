@@ -24,12 +24,16 @@ from swarmabs_core.messages import (
     Kind,
     Topic,
 )
+from swarmabs_ros.repeat import FIRST, WINDOW
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_core.behaviours import AgentConfig
     from swarmabs_core.scenario import Scenario
+
+PATIENCE = 1e-4
+"""Time, s, per robot that a node waits at least for an answer before it repeats itself."""
 
 PLANE, OBSERVER, CONTROLLER, RECORDER = "plane_sim", "abstraction_observer", "parent_controller", "recorder"
 
@@ -127,6 +131,8 @@ def plan(
         "period_ns": scenario.step_ns,
         "last_step": scenario.steps,
         "stall_timeout": scenario.lockstep.stall_timeout,
+        "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
+        "repeat_steps": min(WINDOW, 2 * configure.recording_window(scenario)),
     }
     swarm: dict[str, object] = {
         "members": configure.members(scenario),
