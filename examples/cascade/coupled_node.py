@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from layers import UPPER, Coupling, absolute, carried_robot, led_controller, lower
 
-from swarmabs_core.configure import RECORDING_WINDOW
+from swarmabs_core import configure
 from swarmabs_core.messages import (
     AGENT_STATE,
     BROADCASTS,
@@ -55,7 +55,9 @@ def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # n
     """Return behaviour and endpoints of the controller of a lower plane."""
     scenario = load_scenario(Path(settings.text("lower_file")))
     robot = settings.integer("robot")
-    behaviour = led_controller(scenario, robot, _coupling(settings), recording_window=RECORDING_WINDOW)
+    behaviour = led_controller(
+        scenario, robot, _coupling(settings), recording_window=configure.recording_window(scenario)
+    )
     depths = {PLANE_STATE: 10, RECORDING_PROGRESS: 1}
     heard = {topic: requested(topic, depth=depth) for topic, depth in depths.items()}
     link = absolute(AGENT_STATE, UPPER)
