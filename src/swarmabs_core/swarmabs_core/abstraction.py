@@ -67,11 +67,11 @@ def abstraction(robots: Sequence[Weight], gravity: float) -> Abstraction:
         m/s^2.
     """
     return Abstraction(
-        gravity * exact_sum(m * p for m, p, _ in robots),
-        exact_sum(m * p * p for m, p, _ in robots),
-        gravity * exact_sum(m * v for m, _, v in robots),
-        2.0 * exact_sum(m * p * v for m, p, v in robots),
-        exact_sum(m * v * v for m, _, v in robots),
+        gravity * exact_sum([m * p for m, p, _ in robots]),
+        exact_sum([m * p * p for m, p, _ in robots]),
+        gravity * exact_sum([m * v for m, _, v in robots]),
+        2.0 * exact_sum([m * p * v for m, p, v in robots]),
+        exact_sum([m * v * v for m, _, v in robots]),
     )
 
 
@@ -87,14 +87,14 @@ def spread_sums(robots: Iterable[tuple[float, float]]) -> SpreadSums:
         Mass (kg) and position (m) of each.
     """
     pairs = [(m * m, p) for m, p in robots]
-    s0 = exact_sum(mm for mm, _ in pairs)
-    s1 = exact_sum(mm * p for mm, p in pairs)
+    s0 = exact_sum([mm for mm, _ in pairs])
+    s1 = exact_sum([mm * p for mm, p in pairs])
     centre = s1 / s0 if s0 else 0.0
     return SpreadSums(
         s0,
         s1,
-        exact_sum(mm * p * p for mm, p in pairs),
-        s0 * exact_sum(mm * (p - centre) * (p - centre) for mm, p in pairs),
+        exact_sum([mm * p * p for mm, p in pairs]),
+        s0 * exact_sum([mm * (p - centre) * (p - centre) for mm, p in pairs]),
     )
 
 
@@ -110,9 +110,9 @@ def damping_sums(robots: Iterable[tuple[float, float, float]], ksd: float) -> Da
     """
     terms = [(m * (c + ksd), p) for m, p, c in robots]
     return DampingSums(
-        exact_sum(mc for mc, _ in terms),
-        exact_sum(mc * p for mc, p in terms),
-        exact_sum(mc * p * p for mc, p in terms),
+        exact_sum([mc for mc, _ in terms]),
+        exact_sum([mc * p for mc, p in terms]),
+        exact_sum([mc * p * p for mc, p in terms]),
     )
 
 

@@ -111,7 +111,8 @@ class Membership:
 
     def publishes(self, agent_id: int, step: int) -> bool:
         """Tell whether a robot publishes its state of a step."""
-        return agent_id in self._spans and self._spans[agent_id].covers(step)
+        span = self._spans.get(agent_id)
+        return span is not None and span.first <= step and (span.last is None or step <= span.last)
 
     def stays(self, agent_id: int) -> bool:
         """Tell whether a robot that publishes no more remains on the plane."""

@@ -210,14 +210,14 @@ class RunCollector:
 
     def _add_agent(self, slot: _Slot, topic: Topic, state: AgentState) -> None:
         agent_id = state.agent_id
-        if agent_id not in self._membership:
-            raise UnknownAgentError(agent_id)
         known = slot.agents.get(agent_id)
         if known is not None:
             if known.payload != encode(state):
                 raise ConflictError(f"{topic.name} of agent {agent_id}", state.step)
             return
         if not self._membership.publishes(agent_id, state.step):
+            if agent_id not in self._membership:
+                raise UnknownAgentError(agent_id)
             return
         slot.agents[agent_id] = Record(topic, agent_id, state, encode(state))
         if state.status == Status.LEFT:

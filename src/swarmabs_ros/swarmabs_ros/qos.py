@@ -3,8 +3,9 @@
 Nothing here relies on a QoS for correctness: whoever waits too long repeats its last messages, whoever receives
 ignores what it has. The table is therefore free to be tuned by measurement. What was measured: positive
 acknowledgements of the robots' state writers are what makes a reliable swarm slow, so these are best effort; the
-broadcasts are offered reliable, and robots read them best effort, because a robot that misses one asks again by
-repeating its own state.
+broadcasts are offered reliable, for whoever else wants to listen. The nodes of a run read them best effort: a robot
+that misses one asks again by repeating its own state, and what the recorder misses is repeated when the run has used
+up the recorder's credit.
 """
 
 from __future__ import annotations

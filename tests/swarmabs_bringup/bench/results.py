@@ -21,7 +21,7 @@ LOAD = {
 
 def repeat(product: float, **floors: float) -> dict[str, Any]:
     """Return the results of one repeat: speeds of the product and of the floors that are named; the others make 1."""
-    speeds = {**dict.fromkeys(FLOORS, 1.0), **floors, "product": product}
+    speeds = {**dict.fromkeys(FLOORS, 1.0), "packed": product, **floors, "product": product}
     return {name: {"steps_per_second": speed, "load": LOAD} for name, speed in speeds.items()}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -48,10 +49,29 @@ def test_a_spread_is_shown_in_three_digits(given: dict[str, float] | None, text:
 def test_tables_show_the_suites_that_were_measured() -> None:
     speed, cost = tables(document(*REPEATS))
     assert speed.rows[0][:2] == ("4", "80 (30-90)")
-    assert speed.rows[0][-2:] == ("0.75 (0.75-0.8)", "0.5 (0.3-0.5)")
-    assert [row[1] for row in cost.rows] == ["swarm run", "bare rclpy", "ZeroMQ"]
+    assert speed.rows[0][-4::2] == ("0.75 (0.75-0.8)", "0.5 (0.3-0.5)")
+    assert [row[1] for row in cost.rows] == ["swarm run", "swarm run --packed", "bare rclpy", "ZeroMQ"]
     assert all(len(row) == len(table.headings) for table in (speed, cost) for row in table.rows)
     assert markdown(speed).splitlines()[0].startswith("| robots | swarm run | ")
+
+
+def test_packed_broadcasts_are_measured_beside_the_others() -> None:
+    (speed, *_) = tables(document(repeat(10.0, packed=15.0, rclpy_reliable=20.0, zeromq=30.0)))
+    row = dict(zip(speed.headings, speed.rows[0], strict=True))
+    assert (row["swarm run --packed"], row["packed of rclpy"], row["packed of ZeroMQ"]) == ("15", "0.75", "0.5")
+
+
+def test_a_result_without_packed_broadcasts_is_still_shown(tmp_path: Path) -> None:
+    old = deepcopy(document(*REPEATS))
+    summary = old["product"][0]["summary"]
+    for key in ("packed_ratio_to_floor", "packed_ratio_to_zeromq"):
+        del summary[key]
+    for one in (summary["steps_per_second"], *old["product"][0]["repeats"]):
+        del one["packed"]
+    speed, cost = tables(old)
+    assert dict(zip(speed.headings, speed.rows[0], strict=True))["packed of rclpy"] == "-"
+    assert [row[1] for row in cost.rows] == ["swarm run", "bare rclpy", "ZeroMQ"]
+    write_result(old, tmp_path)
 
 
 def test_a_result_is_written_and_read_again(tmp_path: Path) -> None:

@@ -93,8 +93,8 @@ class Watch:
         return (steps - self.first.step) / (self.started + stepping_seconds - self.first.time)
 
 
-def measure_product(robots: int, steps: int, *, warm_up: float) -> ProductResult:
-    """Run a swarm for so many steps as ``swarm run`` does.
+def measure_product(robots: int, steps: int, *, warm_up: float, packed: bool = False) -> ProductResult:
+    """Run a swarm for so many steps as ``swarm run`` does, or ``swarm run --packed``.
 
     Raises
     ------
@@ -106,7 +106,8 @@ def measure_product(robots: int, steps: int, *, warm_up: float) -> ProductResult
     watch = Watch(warm_up)
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
         begun = time.monotonic()
-        outcome = LockstepRun(swarm_of(robots, steps), new_run_folder(Path(folder) / "run"), on_progress=watch).run()
+        made = new_run_folder(Path(folder) / "run")
+        outcome = LockstepRun(swarm_of(robots, steps), made, on_progress=watch, packed=packed).run()
         ended = time.monotonic()
     start, stepping = checked(outcome)
     return ProductResult(

@@ -17,7 +17,7 @@ from swarmabs_bringup.bench.machine import machine_facts
 from swarmabs_bringup.bench.product import measure_product
 from swarmabs_bringup.bench.recording import measure_recorder
 from swarmabs_bringup.bench.simulating import SOLVER, measure_against_solver, measure_simulate
-from swarmabs_bringup.bench.tables import PRODUCT
+from swarmabs_bringup.bench.tables import PACKED, PRODUCT
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -146,12 +146,13 @@ def _product(settings: Settings, tell: Callable[[str], None]) -> list[dict[str, 
                 result = measure_floor(name, robots, warm_up=settings.warm_up, window=settings.window)
                 tell(f"  {result.steps_per_second:.1f} steps/s")
                 results[name] = asdict(result)
-            tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: {PRODUCT}")
             fastest = max(results[name]["steps_per_second"] for name in BARE_RCLPY)
             steps = max(20, round(_PART * fastest * (settings.warm_up + settings.window)))
-            measured = measure_product(robots, steps, warm_up=settings.warm_up)
-            tell(f"  {measured.steps_per_second:.1f} steps/s")
-            results[PRODUCT] = asdict(measured)
+            for name in (PRODUCT, PACKED):
+                tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: {name}")
+                measured = measure_product(robots, steps, warm_up=settings.warm_up, packed=name == PACKED)
+                tell(f"  {measured.steps_per_second:.1f} steps/s")
+                results[name] = asdict(measured)
             repeats.append(results)
         found.append({"robots": robots, "summary": product_summary(repeats), "repeats": repeats})
     return found
@@ -163,19 +164,22 @@ def product_summary(repeats: list[dict[str, Any]]) -> dict[str, Any]:
     Parameters
     ----------
     repeats : list of dict
-        Results by name of floor, and the product's.
+        Results by name of floor, and the product's without and with packed broadcasts.
     """
-    speeds = {name: [repeat[name]["steps_per_second"] for repeat in repeats] for name in (*FLOORS, PRODUCT)}
+    names = (*FLOORS, PRODUCT, PACKED)
+    speeds = {name: [repeat[name]["steps_per_second"] for repeat in repeats] for name in names}
     best = max(BARE_RCLPY, key=lambda name: median(speeds[name]))
 
-    def ratio(floor: str) -> dict[str, float] | None:
-        return spread(mine / other for mine, other in zip(speeds[PRODUCT], speeds[floor], strict=True))
+    def ratio(floor: str, product: str = PRODUCT) -> dict[str, float] | None:
+        return spread(mine / other for mine, other in zip(speeds[product], speeds[floor], strict=True))
 
     return {
         "floor": best,
         "steps_per_second": {name: spread(values) for name, values in speeds.items()},
         "ratio_to_floor": ratio(best),
         "ratio_to_zeromq": ratio("zeromq"),
+        "packed_ratio_to_floor": ratio(best, PACKED),
+        "packed_ratio_to_zeromq": ratio("zeromq", PACKED),
     }
 
 

@@ -16,17 +16,19 @@ if TYPE_CHECKING:
 
     Document = Mapping[str, Any]
 
-PRODUCT = "product"
+PRODUCT, PACKED = "product", "packed"
 _NAMES = {
     "rclpy_best_effort": "bare rclpy",
     "rclpy_reliable": "bare rclpy, reliable",
     "zeromq": "ZeroMQ",
     "datagrams": "Unix datagrams",
     PRODUCT: "swarm run",
+    PACKED: "swarm run --packed",
 }
 # Okabe and Ito's colours, which people with any colour vision tell apart; marks and dashes differ too.
 _LOOKS = {
     PRODUCT: ("#d55e00", "o", "-"),
+    PACKED: ("#e69f00", "P", "-"),
     "rclpy_best_effort": ("#0072b2", "s", "--"),
     "rclpy_reliable": ("#56b4e9", "D", "--"),
     "zeromq": ("#009e73", "^", "-."),
@@ -73,17 +75,18 @@ def tables(document: Document) -> tuple[Table, ...]:
 
 
 def _speed(rows: list[dict[str, Any]]) -> Table:
-    order = ("product", *FLOORS)
+    order = (PRODUCT, PACKED, *FLOORS)
+    ratios = ("ratio_to_floor", "packed_ratio_to_floor", "ratio_to_zeromq", "packed_ratio_to_zeromq")
     return Table(
         "speed",
-        "steps per second, and those of swarm run in parts of the better bare rclpy's and of ZeroMQ's",
-        ("robots", *(_NAMES[key] for key in order), "of rclpy", "of ZeroMQ"),
+        "steps per second, and those of swarm run without and with packed broadcasts in parts of the better bare"
+        " rclpy's and of ZeroMQ's",
+        ("robots", *(_NAMES[key] for key in order), "of rclpy", "packed of rclpy", "of ZeroMQ", "packed of ZeroMQ"),
         tuple(
             (
                 str(row["robots"]),
-                *(shown(row["summary"]["steps_per_second"][key]) for key in order),
-                shown(row["summary"]["ratio_to_floor"]),
-                shown(row["summary"]["ratio_to_zeromq"]),
+                *(shown(row["summary"]["steps_per_second"].get(key)) for key in order),
+                *(shown(row["summary"].get(key)) for key in ratios),
             )
             for row in rows
         ),
@@ -94,8 +97,10 @@ def _cost(rows: list[dict[str, Any]]) -> Table:
     roles = ("plane", "observer", "controller", "recorder")
     found = []
     for row in rows:
-        for key in ("product", row["summary"]["floor"], "zeromq"):
-            loads = [repeat[key]["load"] for repeat in row["repeats"] if repeat[key]["load"] is not None]
+        for key in (PRODUCT, PACKED, row["summary"]["floor"], "zeromq"):
+            loads = [
+                repeat[key]["load"] for repeat in row["repeats"] if key in repeat and repeat[key]["load"] is not None
+            ]
             if loads:
                 shares = [f"{median(load['cpu_share'].get(role, 0.0) for load in loads):.0%}" for role in roles]
                 measures = ("cpu_ms_per_step", "switches_per_agent_step")
@@ -270,7 +275,8 @@ def draw(document: Document, picture: Path) -> None:
     axes = figure.subplots()
     rows = document["product"]
     for key in _LOOKS:
-        _curve(axes, [(row["robots"], row["summary"]["steps_per_second"][key]) for row in rows], key, _NAMES[key])
+        points = [(row["robots"], row["summary"]["steps_per_second"].get(key)) for row in rows]
+        _curve(axes, [(robots, speed) for robots, speed in points if speed], key, _NAMES[key])
     axes.set(xlabel="robots, one process each", ylabel="steps per second")
     _finish(axes, [row["robots"] for row in rows])
     axes.legend(frameon=False)
@@ -308,7 +314,7 @@ def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str,
         color=colour,
         marker=mark,
         linestyle=dashes,
-        linewidth=2.2 if look == PRODUCT else 1.4,
+        linewidth=2.2 if look in {PRODUCT, PACKED} else 1.4,
         capsize=3,
     )
 

@@ -172,7 +172,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     # What may be under way, and the step that is being recorded.
     depth = max(1000, (configure.recording_window(scenario) + 1) * len(scenario.agents))
     subscriptions = {
-        topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=True) for topic in _EVERYTHING
+        # Acknowledgements cost each coordinator a thread that is woken several times per step.
+        topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=topic is EVENTS)
+        for topic in _EVERYTHING
     }
     return NodeSpec(
         recorder, (RECORDING_PROGRESS,), subscriptions, on_exit=finish, lingers=False, gather=GATHER_SECONDS

@@ -44,13 +44,19 @@ class Gathering:
             If it differs from one that is already there.
         """
         agent_id, step = state.agent_id, state.step
-        if agent_id not in self._membership:
-            raise UnknownAgentError(agent_id)
-        if step < self._step or not self._membership.publishes(agent_id, step):
+        if not self._membership.publishes(agent_id, step):
+            if agent_id not in self._membership:
+                raise UnknownAgentError(agent_id)
             return
-        if step > self._step:
-            raise StepAheadError(f"agent {agent_id}", got=step, expected=self._step)
-        refuse_conflict(self._states.setdefault(agent_id, state), state, f"agent {agent_id}")
+        if step != self._step:
+            if step > self._step:
+                raise StepAheadError(f"agent {agent_id}", got=step, expected=self._step)
+            return
+        known = self._states.get(agent_id)
+        if known is not None:
+            refuse_conflict(known, state, f"agent {agent_id}")
+            return
+        self._states[agent_id] = state
         if state.status == Status.LEFT:
             self._membership.end(agent_id, step, stays=False, reason="left")
 
