@@ -6,6 +6,7 @@ import sys
 
 from swarmabs_core.behaviours import ObserverConfig, make_observer
 from swarmabs_core.friction import Friction
+from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS, PLANE_STATE, Messages
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.parent_response import ParentModel
@@ -66,7 +67,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         subscriptions[PLANE_STATE] = requested(PLANE_STATE, depth=10)
 
     def drop() -> Messages:
-        return observer.drop(observer.missing_agents(), "silent")
+        return observer.drop(observer.missing_agents(), SILENT)
 
     return NodeSpec(
         observer,

@@ -16,6 +16,9 @@ from swarmabs_core.messages import EventKind
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+SILENT = "silent"
+"""Reason of the end of a robot that did not answer and was dropped."""
+
 
 class ChangeKind(str, Enum):
     """How a robot's membership changes at a step."""

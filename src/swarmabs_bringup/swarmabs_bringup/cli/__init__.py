@@ -14,6 +14,7 @@ from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
 from swarmabs_bringup.cli.sweep import sweep
 from swarmabs_bringup.cli.test import test
+from swarmabs_bringup.cli.verify import verify
 from swarmabs_core.errors import InputError, SwarmabsError
 
 
@@ -25,7 +26,7 @@ def swarm() -> None:
     """
 
 
-for command in (run, simulate, check, info, scenario, env, doctor, bench, sweep, figures, test):
+for command in (run, simulate, check, info, verify, scenario, env, doctor, bench, sweep, figures, test):
     swarm.add_command(command)
 
 

@@ -1,0 +1,224 @@
+"""Verifying a bag: what it holds follows from its scenario, message by message."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bringup.bag import PROVENANCE_FILE, SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
+from swarmabs_bringup.provenance import plugin_versions, versions
+from swarmabs_core.errors import InputError
+from swarmabs_core.fingerprint import libm_fingerprint
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.scenario import parse_scenario
+from swarmabs_core.verification import Difference, Ending, Verification
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from swarmabs_bringup.bag import BagReader
+    from swarmabs_core.scenario import Scenario
+
+DRIVERS = ("lockstep", "simulate")
+"""What moved the state machines of a bag that can be verified, as its provenance says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What was found out about a bag.
+
+    Attributes
+    ----------
+    bag : str
+        The MCAP file.
+    scenario : str
+        Name of its scenario.
+    difference : Difference or None
+        The first difference between what is recorded and what is recomputed.
+    problem : str or None
+        What is wrong with the file.
+    steps, messages : int
+        How many of them were found right.
+    expected_steps : int
+        How many steps a whole run of the scenario has: 0 to n are n + 1.
+    ended_early : str or None
+        Why the run ended before its last step.
+    digest : str or None
+        Digest of the run, if the whole bag was found right.
+    tolerance : float
+        Up to which numbers count as equal; 0 if every bit counts.
+    notes : tuple of str
+        What people should know besides.
+    """
+
+    bag: str
+    scenario: str
+    difference: Difference | None
+    problem: str | None
+    steps: int
+    messages: int
+    expected_steps: int
+    ended_early: str | None
+    digest: str | None
+    tolerance: float
+    notes: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return self.difference is None and self.problem is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain data for JSON."""
+        return {
+            "ok": self.ok,
+            "first_difference": self.difference and self.difference.to_dict(),
+            "problem": self.problem,
+            "bag": self.bag,
+            "scenario": self.scenario,
+            "complete": self.ok and self.steps == self.expected_steps,
+            "ended_early": self.ended_early,
+            "steps": self.steps,
+            "expected_steps": self.expected_steps,
+            "messages": self.messages,
+            "digest": self.digest,
+            "tolerance": self.tolerance,
+            "notes": list(self.notes),
+        }
+
+
+class BagToVerify:
+    """A bag that was opened, and has what is needed to verify it.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, its ``bag/``, or an MCAP file.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a swarm, has no scenario, or was not recorded in lockstep.
+    DamagedBagError
+        If nothing of it can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._bag = open_bag(path, damaged=True)
+        missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
+        if missing and not self._bag.problem:
+            raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
+        self.scenario = _scenario(self._bag)
+        self._provenance = _provenance(self._bag)
+        driver = self._provenance.get("driver", DRIVERS[0])
+        if driver not in DRIVERS:
+            raise InputError(
+                f"{self._bag.path} was recorded by driver {str(driver)!r}; only runs in lockstep can be verified: "
+                "there every message follows from those of the step before, and not from when it arrived"
+            )
+
+    def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
+        """Verify the bag; damage does not raise, it is part of the answer.
+
+        Parameters
+        ----------
+        tolerance : float
+            Numbers a and b count as equal up to ``tolerance * (1 + max(|a|, |b|))``; with 0 every bit counts.
+        on_step : callable, optional
+            Told the first step that is not verified yet, at every message.
+        """
+        bag, verification = self._bag, Verification(self.scenario, tolerance=tolerance)
+        problem = self._follow(verification, on_step)
+        cut, aborted = problem is not None, None
+        if not cut:
+            try:
+                aborted = bag.aborted()
+                bag.check()
+            except DamagedBagError as error:
+                problem = str(error)
+        verification.finish(Ending.CUT if cut else Ending.WHOLE if aborted is None else Ending.EARLY)
+        difference, digest = verification.difference, None
+        if difference is None and not cut:
+            digest = verification.digest()
+            difference = _other_digest(bag, digest)
+        return Verdict(
+            bag=str(bag.path),
+            scenario=self.scenario.name,
+            difference=difference,
+            problem=problem,
+            steps=verification.step,
+            messages=verification.messages,
+            expected_steps=self.scenario.steps + 1,
+            ended_early=aborted,
+            digest=digest,
+            tolerance=tolerance,
+            notes=() if difference is None else self._elsewhere(),
+        )
+
+    def _follow(self, verification: Verification, on_step: Callable[[int], None] | None) -> str | None:
+        """Hand the bag's messages over, as long as they matter; return what is wrong with the file."""
+        try:
+            for topic, time, payload in self._bag.messages((*MAIN_TOPICS, EVENTS)):
+                verification.add(topic, time, payload)
+                if verification.decided:
+                    return None
+                if on_step is not None:
+                    on_step(verification.step)
+        except DamagedBagError as error:
+            return str(error)
+        return self._bag.problem
+
+    def _elsewhere(self) -> tuple[str, ...]:
+        """Return what was different where the bag was recorded and may explain a difference."""
+        notes = []
+        recorded, here = self._provenance.get("libm_fingerprint"), libm_fingerprint()
+        if recorded is not None and recorded != here:
+            notes.append(
+                f"the bag was recorded with another mathematical library (fingerprint {recorded}, here {here}): "
+                "bits may differ for that alone; --tolerance 1e-9 compares numbers instead"
+            )
+        then = self._provenance.get("versions")
+        if isinstance(then, dict):
+            now = versions() | plugin_versions(self.scenario)
+            changed = [
+                f"{name} {then[name]}, here {now.get(name, 'none')}" for name in then if then[name] != now.get(name)
+            ]
+            if changed:
+                notes.append(f"the bag was recorded with {'; '.join(changed)}")
+        return tuple(notes)
+
+
+def _scenario(bag: BagReader) -> Scenario:
+    data = bag.attachment(SCENARIO_FILE)
+    if data is None:
+        raise InputError(f"{bag.path} holds no scenario: without it nothing can be recomputed")
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{bag.path}: its {SCENARIO_FILE} is not text: {error}") from error
+    return parse_scenario(text, source=f"{bag.path}:{SCENARIO_FILE}")
+
+
+def _provenance(bag: BagReader) -> dict[str, Any]:
+    try:
+        found = json.loads(bag.attachment(PROVENANCE_FILE) or b"{}")
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _other_digest(bag: BagReader, digest: str) -> Difference | None:
+    """Return that the summary of the run, if the bag lies in its folder, tells another digest."""
+    summary = bag.path.parent.parent / "summary.json"
+    if bag.path.parent.name != "bag" or not summary.is_file():
+        return None
+    try:
+        found = json.loads(summary.read_bytes())
+        said = found["digest"]
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        return Difference("summary.json", None, None, "digest", None, digest, "it cannot be read")
+    if said is None or said == digest:
+        return None
+    return Difference("summary.json", None, None, "digest", str(said), digest)
