@@ -33,15 +33,15 @@ class Verdict:
     ----------
     bag : str
         The MCAP file.
-    scenario : str
-        Name of its scenario.
+    scenario : str or None
+        Name of its scenario; None if nothing of the bag can be read.
     difference : Difference or None
         The first difference between what is recorded and what is recomputed.
     problem : str or None
         What is wrong with the file.
     steps, messages : int
         How many of them were found right.
-    expected_steps : int
+    expected_steps : int or None
         How many steps a whole run of the scenario has: 0 to n are n + 1.
     ended_early : str or None
         Why the run ended before its last step.
@@ -54,16 +54,16 @@ class Verdict:
     """
 
     bag: str
-    scenario: str
+    scenario: str | None
     difference: Difference | None
     problem: str | None
-    steps: int
-    messages: int
-    expected_steps: int
-    ended_early: str | None
-    digest: str | None
-    tolerance: float
-    notes: tuple[str, ...]
+    steps: int = 0
+    messages: int = 0
+    expected_steps: int | None = None
+    ended_early: str | None = None
+    digest: str | None = None
+    tolerance: float = 0.0
+    notes: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -190,8 +190,24 @@ class BagToVerify:
         return tuple(notes)
 
 
+def open_to_verify(path: Path) -> BagToVerify | Verdict:
+    """Open a bag; a file so damaged that nothing can be compared is a verdict already.
+
+    Raises
+    ------
+    InputError
+        As of `BagToVerify`.
+    """
+    try:
+        return BagToVerify(path)
+    except DamagedBagError as error:
+        return Verdict(str(path), None, None, str(error))
+
+
 def _scenario(bag: BagReader) -> Scenario:
     data = bag.attachment(SCENARIO_FILE)
+    if data is None and bag.problem is not None:
+        raise DamagedBagError(f"{bag.path}: {bag.problem}; with its end it has lost its scenario")
     if data is None:
         raise InputError(f"{bag.path} holds no scenario: without it nothing can be recomputed")
     try:

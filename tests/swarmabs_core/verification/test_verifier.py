@@ -7,12 +7,14 @@ import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from tests.plugin_packages import SCALED, install
 from tests.swarmabs_core.helpers import builtin, digest
 
 from swarmabs_core import command_filter, configure, drive, plant, simulation
@@ -109,6 +111,10 @@ def first_difference(scenario: Scenario, bag: Iterable[Stored], **options: Any) 
     return difference
 
 
+def events_of(bag: Iterable[Stored]) -> list[SwarmEvent]:
+    return [event for event in (s.message for s in bag) if isinstance(event, SwarmEvent)]
+
+
 def place(difference: Difference) -> tuple[str, int | None, int | None, str]:
     return difference.topic, difference.step, difference.agent, difference.field
 
@@ -126,8 +132,7 @@ def test_a_right_run_is_found_right_and_has_its_digest(name: str) -> None:
 
 def test_the_worlds_have_what_they_are_there_for() -> None:
     def kinds(name: str) -> set[tuple[int, bool]]:
-        events = [s.message for s in recorded(*WORLDS[name]) if s.topic is EVENTS]
-        return {(e.kind, bool(e.agent_id)) for e in events if isinstance(e, SwarmEvent)}
+        return {(e.kind, bool(e.agent_id)) for e in events_of(recorded(*WORLDS[name]))}
 
     assert (EventKind.SAFE_STOP, True) in kinds("safe stop")
     assert kinds("limits") >= {(EventKind.LIMIT_HIT, True), (EventKind.LIMIT_HIT, False)}
@@ -217,6 +222,18 @@ def test_messages_may_come_in_another_order() -> None:
     assert verify(world(*named), bag).difference is None
 
 
+@pytest.mark.parametrize("step", [0, 50])
+def test_endless_repetitions_are_not_gathered(step: int) -> None:
+    named = WORLDS["faults"]
+    one = next(s for s in recorded(*named) if s.topic is PLANE_STATE and s.message.step == step)
+    verification = Verification(world(*named))
+    for _ in range(10_000):
+        verification.add(*one)
+        if verification.decided:
+            return
+    pytest.fail("they are gathered")
+
+
 def test_a_missing_event_comes_before_a_later_difference() -> None:
     named = WORLDS["faults"]
     bag = list(recorded(*named))
@@ -282,6 +299,16 @@ def test_a_robot_that_is_not_the_one_of_the_scenario_is_found(
     scenario = world("pd_het_4", SHORT)
     bag = run_with(monkeypatch, scenario, lambda c: make_agent(replace(c, **change) if c.agent_id == 3 else c))
     assert place(first_difference(scenario, bag)) == ("swarm/agent_state", step, 3, field)
+
+
+def test_a_law_of_another_package_is_verified_by_that_law(packages: Path) -> None:
+    install(packages, "law", "scaled", SCALED)
+    scenario = builtin("pd_het_4", SHORT, "swarm.law={type: scaled, factor: 1.1, bad_mass: 0.3532}")
+    bag = record(scenario)
+    assert (EventKind.SAFE_STOP, 2) in {(e.kind, e.agent_id) for e in events_of(bag)}
+    assert verify(scenario, bag).difference is None
+    paper = builtin("pd_het_4", SHORT)
+    assert place(first_difference(paper, bag)) == ("swarm/agent_state", 1, 1, "command")
 
 
 def test_commands_fit_an_algebraically_different_form_of_the_law() -> None:

@@ -34,10 +34,13 @@ def verify(bags: tuple[Path, ...], *, tolerance: float, as_json: bool) -> int:
     BAG is a run's folder, its bag folder, or an .mcap file. The first difference is named by topic, step, robot and
     field.
     """
-    from swarmabs_bringup.verify import BagToVerify  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bringup.verify import Verdict, open_to_verify  # noqa: PLC0415 - slow, not for --help
 
-    opened = [BagToVerify(path) for path in bags]
-    verdicts = [bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps)) for bag in opened]
+    opened = [open_to_verify(path) for path in bags]  # what is refused is refused before anything is started
+    verdicts = [
+        bag if isinstance(bag, Verdict) else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
+        for bag in opened
+    ]
     if as_json:
         documents = [verdict.to_dict() for verdict in verdicts]
         print_json(documents[0] if len(documents) == 1 else documents)
@@ -49,9 +52,10 @@ def verify(bags: tuple[Path, ...], *, tolerance: float, as_json: bool) -> int:
 
 def describe(verdict: Verdict) -> str:
     """Say in a few lines what was found out."""
-    done = f"{verdict.messages} messages of {verdict.steps} of {verdict.expected_steps} steps"
-    how = f"agree within {verdict.tolerance:g}" if verdict.tolerance else "agree bit for bit"
-    lines = [f"{verdict.bag}: {'ok' if verdict.ok else 'NOT ok'}", f"  {done} {how}"]
+    lines = [f"{verdict.bag}: {'ok' if verdict.ok else 'NOT ok'}"]
+    if verdict.expected_steps is not None:
+        how = f"agree within {verdict.tolerance:g}" if verdict.tolerance else "agree bit for bit"
+        lines.append(f"  {verdict.messages} messages of {verdict.steps} of {verdict.expected_steps} steps {how}")
     if verdict.difference is not None:
         lines.append(f"  first difference: {verdict.difference}")
     if verdict.problem is not None:

@@ -30,6 +30,8 @@ _CAUSES_FIRST = (
 )
 """Fields of a robot's state in the order in which they are compared: a wrong command also moves the robot elsewhere."""
 
+_LONGEST = 512
+
 
 class Stored(NamedTuple):
     """A message as a bag holds it: topic, log time (ns), the message and its bytes."""
@@ -102,7 +104,7 @@ def compare(stored: Stored, expected: Message, agent: int | None, tolerance: flo
     if tolerance:  # the values may differ
         payload = encode(recorded)
     if stored.payload != payload:
-        return Difference(*place, PADDING, stored.payload.hex(), payload.hex())
+        return Difference(*place, PADDING, in_hex(stored.payload), in_hex(payload))
     return None
 
 
@@ -114,6 +116,11 @@ def missing(topic: Topic, expected: Message, agent: int | None, reason: str = ""
 def surplus(stored: Stored, step: int, agent: int | None, reason: str = "") -> Difference:
     """Return that a message is there which should not be."""
     return Difference(stored.topic.name, step, agent, MESSAGE, _fields(stored.message), None, reason)
+
+
+def in_hex(payload: bytes) -> str:
+    """Return bytes as text, shortened where they are more than any message of a swarm has."""
+    return payload.hex() if len(payload) <= _LONGEST else f"{payload[:_LONGEST].hex()}... ({len(payload)} bytes)"
 
 
 def _same(a: float | str, b: float | str, tolerance: float) -> bool:

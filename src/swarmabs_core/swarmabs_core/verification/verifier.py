@@ -84,7 +84,7 @@ class Verification:
         self.failure: str | None = None
         self._scenario = scenario
         self._tolerance = tolerance
-        self._window = Window(scenario.step_ns)
+        self._window = Window(scenario.step_ns, len(scenario.agents))
         self._digest = Digest()
         model = configure.parent_model(scenario)
         self._observer = make_observer(configure.observer_config(scenario), model)
@@ -149,10 +149,10 @@ class Verification:
         """Tell whether all messages of the step are there, or can no longer come."""
         newest, step = self._window.newest, self.step
         if newest <= step:
-            return False
+            return self._window.full
         slot = self._window.get(step)
         present = len(slot.agents) + len(slot.coordinated)
-        return newest > step + WINDOW or present >= len(self._states) + len(COORDINATED)
+        return self._window.full or newest > step + WINDOW or present >= len(self._states) + len(COORDINATED)
 
     def _judge(self, *, last: bool) -> None:
         slot = self._window.take(self.step)
@@ -177,7 +177,7 @@ class Verification:
         yield from slot.malformed
         dropped = self._dropped(slot)
         for agent_id in dropped:
-            del self._states[agent_id], self._agents[agent_id]
+            self._forget(agent_id, slot)
         if not (yield from self._agent_states(slot, last=last)):
             self._ended = True
             return
@@ -209,6 +209,13 @@ class Verification:
             if isinstance(event, SwarmEvent) and event.kind == EventKind.DEAD
         }
         return tuple(agent_id for agent_id in self._states if agent_id in dead and agent_id not in present)
+
+    def _forget(self, agent_id: int, slot: Slot) -> None:
+        """Expect no more of a robot; whether it could still publish its events of the step, nobody knows."""
+        del self._states[agent_id], self._agents[agent_id]
+        told, published = self._told.get(self.step, {}), {stored.payload for stored in slot.events}
+        for payload in [p for p, event in told.items() if event.agent_id == agent_id and p not in published]:
+            del told[payload]
 
     def _agent_states(self, slot: Slot, *, last: bool) -> Generator[Difference, None, bool]:
         """Yield what is wrong with the robots' states; return whether all are there."""
