@@ -48,7 +48,7 @@ class Verdict:
     digest : str or None
         Digest of the run, if the whole bag was found right.
     tolerance : float
-        Up to which numbers count as equal; 0 if every bit counts.
+        As given to `BagToVerify.verify`.
     notes : tuple of str
         What people should know besides.
     """
@@ -125,7 +125,7 @@ class BagToVerify:
         Parameters
         ----------
         tolerance : float
-            Numbers a and b count as equal up to ``tolerance * (1 + max(|a|, |b|))``; with 0 every bit counts.
+            A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
         on_step : callable, optional
             Told the first step that is not verified yet, at every message.
         """

@@ -435,11 +435,14 @@ def test_signs_of_zero_and_not_a_number_are_bits_too() -> None:
     named = ("pd_si_4", SHORT)
     scenario, bag = world(*named), list(recorded(*named))
     index = auxiliary(bag, 3)  # single integrators only: D0 is 0
-    for value in (-0.0, math.nan):
+    for value in (-0.0, math.nan, -math.inf):
         bag[index] = bag[index].changed(d0=value)
-        assert place(first_difference(scenario, bag)) == ("swarm/auxiliary_state", 3, None, "d0")
-    assert first_difference(scenario, bag).to_dict()["recorded"] == "nan"
-    assert place(first_difference(scenario, bag, tolerance=0.1))[3] == "d0"
+        found = first_difference(scenario, bag)
+        assert place(found) == ("swarm/auxiliary_state", 3, None, "d0")
+        assert repr(found.recorded) == repr(value)
+        if value:
+            assert found.to_dict()["recorded"] == repr(value)
+            assert place(first_difference(scenario, bag, tolerance=0.1)) == place(found)
 
 
 def last_bit_wrong(function: Callable[[float], float]) -> Callable[[float], float]:

@@ -25,7 +25,7 @@ _LINE_INTERVAL = 2.0
     type=click.FloatRange(min=0.0, max=1.0, max_open=True),
     default=0.0,
     metavar="T",
-    help="Let numbers a and b differ by T (1 + max(|a|, |b|)).  [default: 0, every bit counts]",
+    help="Let a number differ from the recomputed b by T (1 + |b|).  [default: 0, every bit counts]",
 )
 @json_option
 def verify(bags: tuple[Path, ...], *, tolerance: float, as_json: bool) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from math import isfinite
+from math import inf, isfinite
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from swarmabs_core.cdr import encode
@@ -88,7 +88,7 @@ def compare(stored: Stored, expected: Message, agent: int | None, tolerance: flo
     agent : int, optional
         The robot to which the place belongs.
     tolerance : float
-        Numbers a and b count as equal up to ``tolerance * (1 + max(|a|, |b|))``; with 0 every bit counts.
+        A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
     """
     payload = encode(expected)
     if stored.payload == payload and stored.time == expected.stamp:
@@ -124,11 +124,12 @@ def in_hex(payload: bytes) -> str:
 
 
 def _same(a: float | str, b: float | str, tolerance: float) -> bool:
+    """Tell whether a recorded value a counts as the recomputed value b; infinity is near no number."""
     if not isinstance(a, float) or isinstance(b, str):
         return a == b
     if struct.pack("<d", a) == struct.pack("<d", b):
         return True
-    return bool(tolerance) and abs(a - b) <= tolerance * (1.0 + max(abs(a), abs(b)))
+    return bool(tolerance) and abs(a - b) <= tolerance * (1.0 + abs(b)) < inf
 
 
 def _fields(message: Message) -> dict[str, float | int | str]:

@@ -63,7 +63,7 @@ class Verification:
     scenario : Scenario
         The scenario of the run.
     tolerance : float
-        Numbers a and b count as equal up to ``tolerance * (1 + max(|a|, |b|))``; with 0 every bit counts.
+        A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
 
     Attributes
     ----------
