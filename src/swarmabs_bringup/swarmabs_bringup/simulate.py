@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.interruption import end_asked
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.recorder.recording import Recording
+from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core.errors import RunError
 from swarmabs_core.simulation import simulated_steps
 
@@ -27,6 +28,7 @@ def simulate_run(
     *,
     record: bool = True,
     on_progress: Callable[[Progress], None] | None = None,
+    split: Split = ONE_FILE,
 ) -> Outcome:
     """Simulate a scenario and record it.
 
@@ -40,9 +42,11 @@ def simulate_run(
         Whether to write a bag.
     on_progress : callable, optional
         Told how the run goes, some ten times a second.
+    split : Split
+        When the bag goes on in a new file, by default never.
     """
     folder.fill(scenario)
-    recording = Recording(scenario, folder.bag if record else None, driver="simulate")
+    recording = Recording(scenario, folder.bag if record else None, driver="simulate", split=split)
     begun = told = time.monotonic()
 
     def tell(phase: Phase, now: float) -> None:

@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 import yaml
 
-from swarmabs_bringup.bag.metadata import TopicRecord, bag_metadata, dump_yaml, qos_yaml, write_metadata
+from swarmabs_bringup.bag.metadata import (
+    FileRecord,
+    TopicRecord,
+    bag_metadata,
+    dump_yaml,
+    qos_profile,
+    write_metadata,
+)
 from swarmabs_ros.qos import Qos
 
 QOS = """\
@@ -30,15 +37,17 @@ QOS = """\
 
 
 def test_qos_is_a_list_of_one_full_profile_in_lower_case() -> None:
-    assert qos_yaml(Qos("reliable", 1000, "transient_local")) == QOS
+    assert dump_yaml([qos_profile(Qos("reliable", 1000, "transient_local"))]) == QOS
 
 
 def test_metadata_file_word_for_word(tmp_path: Path) -> None:
+    profiles = (qos_profile(Qos("reliable", 1000, "transient_local")),)
     topics = [
-        (TopicRecord("/a", "a_msgs/msg/A", "RIHS01_1", Qos("reliable", 1000, "transient_local")), 3),
-        (TopicRecord("/b", "a_msgs/msg/A", "RIHS01_1", Qos("reliable", 1000, "transient_local")), 0),
+        (TopicRecord("/a", "a_msgs/msg/A", "RIHS01_1", profiles), 3),
+        (TopicRecord("/b", "a_msgs/msg/A", "RIHS01_1", profiles), 0),
     ]
-    write_metadata(tmp_path, bag_metadata(topics, file="x.mcap", start=5, end=12, custom_data={"key": "no: thing"}))
+    files = [FileRecord("x.mcap", 5, 12, 3)]
+    write_metadata(tmp_path, bag_metadata(topics, files=files, custom_data={"key": "no: thing"}))
     qos = QOS.replace("\n", "\n      ").rstrip()
 
     def topic(name: str, count: int) -> str:

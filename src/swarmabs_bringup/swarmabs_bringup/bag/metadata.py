@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,12 +33,23 @@ _INFINITE = (9223372036, 854775807)  # RMW_DURATION_INFINITE: seconds, nanosecon
 
 @dataclass(frozen=True, slots=True)
 class TopicRecord:
-    """One topic of a bag: name with namespace, type, hash of the type, and what its publishers offer."""
+    """One topic of a bag: name with namespace, type, hash of the type, QoS profiles offered, encoding."""
 
     name: str
     ros_type: str
     type_hash: str
-    qos: Qos
+    profiles: tuple[Mapping[str, object], ...]
+    encoding: str = "cdr"
+
+
+@dataclass(frozen=True, slots=True)
+class FileRecord:
+    """One file of a bag: name, log times of its first and last message in ns, 0 without any, and their number."""
+
+    name: str
+    start: int
+    end: int
+    message_count: int
 
 
 def qos_profile(qos: Qos) -> dict[str, object]:
@@ -60,46 +72,39 @@ def _infinite() -> dict[str, int]:
     return {"sec": seconds, "nsec": nanoseconds}
 
 
-def qos_yaml(qos: Qos) -> str:
-    """Return the YAML text of a channel's ``offered_qos_profiles``: a list with the one profile."""
-    return dump_yaml([qos_profile(qos)])
-
-
 def bag_metadata(
     topics: Sequence[tuple[TopicRecord, int]],
     *,
-    file: str,
-    start: int,
-    end: int,
+    files: Sequence[FileRecord],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return rosbag2's description of a bag of one file.
+    """Return rosbag2's description of a bag.
 
     Parameters
     ----------
     topics : sequence of (TopicRecord, int)
         All topics with their numbers of messages, also those without any.
-    file : str
-        Name of the MCAP file, relative to the bag's folder.
-    start, end : int
-        Log times of the first and the last message in ns, both 0 if there is none.
+    files : sequence of FileRecord
+        Its files in order, with names relative to the bag's folder.
     custom_data : mapping
         Entries under ``custom_data``.
     """
-    count = sum(number for _, number in topics)
+    filled = [file for file in files if file.message_count]
+    start = min((file.start for file in filled), default=0)
+    end = max((file.end for file in filled), default=0)
     return {
         "version": _VERSION,
         "storage_identifier": "mcap",
         "duration": {"nanoseconds": end - start},
         "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": count,
+        "message_count": sum(number for _, number in topics),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.ros_type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": [qos_profile(topic.qos)],
+                    "serialization_format": topic.encoding,
+                    "offered_qos_profiles": [deepcopy(profile) for profile in topic.profiles],
                     "type_description_hash": topic.type_hash,
                 },
                 "message_count": number,
@@ -108,14 +113,15 @@ def bag_metadata(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file],
+        "relative_file_paths": [file.name for file in files],
         "files": [
             {
-                "path": file,
-                "starting_time": {"nanoseconds_since_epoch": start},
-                "duration": {"nanoseconds": end - start},
-                "message_count": count,
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start},
+                "duration": {"nanoseconds": file.end - file.start},
+                "message_count": file.message_count,
             }
+            for file in files
         ],
         "custom_data": dict(custom_data) or None,
         "ros_distro": _DISTRO,

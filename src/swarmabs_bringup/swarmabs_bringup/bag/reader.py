@@ -83,7 +83,7 @@ class BagReader:
     Attributes
     ----------
     path : Path
-        The MCAP file.
+        The MCAP file, or the folder of a split bag.
     size : int
         Its size in bytes.
     index : FileIndex
@@ -285,7 +285,11 @@ def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = 
     DamagedBagError
         If the bag has lost its end; the text says what can still be read.
     """
+    from swarmabs_bringup.bag.split_reader import open_split, split_files  # noqa: PLC0415 - builds upon this one
+
     file = find_bag(Path(path))
+    if file.is_dir() and (files := split_files(file.glob(f"*{_SUFFIX}"))) is not None:
+        return open_split(file, files, namespace=namespace, damaged=damaged)
     try:
         with file.open("rb") as stream:
             size = stream.seek(0, 2)
@@ -304,13 +308,15 @@ def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = 
 
 
 def find_bag(path: Path) -> Path:
-    """Return the MCAP file of a run folder, of a bag's folder, or the file itself.
+    """Return the MCAP file of a run folder, of a bag's folder, or the file itself; of a split bag its folder.
 
     Raises
     ------
     NotABagError
-        If there is none, or more than one.
+        If there is none, or more than one that do not belong together.
     """
+    from swarmabs_bringup.bag.split_reader import split_files  # noqa: PLC0415 - builds upon this one
+
     try:
         mode = path.stat().st_mode
         if stat.S_ISREG(mode):
@@ -320,6 +326,8 @@ def find_bag(path: Path) -> Path:
         for folder in (path / "bag", path):
             files = sorted(folder.glob(f"*{_SUFFIX}"))
             if len(files) > 1:
+                if split_files(files) is not None:
+                    return folder
                 raise NotABagError(f"{folder} holds {len(files)} .mcap files: name one of them")
             if files:
                 return files[0]

@@ -18,15 +18,17 @@ from swarmabs_bringup.bag.metadata import (
     ABORTED_KEY,
     RECORD_KEY,
     RECORD_NAME,
+    FileRecord,
     TopicRecord,
     bag_metadata,
     dump_yaml,
-    qos_yaml,
+    qos_profile,
     write_metadata,
 )
 from swarmabs_bringup.bag.output import RecordFile, Reserve
 from swarmabs_bringup.bag.records import RecordError
 from swarmabs_bringup.bag.schemas import message_schema
+from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_ros.qos import OFFERED
 
 if TYPE_CHECKING:
@@ -35,12 +37,11 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from swarmabs_bringup.bag.schemas import MessageSchema
     from swarmabs_core.messages import Topic
     from swarmabs_ros.qos import Qos
 
 BAG_FILE = "bag_0.mcap"
-"""Name of the MCAP file in a bag's folder."""
+"""Name of the first MCAP file in a bag's folder; those that follow when it is split count on."""
 
 CHUNK_SECONDS = 1.0
 CHUNK_BYTES = 2**20
@@ -56,7 +57,7 @@ _MAX_CHUNKS_GIVEN_UP = 8
 
 
 class BagWriter:
-    """Writer of a bag with one MCAP file.
+    """Writer of a bag: one MCAP file, or several, each complete in itself.
 
     Messages are gathered in chunks. A chunk is compressed and handed to the operating system when it holds
     `chunk_bytes` or when its first message was written `chunk_seconds` ago, so a SIGKILL costs at most the
@@ -80,6 +81,8 @@ class BagWriter:
         Longest time in s until a message is with the operating system; when writes pause, `poll` keeps it.
     chunk_bytes : int
         Size of a chunk before compression.
+    split : Split
+        When the next file is begun, by default never.
     monotonic : callable
         The clock for `chunk_seconds`.
 
@@ -103,25 +106,32 @@ class BagWriter:
         qos: Mapping[Topic, Qos] = OFFERED,
         chunk_seconds: float = CHUNK_SECONDS,
         chunk_bytes: int = CHUNK_BYTES,
+        split: Split = ONE_FILE,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.folder = folder
         self.path = folder / BAG_FILE
+        self._attachments = dict(attachments)
         self._chunk_seconds = chunk_seconds
+        self._chunk_bytes = chunk_bytes
+        self._split = split
         self._monotonic = monotonic
         self._chunk_opened: float | None = None
         self._chunks = 0
+        self._chunks_in_file = 0
         self._first: int | None = None
         self._last = 0
+        # Of the files before the current one: what they are, and their numbers of messages by channel.
+        self._complete: list[tuple[FileRecord, Mapping[int, int]]] = []
         self._error: BagWriteError | None = None
         self._closed = False
-        schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
+        self._schemas = schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
         self._topics = [
             TopicRecord(
                 name=f"{namespace.rstrip('/')}/{topic.name}",
                 ros_type=topic.ros_type,
                 type_hash=schemas[topic.ros_type].type_hash,
-                qos=qos[topic],
+                profiles=(qos_profile(qos[topic]),),
             )
             for topic in topics
         ]
@@ -132,32 +142,40 @@ class BagWriter:
             self._reserve = Reserve(folder)
             undo.callback(self._reserve.release)
             self._reserve.hold(_RESERVE_BASE)
-            self._writer = Writer(
-                cast("IO[bytes]", self._file),  # of a file, the library uses `write`, `tell` and `flush`
-                chunk_size=chunk_bytes,
-                compression=CompressionType.ZSTD,
-                enable_data_crcs=True,
-            )
-            self._writer.start(profile=_PROFILE, library=_library())
-            self._attach(attachments)
-            self._file.commit()
+            self._writer = self._begin(self._file)
             # From here on all of it stays.
             undo.pop_all()
-        channels = self._register(schemas)
+        channels = self._register()
         self._channels = {topic.name: channel for topic, channel in zip(topics, channels, strict=True)}
         self._counts = dict.fromkeys(channels, 0)
 
-    def _register(self, schemas: Mapping[str, MessageSchema]) -> list[int]:
+    def _begin(self, file: RecordFile) -> Writer:
+        """Write the beginning of a file."""
+        writer = Writer(
+            cast("IO[bytes]", file),  # of a file, the library uses `write`, `tell` and `flush`
+            chunk_size=self._chunk_bytes,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        writer.start(profile=_PROFILE, library=_library())
+        _attach(writer, self._attachments, 0)
+        file.commit()
+        return writer
+
+    def _register(self) -> list[int]:
         ids = {
             name: self._writer.register_schema(name=name, encoding="ros2msg", data=schema.text.encode())
-            for name, schema in schemas.items()
+            for name, schema in self._schemas.items()
         }
         return [
             self._writer.register_channel(
                 topic=topic.name,
                 message_encoding="cdr",
                 schema_id=ids[topic.ros_type],
-                metadata={"offered_qos_profiles": qos_yaml(topic.qos), "topic_type_hash": topic.type_hash},
+                metadata={
+                    "offered_qos_profiles": dump_yaml(list(topic.profiles)),
+                    "topic_type_hash": topic.type_hash,
+                },
             )
             for topic in self._topics
         ]
@@ -196,6 +214,8 @@ class BagWriter:
         channel = self._channels[topic.name]
         if log_time_ns < 0:
             raise ValueError(f"{topic.name}: log time {log_time_ns} ns is negative")
+        if self._first is not None and log_time_ns > self._last and self._is_full(log_time_ns):
+            self._next_file()
         if self._chunk_opened is None:
             self._chunk_opened = self._monotonic()
         self._writer.add_message(
@@ -212,6 +232,30 @@ class BagWriter:
             self._end_chunk()
         else:
             self.poll()
+
+    def _is_full(self, log_time_ns: int) -> bool:
+        """Tell whether a step of this time belongs into the next file."""
+        split, first = self._split, self._first or 0
+        by_size = 0 < split.bytes <= self._file.committed and self._chunks_in_file > 0
+        return by_size or 0 < split.nanoseconds <= log_time_ns - first
+
+    def _next_file(self) -> None:
+        """Begin the next file and complete the current one; if either fails, the current one remains the last."""
+        path = self.folder / f"bag_{len(self._complete) + 1}.mcap"
+        with self._remembering_errors(path):
+            file = RecordFile(path)
+        try:
+            with self._remembering_errors(path):
+                writer = self._begin(file)
+            self._finish_file({}, aborted=None)
+        except BagWriteError:
+            file.close()
+            path.unlink(missing_ok=True)
+            raise
+        self.path, self._file, self._writer = path, file, writer
+        self._first, self._last, self._chunks_in_file = None, 0, 0
+        self._counts = dict.fromkeys(self._counts, 0)
+        self._register()
 
     def poll(self) -> None:
         """Close the current chunk and hand it to the operating system if it is older than `chunk_seconds`.
@@ -273,46 +317,44 @@ class BagWriter:
         if self._closed:
             raise ValueError(f"{self.path} is closed")
 
-    def _attach(self, attachments: Mapping[str, bytes]) -> None:
-        for name, data in attachments.items():
-            self._writer.add_attachment(
-                create_time=0,
-                log_time=self._last,
-                name=name,
-                media_type=_MEDIA_TYPES.get(Path(name).suffix, "text/plain"),
-                data=data,
-            )
-
     @contextmanager
-    def _remembering_errors(self) -> Iterator[None]:
+    def _remembering_errors(self, path: Path | None = None) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            self._error = BagWriteError(self.path, error)
+            self._error = BagWriteError(path or self.path, error)
             raise self._error from error
 
     def _end_chunk(self) -> None:
         self._chunk_opened = None
         self._chunks += 1
+        self._chunks_in_file += 1
         with self._remembering_errors():
             self._file.commit()
             self._reserve.hold(_RESERVE_BASE + self._chunks * _RESERVE_PER_CHUNK)
 
     def _finish(self, attachments: Mapping[str, bytes], *, aborted: str | None) -> None:
+        self._finish_file(attachments, aborted=aborted)
         with self._remembering_errors():
+            self._closed = True
+            self._reserve.release()
+            write_metadata(self.folder, self._description(self._complete, aborted))
+
+    def _finish_file(self, attachments: Mapping[str, bytes], *, aborted: str | None) -> None:
+        with self._remembering_errors():
+            self._chunk_opened = None
             self._writer.flush()
             self._file.commit()
-            self._attach(attachments)
+            _attach(self._writer, attachments, self._last)
             self._file.commit()
-            description = self._description(self._counts, (self._first or 0, self._last), aborted)
+            record = FileRecord(self.path.name, self._first or 0, self._last, sum(self._counts.values()))
+            description = self._description([(record, self._counts)], aborted)
             self._writer.add_metadata(RECORD_NAME, {RECORD_KEY: dump_yaml(description)})
             self._writer.finish()
             self._file.commit()
             self._file.sync()
-            self._closed = True
-            self._reserve.release()
             self._file.close()
-            write_metadata(self.folder, description)
+            self._complete.append((record, self._counts))
 
     def _finish_after_error(self, reason: str) -> None:
         if self._closed:  # the file was complete before the error
@@ -330,12 +372,12 @@ class BagWriter:
                 index = scan_index(stream, self._file.committed)
             self._file.cut(index.data_end)
             statistics = index.statistics
-            description = self._description(
-                statistics.channel_message_counts,
-                (statistics.message_start_time, statistics.message_end_time),
-                reason,
+            file = FileRecord(
+                self.path.name, statistics.message_start_time, statistics.message_end_time, statistics.message_count
             )
+            parts = [(file, statistics.channel_message_counts)]
             try:
+                description = self._description(parts, reason)
                 record = Metadata(name=RECORD_NAME, metadata={RECORD_KEY: dump_yaml(description)})
                 self._file.write(index.add_metadata(record))
                 for piece in tail(index):
@@ -348,16 +390,18 @@ class BagWriter:
             else:
                 self._file.cut(self._file.committed)
                 self._file.sync()
-                write_metadata(self.folder, description)
+                write_metadata(self.folder, self._description([*self._complete, *parts], reason))
                 return
 
-    def _description(self, counts: Mapping[int, int], span: tuple[int, int], aborted: str | None) -> dict[str, Any]:
-        start, end = span
+    def _description(
+        self, parts: Sequence[tuple[FileRecord, Mapping[int, int]]], aborted: str | None
+    ) -> dict[str, Any]:
         return bag_metadata(
-            [(topic, counts.get(channel, 0)) for channel, topic in enumerate(self._topics, start=1)],
-            file=BAG_FILE,
-            start=start,
-            end=end,
+            [
+                (topic, sum(counts.get(channel, 0) for _, counts in parts))
+                for channel, topic in enumerate(self._topics, start=1)
+            ],
+            files=[file for file, _ in parts],
             custom_data={} if aborted is None else {ABORTED_KEY: aborted},
         )
 
@@ -384,6 +428,17 @@ def _new_folder(folder: Path, file: Path) -> Iterator[ExitStack]:
             }:
                 raise BagWriteError(file, error) from error
             raise BagFolderError(f"cannot create {file}: {error.strerror}; name another folder for the bag") from error
+
+
+def _attach(writer: Writer, attachments: Mapping[str, bytes], log_time: int) -> None:
+    for name, data in attachments.items():
+        writer.add_attachment(
+            create_time=0,
+            log_time=log_time,
+            name=name,
+            media_type=_MEDIA_TYPES.get(Path(name).suffix, "text/plain"),
+            data=data,
+        )
 
 
 def _library() -> str:

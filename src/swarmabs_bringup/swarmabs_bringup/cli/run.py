@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
     from swarmabs_bringup.orchestration.progress import Outcome, Progress
     from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_bringup.splitting import Split
     from swarmabs_core.scenario import Scenario
 
-    Execute = Callable[[Scenario, RunFolder, bool, Callable[[Progress], None]], Outcome]
+    Execute = Callable[[Scenario, RunFolder, bool, Split, Callable[[Progress], None]], Outcome]
 
 RUNS = Path("runs")
 
@@ -37,6 +38,20 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--duration", metavar="SECONDS", help="Simulated time; the same as --set duration=SECONDS."),
         click.option("--no-bag", is_flag=True, help="Write no bag; digest and figures are computed all the same."),
+        click.option(
+            "--max-bag-size",
+            type=click.IntRange(0),
+            default=0,
+            metavar="BYTES",
+            help="Size after which the bag goes on in a new file.  [default: never]",
+        ),
+        click.option(
+            "--max-bag-duration",
+            type=click.IntRange(0, 10**9),
+            default=0,
+            metavar="SECONDS",
+            help="Simulated time after which the bag goes on in a new file.  [default: never]",
+        ),
         json_option,
     )
     for decorator in reversed(decorators):
@@ -60,7 +75,13 @@ def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: 
     SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
     """
 
-    def execute(scenario: Scenario, folder: RunFolder, record: bool, show: Callable[[Progress], None]) -> Outcome:  # noqa: FBT001
+    def execute(
+        scenario: Scenario,
+        folder: RunFolder,
+        record: bool,  # noqa: FBT001
+        split: Split,
+        show: Callable[[Progress], None],
+    ) -> Outcome:
         from swarmabs_bringup.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
 
         return LockstepRun(
@@ -70,6 +91,7 @@ def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: 
             on_progress=show,
             agents_per_process=agents_per_process,
             packed=packed,
+            split=split,
         ).run()
 
     return _carry_out(execute, **options)
@@ -80,10 +102,16 @@ def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: 
 def simulate(**options: Any) -> int:
     """Run a scenario in one process without DDS; it gives the same digest as `run`."""
 
-    def execute(scenario: Scenario, folder: RunFolder, record: bool, show: Callable[[Progress], None]) -> Outcome:  # noqa: FBT001
+    def execute(
+        scenario: Scenario,
+        folder: RunFolder,
+        record: bool,  # noqa: FBT001
+        split: Split,
+        show: Callable[[Progress], None],
+    ) -> Outcome:
         from swarmabs_bringup.simulate import simulate_run  # noqa: PLC0415 - as above
 
-        return simulate_run(scenario, folder, record=record, on_progress=show)
+        return simulate_run(scenario, folder, record=record, on_progress=show, split=split)
 
     return _carry_out(execute, **options)
 
@@ -96,11 +124,14 @@ def _carry_out(
     overrides: tuple[str, ...],
     duration: str | None,
     no_bag: bool,
+    max_bag_size: int,
+    max_bag_duration: int,
     as_json: bool,
 ) -> int:
     """Load, run, sum up, print; return the exit code."""
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.scenarios import find_scenario  # noqa: PLC0415
+    from swarmabs_bringup.splitting import Split  # noqa: PLC0415
     from swarmabs_bringup.summary import summarise, summary_table  # noqa: PLC0415
     from swarmabs_core.theory.check import check_scenario  # noqa: PLC0415
     from swarmabs_core.theory.warnings import theory_warnings  # noqa: PLC0415
@@ -114,7 +145,7 @@ def _carry_out(
     loaded = loaded.resolved()
     try:
         with shown_progress(loaded) as show:
-            outcome = execute(loaded, folder, not no_bag, show)
+            outcome = execute(loaded, folder, not no_bag, Split(max_bag_size, max_bag_duration * 10**9), show)
             no_more_interrupts()
         summary = summarise(
             loaded,

@@ -20,6 +20,7 @@ from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan, agent_nam
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
+from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.membership import ChangeKind
 
@@ -65,6 +66,8 @@ class LockstepRun:
         How many robots share a process.
     packed : bool
         Whether the robots hear the three broadcasts as one message, which costs less where they are many.
+    split : Split
+        When the bag goes on in a new file, by default never.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class LockstepRun:
         arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
         agents_per_process: int = 1,
         packed: bool = False,
+        split: Split = ONE_FILE,
     ) -> None:
         self._scenario = scenario
         self._folder = folder
@@ -91,6 +95,7 @@ class LockstepRun:
             logs=folder.logs,
             agents_per_process=agents_per_process,
             packed=packed,
+            split=split,
         )
         self._plan = tuple(arrange(planned))
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}

@@ -9,6 +9,7 @@ from math import isinf
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
+from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -109,6 +110,7 @@ def plan(
     logs: Path,
     agents_per_process: int = 1,
     packed: bool = False,
+    split: Split = ONE_FILE,
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
@@ -126,6 +128,8 @@ def plan(
         How many robots share a process.
     packed : bool
         Whether the robots hear the three broadcasts as one message.
+    split : Split
+        When the bag goes on in a new file.
     """
     common: dict[str, object] = {
         "period_ns": scenario.step_ns,
@@ -199,7 +203,14 @@ def plan(
             RECORDER,
             "swarmabs_bringup.recorder.node",
             3,
-            common | {"scenario_file": str(scenario_file), "bag": str(bag or ""), "logs": str(logs)},
+            common
+            | {
+                "scenario_file": str(scenario_file),
+                "bag": str(bag or ""),
+                "max_bag_size": split.bytes,
+                "max_bag_duration_ns": split.nanoseconds,
+                "logs": str(logs),
+            },
             (RECORDING_PROGRESS,),
             (*MAIN_TOPICS, EVENTS),
         ),

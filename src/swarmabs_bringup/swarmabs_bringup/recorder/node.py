@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.recorder.recording import Recording
+from swarmabs_bringup.splitting import Split
 from swarmabs_core import configure
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.errors import InputError
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 PARAMETERS = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
     Parameter("bag", "", "folder of the bag; empty: nothing is written, digest and figures are computed"),
+    Parameter("max_bag_size", 0, "size in bytes after which the bag goes on in a new file; 0: never"),
+    Parameter("max_bag_duration_ns", 0, "simulated time in ns that a file of the bag spans; 0: all"),
     Parameter("logs", "", "folder whose log files are attached at the end"),
 )
 
@@ -146,7 +149,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         raise InputError("parameter scenario_file: give the file of the resolved scenario")
     scenario = load_scenario(Path(settings.text("scenario_file")))
     bag = settings.text("bag")
-    recording = Recording(scenario, Path(bag) if bag else None, driver="lockstep", namespace=settings.namespace)
+    split = Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns"))
+    folder = Path(bag) if bag else None
+    recording = Recording(scenario, folder, driver="lockstep", namespace=settings.namespace, split=split)
     planned = {change.step for change in configure.schedule(scenario)}
     reported = time.monotonic()
 

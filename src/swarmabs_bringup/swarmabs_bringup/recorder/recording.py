@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bringup.bag import BagWriter
 from swarmabs_bringup.provenance import provenance_json
+from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 from swarmabs_core.recording import Digest, Metrics
@@ -34,6 +35,8 @@ class Recording:
         What moves the run, for the provenance.
     namespace : str
         Namespace of the swarm, which the bag's topics have.
+    split : Split
+        When the bag goes on in a new file, by default never.
 
     Raises
     ------
@@ -41,7 +44,15 @@ class Recording:
         If the folder is not empty or cannot be written.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path | None, *, driver: str, namespace: str = "/") -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path | None,
+        *,
+        driver: str,
+        namespace: str = "/",
+        split: Split = ONE_FILE,
+    ) -> None:
         self._digest = Digest()
         self._metrics = Metrics(configure.parent_controller(scenario).reference)
         self._writer = None
@@ -50,6 +61,7 @@ class Recording:
                 folder,
                 topics=(*MAIN_TOPICS, EVENTS),
                 namespace=namespace,
+                split=split,
                 attachments={
                     "scenario.yaml": dump_scenario(scenario).encode(),
                     "provenance.json": provenance_json(scenario, driver=driver),
