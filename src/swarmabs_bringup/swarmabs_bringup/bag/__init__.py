@@ -18,6 +18,7 @@ from swarmabs_bringup.bag.info import (
     render,
 )
 from swarmabs_bringup.bag.reader import BagChannel, BagReader, find_bag, open_bag
+from swarmabs_bringup.bag.repair import RepairReport, repair_bag
 from swarmabs_bringup.bag.schemas import MessageSchema, message_schema
 from swarmabs_bringup.bag.writer import BAG_FILE, BagWriter
 
@@ -34,6 +35,7 @@ __all__ = [
     "DamagedBagError",
     "MessageSchema",
     "NotABagError",
+    "RepairReport",
     "ScenarioInfo",
     "TopicInfo",
     "UnknownTypeError",
@@ -43,4 +45,5 @@ __all__ = [
     "message_schema",
     "open_bag",
     "render",
+    "repair_bag",
 ]

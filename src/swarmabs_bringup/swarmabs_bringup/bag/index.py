@@ -102,7 +102,7 @@ class FileIndex:
 
     def add_metadata(self, metadata: Metadata) -> bytes:
         """Take a metadata record that is to be appended at `data_end` into the index; return its bytes."""
-        data = _encoded(metadata)
+        data = encoded(metadata)
         self.metadata.append(MetadataIndex(offset=self.data_end, length=len(data), name=metadata.name))
         self.statistics.metadata_count += 1
         self.data_end += len(data)
@@ -150,6 +150,14 @@ def scan_index(stream: BinaryIO, size: int) -> FileIndex:
     else:
         index.problem = f"at byte {index.data_end}: a footer without an end of the data section"
     return index
+
+
+def append(index: FileIndex, opcode: int, content: bytes) -> bytes:
+    """Take a record that is to be appended at `FileIndex.data_end` into the index; return its bytes."""
+    record = Record(index.data_end, opcode, content)
+    _take(index, record)
+    _advance(index, record)
+    return struct.pack("<BQ", opcode, len(content)) + content
 
 
 def read_attachment(record: Record) -> Attachment:
@@ -277,7 +285,7 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
         raise RecordError(size - end_size, f"the summary section is said to begin at byte {footer.summary_start}")
     _check_summary_crc(stream, footer, size - end_size)
     index = FileIndex(header=parse(Header, read_record(stream, len(MAGIC), size)))
-    index.data_end = footer.summary_start - len(_encoded(DataEnd(0)))
+    index.data_end = footer.summary_start - len(encoded(DataEnd(0)))
     before = read_record(stream, index.data_end, size)
     if before.opcode != Opcode.DATA_END or before.end != footer.summary_start:
         raise RecordError(index.data_end, "no end of the data section is where the summary section begins")
@@ -315,7 +323,7 @@ def tail(index: FileIndex) -> Iterator[bytes]:
 
     It belongs at `FileIndex.data_end`.
     """
-    data_end = _encoded(DataEnd(data_section_crc=index.crc))
+    data_end = encoded(DataEnd(data_section_crc=index.crc))
     yield data_end
     start = index.data_end + len(data_end)
     groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
@@ -328,9 +336,9 @@ def tail(index: FileIndex) -> Iterator[bytes]:
     ]
     summary, offsets = bytearray(), bytearray()
     for opcode, records in groups:
-        group = b"".join(map(_encoded, records))
+        group = b"".join(map(encoded, records))
         if group:
-            offsets += _encoded(
+            offsets += encoded(
                 SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
             )
             summary += group
@@ -339,11 +347,12 @@ def tail(index: FileIndex) -> Iterator[bytes]:
     head = _FOOTER_HEAD.pack(Opcode.FOOTER, _FOOTER_SIZE - HEAD_SIZE, start, offsets_start)
     crc = zlib.crc32(head, zlib.crc32(summary))
     yield bytes(summary)
-    yield _encoded(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
+    yield encoded(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
     yield MAGIC
 
 
-def _encoded(record: McapRecord) -> bytes:
+def encoded(record: McapRecord) -> bytes:
+    """Return a record as it stands in a file."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from swarmabs_bringup.bag.errors import DamagedBagError
+from swarmabs_bringup.bag.metadata import ABORTED_KEY, REPAIRED_KEY
 from swarmabs_bringup.bag.reader import BagReader, load_yaml, open_bag
 from swarmabs_core.scenario import ScenarioError, parse_scenario
 
@@ -90,6 +91,8 @@ class BagInfo:
         What is wrong if it is not complete.
     aborted : str or None
         Why the run ended early, None if it did not.
+    repaired : str or None
+        What a repair could not save, None if nothing is known to be lost.
     """
 
     file: str
@@ -111,6 +114,7 @@ class BagInfo:
     complete: bool
     problem: str | None
     aborted: str | None
+    repaired: str | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data for JSON."""
@@ -171,7 +175,8 @@ def bag_info(path: Path | str) -> BagInfo:
         fingerprint=str(fingerprint) if fingerprint is not None else None,
         complete=problem is None,
         problem=problem,
-        aborted=_aborted(bag),
+        aborted=_custom(bag, ABORTED_KEY),
+        repaired=_custom(bag, REPAIRED_KEY),
     )
 
 
@@ -196,6 +201,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "file": info.file,
         "state": "complete" if info.complete else f"damaged: {info.problem}",
         "ended early": info.aborted or "",
+        "repaired": info.repaired or "",
         "size": f"{info.size:,} bytes",
         "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes without)",
         "time": f"{info.start:.9g} s to {info.start + info.duration:.9g} s",
@@ -225,11 +231,13 @@ def _attachment(bag: BagReader, name: str) -> bytes:
         return b""
 
 
-def _aborted(bag: BagReader) -> str | None:
+def _custom(bag: BagReader, key: str) -> str | None:
     try:
-        return bag.aborted()
+        custom = bag.rosbag2_metadata().get("custom_data")
     except DamagedBagError:
         return None
+    found = custom.get(key) if isinstance(custom, dict) else None
+    return found if isinstance(found, str) else None
 
 
 def _scenario(data: bytes) -> ScenarioInfo | None:

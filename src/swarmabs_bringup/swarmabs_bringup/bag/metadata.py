@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from swarmabs_ros.qos import Qos
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-
-    from swarmabs_ros.qos import Qos
 
 METADATA_FILE = "metadata.yaml"
 """Name of rosbag2's description beside the MCAP file."""
@@ -25,6 +25,9 @@ RECORD_KEY = "serialized_metadata"
 
 ABORTED_KEY = "swarmabs.aborted"
 """Key under ``custom_data`` that says why a bag was aborted; absent from all others."""
+
+REPAIRED_KEY = "swarmabs.repaired"
+"""Key under ``custom_data`` that says what `repair_bag` could not save; absent from all others."""
 
 _VERSION = 9
 _DISTRO = "jazzy"
@@ -65,6 +68,43 @@ def qos_profile(qos: Qos) -> dict[str, object]:
         "liveliness_lease_duration": _infinite(),
         "avoid_ros_namespace_conventions": False,
     }
+
+
+def qos_profiles(stated: object) -> tuple[dict[str, object], ...]:
+    """Return complete profiles, as version 9 demands them, of what a channel says of its QoS in whichever version.
+
+    What is missing or unknown is filled with the values of this project; anything but a list gives none.
+    """
+    if not isinstance(stated, list):
+        return ()
+    return tuple(_completed(profile) for profile in stated if isinstance(profile, dict))
+
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown"),
+    "liveliness": ("system_default", "automatic", "", "manual_by_topic", "unknown"),
+}
+"""Names of the policies; older versions write their positions instead."""
+
+
+def _completed(stated: Mapping[object, object]) -> dict[str, object]:
+    profile = qos_profile(Qos("reliable", 10, "volatile"))
+    for key, default in profile.items():
+        value = stated.get(key)
+        if key in _NAMES:
+            names = _NAMES[key]
+            if isinstance(value, int) and 0 <= value < len(names) and names[value]:
+                profile[key] = names[value]
+            elif isinstance(value, str) and value.lower() in names:
+                profile[key] = value.lower()
+        elif isinstance(default, dict):
+            if isinstance(value, dict) and all(isinstance(value.get(part), int) for part in ("sec", "nsec")):
+                profile[key] = {part: max(0, value[part]) for part in ("sec", "nsec")}
+        elif type(value) is type(default):
+            profile[key] = value
+    return profile
 
 
 def _infinite() -> dict[str, int]:

@@ -10,6 +10,7 @@ from swarmabs_bringup.cli.environment import doctor, env
 from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
+from swarmabs_bringup.cli.repair import repair
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
 from swarmabs_bringup.cli.sweep import sweep
@@ -26,7 +27,7 @@ def swarm() -> None:
     """
 
 
-for command in (run, simulate, check, info, verify, scenario, env, doctor, bench, sweep, figures, test):
+for command in (run, simulate, check, info, verify, repair, scenario, env, doctor, bench, sweep, figures, test):
     swarm.add_command(command)
 
 
