@@ -49,6 +49,8 @@ class Lockstep:
         Shortest wait before a repetition, s.
     repeat_steps : int
         Most steps that are repeated.
+    on_idle : callable, optional
+        Called whenever nothing more has arrived, every `SLICE` s at the latest.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Lockstep:
         gather: float = 0.0,
         repeat_after: float = FIRST,
         repeat_steps: int = WINDOW,
+        on_idle: Callable[[], None] | None = None,
     ) -> None:
         self._behaviour = behaviour
         self._receiver = receiver
@@ -75,6 +78,7 @@ class Lockstep:
         self._gather = gather
         self._repeat_after = repeat_after
         self._repeat_steps = repeat_steps
+        self._on_idle = on_idle
         self._sent: deque[tuple[int, Publisher, bytes]] = deque()
         self._stalled = False
         self._stopping = False
@@ -102,6 +106,8 @@ class Lockstep:
                 return
             if self._drain(topics, repeater):
                 continue
+            if self._on_idle is not None:
+                self._on_idle()
             now = time.monotonic()
             if topics:
                 if receiver.wait(topics, min(SLICE, repeater.wait(now))):

@@ -134,6 +134,8 @@ class NodeSpec:
         Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
     gather : float
         Time, s, for which messages may gather before they are handled, for a node that nobody waits for.
+    on_idle : callable, optional
+        What to do whenever nothing more has arrived, some ten times a second at the least.
     """
 
     behaviour: Behaviour
@@ -143,6 +145,7 @@ class NodeSpec:
     on_exit: Callable[[str | None], None] = field(default=lambda _: None)
     lingers: bool = True
     gather: float = 0.0
+    on_idle: Callable[[], None] | None = None
 
 
 class SwarmNode(Node):
@@ -223,6 +226,7 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         gather=spec.gather,
         repeat_after=settings.number("repeat_after"),
         repeat_steps=settings.integer("repeat_steps"),
+        on_idle=spec.on_idle,
     )
     stopped = False
 

@@ -67,11 +67,11 @@ def test_attachments_of_the_start_are_on_disk_at_once(writer: BagWriter) -> None
 
 def test_chunk_reaches_the_disk_when_it_is_old_enough(writer: BagWriter, clock: Clock) -> None:
     writer.write(*plane(0))
-    clock.now += 0.999
+    clock.now += 0.799
     writer.write(*plane(1))
     writer.poll()
     assert on_disk(writer.path) == []
-    clock.now += 0.001
+    clock.now += 0.002
     writer.poll()
     assert on_disk(writer.path) == [0, 10_000_000]
 

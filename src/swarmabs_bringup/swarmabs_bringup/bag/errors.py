@@ -16,7 +16,13 @@ _REMEDY = {
     errno.EFBIG: "raise the limit on file sizes (ulimit -f), or record for a shorter time",
     errno.EIO: "the disk reports a defect (see dmesg): record to another one with -o",
     errno.EMFILE: "raise the limit on open files (ulimit -n)",
+    errno.ENFILE: "the machine has no free file descriptor: end other programs, or raise fs.file-max",
 }
+
+
+def remedy(cause: OSError) -> str:
+    """Return what to do about an error of a file."""
+    return _REMEDY.get(cause.errno or 0, "check that disk, or record to another one with -o")
 
 
 class BagFolderError(InputError):
@@ -31,8 +37,7 @@ class BagWriteError(RunError):
     """Writing a bag failed; what was written before is kept."""
 
     def __init__(self, path: Path, cause: OSError) -> None:
-        remedy = _REMEDY.get(cause.errno or 0, "check that disk, or record to another one with -o")
-        super().__init__(f"cannot write {path}: {cause.strerror or cause}; {remedy}")
+        super().__init__(f"cannot write {path}: {cause.strerror or cause}; {remedy(cause)}")
         self.cause = cause
 
 

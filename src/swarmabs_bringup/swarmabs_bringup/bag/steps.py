@@ -76,9 +76,9 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
             for agent in members
         )
 
-    # The file may begin within a step.
+    # The file may begin within a step, which then is not the first.
     first = max((spans.first for (topic, _), spans in found.items() if topic is not AGENT_STATE), default=0)
-    first += first > 0 and first_missing(AGENT_STATE, first) == first
+    first += first_missing(AGENT_STATE, first) == first and first_missing(AGENT_STATE, first + 1) > first + 1
     last = {topic: first_missing(topic, first) - 1 for topic in MAIN_TOPICS}
     names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
     by_topic = {names[topic]: step for topic, step in last.items() if topic in names}

@@ -43,7 +43,9 @@ if TYPE_CHECKING:
 BAG_FILE = "bag_0.mcap"
 """Name of the first MCAP file in a bag's folder; those that follow when it is split count on."""
 
-CHUNK_SECONDS = 1.0
+CHUNK_SECONDS = 0.8
+"""Age of a chunk, s, at which it is closed: with the pause until the next look at the clock less than 1 s."""
+
 CHUNK_BYTES = 2**20
 
 _PROFILE = "ros2"
@@ -125,7 +127,8 @@ class BagWriter:
         self._complete: list[tuple[FileRecord, Mapping[int, int]]] = []
         self._error: BagWriteError | None = None
         self._closed = False
-        self._schemas = schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
+        with self._remembering_errors():  # also their definitions are files
+            self._schemas = schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
         self._topics = [
             TopicRecord(
                 name=f"{namespace.rstrip('/')}/{topic.name}",

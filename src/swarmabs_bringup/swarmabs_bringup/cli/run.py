@@ -157,9 +157,9 @@ def _carry_out(
         )
         folder.write_summary(summary)
     except OSError as error:
-        raise RunError(
-            f"{folder.path}: {error.strerror or error}; free space or choose another folder with -o"
-        ) from error
+        from swarmabs_bringup.bag.errors import remedy  # noqa: PLC0415
+
+        raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error
     if as_json:
         print_json(summary)
     else:

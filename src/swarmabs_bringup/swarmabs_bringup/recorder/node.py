@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 PARAMETERS = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
     Parameter("bag", "", "folder of the bag; empty: nothing is written, digest and figures are computed"),
-    Parameter("max_bag_size", 0, "size in bytes after which the bag goes on in a new file; 0: never"),
-    Parameter("max_bag_duration_ns", 0, "simulated time in ns that a file of the bag spans; 0: all"),
+    Parameter("max_bag_size", 0, "size in bytes after which the bag goes on in a new file; 0: never", minimum=0),
+    Parameter("max_bag_duration_ns", 0, "simulated time in ns that a file of the bag spans; 0: all", minimum=0),
     Parameter("logs", "", "folder whose log files are attached at the end"),
 )
 
@@ -182,7 +182,13 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         for topic in _EVERYTHING
     }
     return NodeSpec(
-        recorder, (RECORDING_PROGRESS,), subscriptions, on_exit=finish, lingers=False, gather=GATHER_SECONDS
+        recorder,
+        (RECORDING_PROGRESS,),
+        subscriptions,
+        on_exit=finish,
+        lingers=False,
+        gather=GATHER_SECONDS,
+        on_idle=recording.poll,  # else what a run that stands still has recorded would not reach the disk
     )
 
 
