@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, cast
 
 import pytest
@@ -64,6 +65,13 @@ def test_start_comes_first_and_answers_follow_in_order(bench: Bench) -> None:
     bench.run(Follower(4, first=(desired(0),)), 1.0, lingers=False)
     assert bench.steps() == [0, 0, 1, 2, 3, 4]
     assert bench.published[0][0] == 0.0
+
+
+def test_a_node_to_which_nothing_comes_may_use_the_time(bench: Bench) -> None:
+    times: list[float] = []
+    bench.run(Follower(4), 2.0, on_idle=lambda: times.append(bench.clock.monotonic()))
+    assert len(times) > 10
+    assert max(later - earlier for earlier, later in pairwise(times)) <= lockstep.SLICE + 1e-9
 
 
 def test_everything_that_has_arrived_is_handled_without_waiting(bench: Bench) -> None:

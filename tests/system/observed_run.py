@@ -24,7 +24,7 @@ def main() -> int:
     log = os.open(steps, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     def say(progress: Progress) -> None:
-        if progress.phase == "running":
+        if progress.phase == "running" and progress.angle is not None:  # something is recorded
             os.write(log, f"{time.monotonic():.6f} {progress.step}\n".encode())
 
     split = Split(nanoseconds=3 * 10**9)

@@ -90,7 +90,7 @@ def check(folder: Path, moment: float, seen: Sequence[tuple[int, float]]) -> int
     assert repair_bag(folder / "new").output is None
     # What was recorded a second before the kill is there, or all but the last 100 steps.
     newest = seen[-1][0]
-    second_ago = max((step for step, at in seen if at <= moment - 1.0), default=0)
+    second_ago = max((step for step, at in seen if at <= moment - 1.0), default=-1)
     assert report.last_complete_step is not None
     assert report.last_complete_step >= min(newest - CREDIT, second_ago), (
         report.last_complete_step,

@@ -114,6 +114,28 @@ def test_info_says_what_a_bag_holds(capfd: pytest.CaptureFixture[str], way: str)
     assert len(document(capfd, "info", way, way)) == 2
 
 
+def test_a_bag_is_split_repaired_and_run_again(capfd: pytest.CaptureFixture[str], here: Path) -> None:
+    whole = document(capfd, "simulate", "--duration", "2", "-o", "whole")
+    split = document(capfd, "simulate", "--duration", "2", "--max-bag-duration", "1", "-o", "split")
+    assert split["digest"] == whole["digest"]
+    assert sorted(path.name for path in (here / "split/bag").glob("*.mcap")) == [f"bag_{n}.mcap" for n in range(3)]
+    assert "split is whole: nothing to do" in output(capfd, "repair", "split")
+
+    os.truncate(here / "split/bag/bag_1.mcap", 10_000)
+    found = document(capfd, "repair", "split")
+    assert Path(found["output"]) == here / "split/bag_repaired"
+    assert (found["last_complete_step"], found["last_planned_step"]) == (99, 200)
+    assert found["lost_bytes"] > 0
+    text = output(capfd, "repair", "split", "-o", "new")
+    assert "bag_1.mcap: at byte " in text
+    assert "steps 0 to 99 are complete, of 0 to 200" in text
+    assert text.endswith(f"{found['messages']} messages are in new\n")
+    assert document(capfd, "simulate", "new", "-o", "again")["digest"] == whole["digest"]
+    assert main(["repair", "split", "-o", "new"]) == main(["repair", "nothing"]) == 2
+    os.truncate(here / "whole/bag/bag_0.mcap", 0)
+    assert main(["repair", "whole"]) == 1
+
+
 def test_env_prints_what_a_shell_needs(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", "/a b/$HOME'x:/c")
     text = output(capfd, "env")
