@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.scenario import load_scenario, parse_scenario
+from swarmabs_core.scenario import load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,9 +64,6 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
 
 def _scenario_of_bag(path: Path, overrides: Sequence[str]) -> Scenario:
     from swarmabs_bringup.bag import open_bag  # noqa: PLC0415 - only needed for bags
+    from swarmabs_bringup.bag.attached import attached_scenario  # noqa: PLC0415
 
-    bag = open_bag(path)
-    text = bag.attachment("scenario.yaml")
-    if text is None:
-        raise InputError(f"{bag.path} holds no scenario; run a scenario file instead")
-    return parse_scenario(text.decode(), source=f"{bag.path}:scenario.yaml", overrides=overrides)
+    return attached_scenario(open_bag(path), overrides)

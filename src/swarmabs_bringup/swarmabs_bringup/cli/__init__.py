@@ -6,6 +6,7 @@ import click
 
 from swarmabs_bringup.cli.bench import bench
 from swarmabs_bringup.cli.check import check
+from swarmabs_bringup.cli.compare import compare
 from swarmabs_bringup.cli.environment import doctor, env
 from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
@@ -27,7 +28,22 @@ def swarm() -> None:
     """
 
 
-for command in (run, simulate, check, info, verify, repair, scenario, env, doctor, bench, sweep, figures, test):
+for command in (
+    run,
+    simulate,
+    check,
+    info,
+    verify,
+    repair,
+    compare,
+    scenario,
+    env,
+    doctor,
+    bench,
+    sweep,
+    figures,
+    test,
+):
     swarm.add_command(command)
 
 

@@ -157,7 +157,7 @@ class _Side:
     """One of two bags while it is read: sums up what passes."""
 
     def __init__(self, bag: BagReader) -> None:
-        if bag.namespace is None:
+        if bag.namespace is None and bag.problem is None:
             raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
         self.bag = bag
         self.robots: set[int] = set()
@@ -188,6 +188,8 @@ class _Side:
                         record.agent_id for record in step.records if isinstance(record.message, AgentState)
                     )
                 yield step
+            if self._problem is None:
+                self.bag.check()  # what no message needs can be damaged too
         except DamagedBagError as error:
             self._problem = str(error)
 

@@ -28,7 +28,7 @@ def setting_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Set
     ----------
     a, b : mapping
         Plain data. Paths are those of ``--set``: dotted, the elements of lists of mappings by index; a list of
-        plain values is one value.
+        plain values is one value, and an empty list is no different from none.
     """
     ours, theirs = dict(_leaves(a, "", 0)), dict(_leaves(b, "", 0))
     changed = [
@@ -46,6 +46,8 @@ def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
         children = value
     elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
         children = dict(enumerate(value))
+    if value in ([], {}):
+        return
     if not children or depth == _DEEPEST:
         yield path, value
         return
