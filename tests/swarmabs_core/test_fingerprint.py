@@ -14,6 +14,12 @@ def test_is_short_and_always_the_same() -> None:
     assert fingerprint.libm_fingerprint() == first
 
 
+def test_earlier_versions_of_it_are_known() -> None:
+    now, *earlier = fingerprint.libm_fingerprints()
+    assert now == fingerprint.libm_fingerprint()
+    assert len({now, *earlier}) == 1 + len(earlier) == 2
+
+
 def test_one_last_bit_in_one_function_changes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     first = fingerprint.libm_fingerprint()
 

@@ -15,6 +15,9 @@ from swarmabs_core.law_registry import ALL_LAWS
 if TYPE_CHECKING:
     from swarmabs_core.scenario import Scenario
 
+SCHEMA_VERSION = 1
+"""Version of the provenance's fields; bags without one are of version 1 too (docs/compatibility.md)."""
+
 _DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
 
@@ -38,6 +41,7 @@ def plugin_versions(scenario: Scenario) -> dict[str, str]:
 def provenance(scenario: Scenario, *, driver: str) -> dict[str, object]:
     """Return the provenance of a run; `driver` says what moved the state machines: ``lockstep`` or ``simulate``."""
     return {
+        "schema": SCHEMA_VERSION,
         "scenario": scenario.name,
         "seed": scenario.seed,
         "driver": driver,

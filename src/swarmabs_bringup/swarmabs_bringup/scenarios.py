@@ -53,13 +53,19 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     if named in builtin:
         return load_scenario(builtin[named], overrides)
     path = Path(named)
-    if path.suffix == ".mcap" or path.is_dir():
+    if names_bag(named):
         return _scenario_of_bag(path, overrides)
     if path.exists() or path.suffix in {".yaml", ".yml"} or os.sep in named:
         return load_scenario(path, overrides)
     close = difflib.get_close_matches(named, builtin, n=1)
     hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(builtin)}"
     raise InputError(f"no scenario or file {named!r}; {hint}")
+
+
+def names_bag(named: str) -> bool:
+    """Say whether `find_scenario` takes what a user has named for a bag."""
+    path = Path(named)
+    return named not in builtin_scenarios() and (path.suffix == ".mcap" or path.is_dir())
 
 
 def _scenario_of_bag(path: Path, overrides: Sequence[str]) -> Scenario:

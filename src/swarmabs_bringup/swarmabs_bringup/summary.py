@@ -23,6 +23,7 @@ def summarise(
     reason: str | None,
     wall_time: float,
     stepping_seconds: float | None,
+    rerun_of: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``summary.json``.
 
@@ -40,6 +41,8 @@ def summarise(
         Time of the whole command, s.
     stepping_seconds : float, optional
         Time from the first step to the last, s.
+    rerun_of : mapping, optional
+        What came of running a bag again, see `swarmabs_bringup.rerun`.
     """
     complete = status == "ok" and stepping_seconds
     return {
@@ -54,6 +57,7 @@ def summarise(
         **{name: figures.get(name) for name in FIGURES},
         "status": status,
         "reason": reason,
+        "rerun_of": dict(rerun_of) if rerun_of is not None else None,
     }
 
 
@@ -83,8 +87,17 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
         "digest": summary["digest"] or "-",
         "folder": str(folder.path),
     }
+    if summary["rerun_of"] is not None:
+        rows["rerun of"] = _rerun(summary["rerun_of"])
     if (folder.bag / "metadata.yaml").exists():
         rows["bag"] = str(folder.bag)
     for name, value in rows.items():
         table.add_row(name, Text(str(value)))
     return table
+
+
+def _rerun(rerun: Mapping[str, Any]) -> str:
+    came_of_it = {True: "the same digest", False: "not the same digest", None: "digests not comparable"}[rerun["same"]]
+    if rerun["same"] and rerun["compared"] == "prefix":
+        came_of_it = f"the same up to its last step, {rerun['last_step']}"
+    return f"{rerun['bag']}: {came_of_it}"

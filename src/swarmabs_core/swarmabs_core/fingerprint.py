@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable, Sequence
 from hashlib import sha256
 from statistics import NormalDist
 
@@ -16,6 +17,8 @@ def _normal_quantile(x: float) -> float:
 
 
 _FUNCTIONS = (math.tanh, math.cos, math.sin, math.exp, math.expm1, _normal_quantile)
+_EARLIER = (_FUNCTIONS[:5],)
+"""What fingerprints of earlier versions, which drew no noise, were made of; only bags still have them."""
 
 
 def libm_fingerprint() -> str:
@@ -24,5 +27,14 @@ def libm_fingerprint() -> str:
     These are all functions beyond correctly rounded arithmetic on which a recorded number depends: equal
     fingerprints mean that equal scenarios give equal digests.
     """
-    values = [f(math.copysign(x, (-1) ** n)) for f in _FUNCTIONS for n, x in enumerate(_PROBES) if x < 700.0]
+    return _hash(_FUNCTIONS)
+
+
+def libm_fingerprints() -> tuple[str, ...]:
+    """Return this machine's fingerprint, and those that earlier versions would have given it."""
+    return tuple(_hash(functions) for functions in (_FUNCTIONS, *_EARLIER))
+
+
+def _hash(functions: Sequence[Callable[[float], float]]) -> str:
+    values = [f(math.copysign(x, (-1) ** n)) for f in functions for n, x in enumerate(_PROBES) if x < 700.0]
     return sha256(struct.pack(f"<{len(values)}d", *values)).hexdigest()[:16]

@@ -18,7 +18,7 @@ GRID = HEAD + "grid: {plane.angle: [0.1, 0.2]}\n"
 BAD = [
     ("", ":1: no sweep: there is nothing in it; begin with 'schema: 1'"),
     ("schema: 2\n", ":1: scenario: 'scenario' is missing; add 'scenario: ...'"),
-    (GRID.replace("1", "2", 1), ":1: schema: expected 1, found the number 2; write 'schema: 1'"),
+    (GRID.replace("1", "2", 1), ":1: schema: the number 2 is a newer version than this one reads (1); update swarmabs"),
     (HEAD, ":1: nothing is swept; add e.g. 'grid: {plane.angle: [0.1, 0.2]}'"),
     (HEAD + "gird: {}\n", ":3: gird: unknown key 'gird'; did you mean 'grid'?"),
     (GRID + "seed: -1\n", ":4: seed: -1 is out of range; give a number >= 0"),

@@ -129,7 +129,7 @@ CASES = [
     ),
     (HEAD + "faults: {}", "f:4: faults: expected a list, found a mapping; write a list in [ ]"),
     # Ranges.
-    ("schema: 2\nswarm: {}", "f:1: schema: expected 1, found the number 2; write 'schema: 1'"),
+    ("schema: 2\nswarm: {}", "f:1: schema: the number 2 is a newer version than this one reads (1); update swarmabs"),
     ("schema: true\nswarm: {}", "f:1: schema: expected 1, found true; write 'schema: 1'"),
     (HEAD + "seed: -1", "f:4: seed: -1 is out of range; give a number >= 0"),
     (

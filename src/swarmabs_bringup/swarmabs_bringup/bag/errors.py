@@ -30,7 +30,7 @@ class BagFolderError(InputError):
 
 
 class UnknownTypeError(InputError):
-    """The definition of a message type is not installed."""
+    """The definition of a message type is not installed, or not known."""
 
 
 class BagWriteError(RunError):

@@ -16,6 +16,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Metadata as MetadataRecord, Statistics
 
+from swarmabs_bringup.bag.definitions import check_definitions
 from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
 from swarmabs_bringup.bag.index import FileIndex, read_attachment, read_index, scan_index
 from swarmabs_bringup.bag.metadata import ABORTED_KEY, RECORD_KEY, RECORD_NAME
@@ -153,7 +154,10 @@ class BagReader:
         ------
         DamagedBagError
             Where the file is damaged; all before it has been yielded then.
+        UnknownTypeError
+            If messages have a definition that this version does not know.
         """
+        check_definitions(self.path, self._channels.values())
         wanted = {
             number: channel.topic
             for number, channel in self._channels.items()

@@ -129,8 +129,9 @@ def _carry_out(
     as_json: bool,
 ) -> int:
     """Load, run, sum up, print; return the exit code."""
+    from swarmabs_bringup.rerun import recorded_run  # noqa: PLC0415
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_bringup.scenarios import find_scenario  # noqa: PLC0415
+    from swarmabs_bringup.scenarios import find_scenario, names_bag  # noqa: PLC0415
     from swarmabs_bringup.splitting import Split  # noqa: PLC0415
     from swarmabs_bringup.summary import summarise, summary_table  # noqa: PLC0415
     from swarmabs_core.theory.check import check_scenario  # noqa: PLC0415
@@ -139,8 +140,10 @@ def _carry_out(
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     loaded = find_scenario(scenario, overrides)
+    recorded = recorded_run(scenario) if names_bag(scenario) else None
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
-    for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded))):
+    differences = recorded.differences if recorded is not None else ()
+    for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded)), *differences):
         click.echo(f"warning: {warning}", err=True)
     loaded = loaded.resolved()
     try:
@@ -154,6 +157,7 @@ def _carry_out(
             reason=outcome.reason,
             wall_time=_since_start(),
             stepping_seconds=outcome.stepping_seconds,
+            rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides)) if recorded is not None else None,
         )
         folder.write_summary(summary)
     except OSError as error:
@@ -168,6 +172,9 @@ def _carry_out(
         Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
     if outcome.reason is not None:
         click.echo(f"error: {outcome.reason}", err=True)
+    if summary["rerun_of"] is not None and summary["rerun_of"]["same"] is False:
+        click.echo(f"error: this is not the run of {scenario}; see the command compare, and warnings above", err=True)
+        return 1
     return 0 if outcome.status == "ok" else 1
 
 

@@ -24,7 +24,8 @@ from swarmabs_core.scenario.fields import (
     problem,
     raise_findings,
 )
-from swarmabs_core.scenario.model import LONGEST_NAME, SCHEMA_VERSION, is_name
+from swarmabs_core.scenario.model import LONGEST_NAME, is_name
+from swarmabs_core.scenario.versions import known_version
 from swarmabs_core.theory.attraction import ANGLE_MAX
 
 MOST_CASES = 1_000_000
@@ -50,12 +51,6 @@ Result: TypeAlias = Literal[
     "in_corrected_estimate",
 ]
 RESULTS: tuple[Result, ...] = get_args(Result)
-
-
-def _known_version(value: object) -> object:
-    if type(value) is not int or value != SCHEMA_VERSION:
-        raise problem(f"expected {SCHEMA_VERSION}, found {describe(value)}", f"write 'schema: {SCHEMA_VERSION}'")
-    return value
 
 
 def _check_path(path: str) -> str:
@@ -168,7 +163,7 @@ class Sweep(Model):
     Every point of the grid is computed `samples` times, each time with new random parameters and another seed.
     """
 
-    schema_version: Annotated[Literal[1], BeforeValidator(_known_version)] = Field(
+    schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
     )
     name: str = Field(default="sweep", description="name of the sweep, by default the file's stem")

@@ -18,6 +18,7 @@ from .model import LONGEST_NAME, Scenario
 from .overrides import apply_overrides
 from .reference_file import with_rows
 from .text_file import read_text
+from .versions import upgraded
 from .yaml_tree import Node, Plain, dotted, read_tree
 
 _NUMERIC = re.compile(r"\s*[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\s*")
@@ -89,6 +90,7 @@ def parse_scenario(
     root = with_rows(apply_overrides(read_mapping(text, source), overrides), folder)
     data = root.plain()
     if isinstance(data, dict):
+        data = upgraded(data)
         data.setdefault("name", default_name)
     return validated(Scenario, data, root)
 

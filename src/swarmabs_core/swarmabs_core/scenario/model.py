@@ -25,8 +25,8 @@ from .fields import (
 from .observers import DEFAULT_OBSERVER, OBSERVER_CONFIGS, ObserverConfig, SumObserver
 from .plugins import ALL_CONTROLLER_CONFIGS, ALL_LAW_CONFIGS, DEFAULT_LAW, LawConfig, PaperLaw
 from .timing import NANOSECONDS, Duration, nearest_step, to_nanoseconds
+from .versions import known_version
 
-SCHEMA_VERSION = 1
 LONGEST_NAME = 60
 
 
@@ -163,12 +163,6 @@ class Lockstep(Model):
     stall_timeout: Positive = Field(default=5.0, description="wall time without an answer that is a stall, s")
 
 
-def _known_version(value: object) -> object:
-    if type(value) is not int or value != SCHEMA_VERSION:
-        raise problem(f"expected {SCHEMA_VERSION}, found {describe(value)}", f"write 'schema: {SCHEMA_VERSION}'")
-    return value
-
-
 class Scenario(Model):
     """A run, completely described.
 
@@ -176,7 +170,7 @@ class Scenario(Model):
     and line of an error, or directly; then an invalid value raises `pydantic.ValidationError`.
     """
 
-    schema_version: Annotated[Literal[1], BeforeValidator(_known_version)] = Field(
+    schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
     )
     name: str = Field(

@@ -1,0 +1,95 @@
+"""Frozen files of earlier versions, which every later one reads; nobody changes them (docs/compatibility.md)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from swarmabs_bringup.bag import UnknownTypeError, bag_info, load_arrays, message_schema, open_bag
+from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
+from swarmabs_bringup.bag.definitions import READABLE
+from swarmabs_bringup.cli import main
+from swarmabs_bringup.comparison import compare_bags
+from swarmabs_core.fingerprint import libm_fingerprints
+from swarmabs_core.recording import Digest
+from swarmabs_core.scenario import load_scenario
+from swarmabs_core.simulation import simulated_steps
+
+DATA = Path(__file__).parents[1] / "data" / "schema_1"
+BAG_DIGEST = "5d18682d320a574cd86cec5b660a2f38928ffe5bada4d51dea71a6cdc6786934"
+SCENARIO_DIGEST = "155be6346b56a1c97a17c4b37ac61c529a8c49f5da15dffef135ed7e645fddc5"
+FINGERPRINT = "43809ea7fa2b0616"
+
+same_library = pytest.mark.skipif(
+    FINGERPRINT not in libm_fingerprints(), reason="this machine's mathematical library is not that of the frozen files"
+)
+
+
+def test_info_reads_the_bag() -> None:
+    info = bag_info(DATA)
+    assert info.complete
+    assert (info.message_count, info.fingerprint) == (234, FINGERPRINT)
+    assert info.scenario is not None
+    assert (info.scenario.name, info.scenario.agents) == ("frozen", 4)
+
+
+def test_arrays_hold_what_was_recorded() -> None:
+    arrays = load_arrays(DATA)
+    assert list(arrays.agents.ids) == [1, 2, 3, 4]
+    assert arrays.angle[0] == 0.1
+    assert -arrays.angle[-1] == -0.08705067223642807  # from the summary of its run
+    assert abs(arrays.agents.position[:16]).max() <= 0.1353662543782129
+
+
+def test_its_digest_is_still_that_of_its_messages() -> None:
+    found = compare_bags(DATA, DATA / "bag" / "bag_0.mcap")
+    assert found.equal
+    assert found.a.digest == BAG_DIGEST
+    assert found.a.figures["max_abs_position"] == 0.1353662543782129
+
+
+@same_library
+@pytest.mark.parametrize("command", ["simulate", pytest.param("run", marks=pytest.mark.system)])
+def test_it_runs_again_to_its_digest(command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main([command, str(DATA), "-o", str(tmp_path / "out"), "--json"]) == 0
+    summary = json.loads(capfd.readouterr().out)
+    assert summary["digest"] == summary["rerun_of"]["digest"] == BAG_DIGEST
+    assert summary["rerun_of"]["same"] is True
+
+
+def test_a_scenario_file_of_its_time_means_the_same() -> None:
+    """`resolved.yaml` is what the version of its time made of `scenario.yaml`."""
+    written, resolved = (load_scenario(DATA / name) for name in ("scenario.yaml", "resolved.yaml"))
+    assert written.resolved() == resolved
+    assert attached_scenario(open_bag(DATA)).faults[0].kind == "kill"
+
+
+@same_library
+def test_a_scenario_file_of_its_time_gives_its_digest() -> None:
+    digest = Digest()
+    for step in simulated_steps(load_scenario(DATA / "scenario.yaml").resolved()):
+        digest.update(step)
+    assert digest.hexdigest() == SCENARIO_DIGEST
+
+
+def test_definitions_of_today_can_be_read() -> None:
+    assert {name: hashes[-1] for name, hashes in READABLE.items()} == {
+        name: message_schema(name).type_hash for name in READABLE
+    }
+    assert {channel.ros_type for channel in open_bag(DATA).channels} == READABLE.keys()
+
+
+def test_a_definition_that_is_not_known_is_refused_but_described(monkeypatch: pytest.MonkeyPatch) -> None:
+    (known,) = READABLE["swarmabs_msgs/msg/PlaneState"]
+    monkeypatch.setitem(READABLE, "swarmabs_msgs/msg/PlaneState", ("RIHS01_of_another_version",))
+    refusal = f"bag_0.mcap: /plane/state has a definition of .* that this version does not know .*{known}.*; use the"
+    with pytest.raises(UnknownTypeError, match=refusal):
+        load_arrays(DATA)
+    assert main(["compare", str(DATA), str(DATA)]) == 2
+    assert known in {topic.type_hash for topic in bag_info(DATA).topics}
+
+
+def test_the_provenance_of_its_time_has_no_number() -> None:
+    assert "schema" not in attached_provenance(open_bag(DATA))
