@@ -30,7 +30,7 @@ setup(
         "rich",
         "zstandard",
     ],
-    extras_require={"sweep": ["dask", "distributed", "pyarrow"]},
+    extras_require={"parquet": ["pyarrow"], "sweep": ["dask", "distributed", "pyarrow"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [

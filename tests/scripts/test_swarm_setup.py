@@ -477,7 +477,7 @@ class TestVirtualEnvironment:
         monkeypatch.setattr(stages, "install_locked", lambda _checkout, locks, *_others: installed.append(locks))
         for _ in range(2):  # the second time there is nothing left to do
             stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
-        assert installed == [(f"{command}.lock",)]
+        assert installed == [(stages.EXTRA_LOCKS[command],)]
 
     def test_moved_checkout_spoils_it(self, checkout: Checkout, tmp_path: Path) -> None:
         self.make(checkout)
@@ -596,7 +596,23 @@ class TestScript:
         assert not swarm.ready(checkout, looks, command)
         state.write_stamp(checkout.extra_stamp(lock), key="key")
         assert swarm.ready(checkout, looks, command) == "3.12"
-        assert not any(swarm.ready(checkout, looks, other) for other in stages.EXTRA_LOCKS if other != command)
+        for other, its_lock in stages.EXTRA_LOCKS.items():
+            assert bool(swarm.ready(checkout, looks, other)) == (its_lock == lock)
+
+    @pytest.mark.parametrize(
+        ("words", "command"),
+        [
+            ("", ""),
+            ("run --json", "run"),
+            ("sweep x.yaml", "sweep"),
+            ("export BAG -o out", ""),
+            ("export BAG -o out --format csv", ""),
+            ("export BAG -o out --format parquet", "export"),
+            ("export --format=parquet BAG -o out", "export"),
+        ],
+    )
+    def test_only_exports_to_parquet_need_more_packages(self, swarm: ModuleType, words: str, command: str) -> None:
+        assert swarm.packages_for(words.split()) == command
 
     def test_refusal_is_one_line_and_leaves_no_environment(self, prepared: Path) -> None:
         shutil.rmtree(prepared / ".venv")

@@ -57,8 +57,11 @@ def of_bag(run: Iterable[Message]) -> Iterator[tuple[Topic, int, Message]]:
     return ((TOPIC_OF[type(message)], message.stamp, message) for message in run)
 
 
-def write_bag(folder: Path, run: Iterable[Message], attachments: dict[str, bytes] | None = None) -> Path:
-    with BagWriter(folder, topics=(*MAIN_TOPICS, EVENTS), attachments=attachments or {}, chunk_bytes=4000) as writer:
+def write_bag(
+    folder: Path, run: Iterable[Message], attachments: dict[str, bytes] | None = None, *, chunk_bytes: int = 4000
+) -> Path:
+    topics = (*MAIN_TOPICS, EVENTS)
+    with BagWriter(folder, topics=topics, attachments=attachments or {}, chunk_bytes=chunk_bytes) as writer:
         for message in run:
             writer.write(TOPIC_OF[type(message)], message.stamp, encode(message))
         writer.close()

@@ -8,6 +8,7 @@ from swarmabs_bringup.cli.bench import bench
 from swarmabs_bringup.cli.check import check
 from swarmabs_bringup.cli.compare import compare
 from swarmabs_bringup.cli.environment import doctor, env
+from swarmabs_bringup.cli.export import export
 from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
@@ -36,6 +37,7 @@ for command in (
     verify,
     repair,
     compare,
+    export,
     scenario,
     env,
     doctor,

@@ -1,0 +1,180 @@
+"""Exports, read back by other libraries: every number has the bits of the message that was recorded."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import struct
+import sys
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from tests.swarmabs_bringup.comparison.runs import changed, make_run, make_step, write_bag
+from tests.swarmabs_msgs.definitions import DEFINITIONS
+
+from swarmabs_bringup.bag import DamagedBagError, load_arrays
+from swarmabs_bringup.cli import main
+from swarmabs_bringup.export import TABLES, export_arrays, export_tables
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import TOPIC_OF, EventKind, Message, PlaneState, SwarmEvent
+
+ODD = (math.nan, math.inf, -0.0, 5e-324, 0.1 + 0.2, 1.7976931348623157e308)
+
+
+def run_with_odd_numbers() -> list[Message]:
+    run = make_run()
+    for state, angle in zip([m for m in run if isinstance(m, PlaneState)], ODD, strict=False):
+        run = changed(run, state, angle=angle)
+    return [*run, SwarmEvent(40_000_000, 4, 0, EventKind.LIMIT_HIT, -0.0, 'a "stop", reached\nat once – größer')]
+
+
+RUN = run_with_odd_numbers()
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bag") / "bag", RUN, {"scenario.yaml": b"schema: 1"})
+
+
+def bits(value: Any) -> Any:
+    return struct.pack("<d", value) if isinstance(value, float) else value
+
+
+def expected(table: Any) -> list[list[Any]]:
+    """Return the rows of a table as bits, from the messages that went into the bag."""
+    messages = [m for m in RUN if TOPIC_OF[type(m)] is table.topic]
+    names = [column.name for column in table.columns]
+    return [[bits(m.stamp / 1e9 if n == "time" else getattr(m, n)) for n in names] for m in messages]
+
+
+def test_csv_read_by_the_csv_module(bag: Path, tmp_path: Path) -> None:
+    export_tables(bag, tmp_path / "out", "csv")
+    for table in TABLES:
+        with (tmp_path / "out" / f"{table.name}.csv").open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file)
+        read = {"float64": float, "string": str}
+        kinds = [read.get(column.type, int) for column in table.columns]
+        assert head == [column.name for column in table.columns]
+        assert [[bits(kind(text)) for kind, text in zip(kinds, row, strict=True)] for row in rows] == expected(table)
+
+
+def test_parquet_read_by_pyarrow(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("swarmabs_bringup.export.parquet._ROWS", 7)
+    export_tables(bag, tmp_path / "out", "parquet")
+    for table in TABLES:
+        read = pq.read_table(tmp_path / "out" / f"{table.name}.parquet")
+        assert [str(kind) for kind in read.schema.types] == [
+            {"float64": "double"}.get(column.type, column.type) for column in table.columns
+        ]
+        assert [field.metadata.get(b"unit", b"").decode() for field in read.schema] == [c.unit for c in table.columns]
+        assert [[bits(value) for value in row.values()] for row in read.to_pylist()] == expected(table)
+
+
+def test_numpy_has_every_array_of_the_run(bag: Path, tmp_path: Path) -> None:
+    file = export_arrays(bag, tmp_path / "new" / "run.npz")
+    arrays = load_arrays(bag)
+    with np.load(file, allow_pickle=False) as read:
+        units = json.loads(str(read["units"]))
+        assert set(units) == set(read.files) - {"units"}
+        assert units["agents_position"] == "m"
+        for name, array in (
+            ("angle", arrays.angle),
+            ("time", arrays.time),
+            ("abstract_torque_rate", arrays.abstract.torque_rate),
+            ("auxiliary_s3", arrays.auxiliary.s3),
+            ("desired_mean_inertia_rate", arrays.desired.mean_inertia_rate),
+            ("agents_position", arrays.agents.position),
+            ("agents_ids", arrays.agents.ids),
+        ):
+            assert read[name].tobytes() == array.tobytes()
+            assert read[name].shape == array.shape
+
+
+def test_units_are_those_of_the_message_definitions() -> None:
+    """A comment in a definition begins with the unit."""
+    for table in TABLES:
+        fields = {field.name: field for field in DEFINITIONS[table.topic.message.__name__].fields}
+        columns = {column.name: column for column in table.columns if column.name != "time"}
+        assert set(columns) == set(fields) - {"header"}
+        for name, column in columns.items():
+            assert column.type == fields[name].type
+            if column.type == "float64" and name not in {"command", "value"}:
+                assert fields[name].comment.startswith(column.unit)
+                rest = fields[name].comment[len(column.unit) :]
+                assert not rest or rest.startswith((",", " along"))
+
+
+def test_columns_are_described_beside_the_tables(bag: Path, tmp_path: Path) -> None:
+    export_tables(bag, tmp_path / "out", "csv")
+    with (tmp_path / "out" / "columns.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["table"], row["column"], row["unit"]) for row in rows] == [
+        (table.name, column.name, column.unit) for table in TABLES for column in table.columns
+    ]
+
+
+@pytest.mark.parametrize("file_format", ["csv", "parquet", "numpy"])
+def test_nothing_is_overwritten_and_nothing_left_of_a_damaged_bag(
+    bag: Path, tmp_path: Path, file_format: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    name = "out.npz" if file_format == "numpy" else "out"
+    words = ["--format", file_format, "-o", str(tmp_path / name)]
+    assert main(["export", str(bag), *words]) == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert main(["export", str(bag), *words]) == 2
+    assert "is there already; name another with -o, or remove it" in capfd.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+    data = bytearray(next(bag.glob("*.mcap")).read_bytes())
+    place = len(data) // 2
+    data[place : place + 64] = bytes(64)
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    words[-1] = str(tmp_path / f"second-{name}")
+    assert main(["export", str(tmp_path / "damaged.mcap"), *words]) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {name, "damaged.mcap"}
+
+
+def test_an_empty_folder_is_filled(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    assert len(export_tables(bag, tmp_path / "out", "csv")) == len(TABLES) + 1
+
+
+def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("swarmabs_bringup.export.tables._write_columns", full)
+    with pytest.raises(RunError, match=r"cannot write .*: No space left on device; export to another disk with -o"):
+        export_tables(bag, tmp_path / "out", "csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_pyarrow_the_remedy_is_named(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.delitem(sys.modules, "swarmabs_bringup.export.parquet", raising=False)
+    with pytest.raises(InputError, match=r"Parquet needs the package pyarrow .*; install it, or use --format csv"):
+        export_tables(bag, tmp_path / "out", "parquet")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_no_bag_or_no_npz_is_refused(bag: Path, tmp_path: Path) -> None:
+    assert main(["export", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    with pytest.raises(InputError, match=r"does not end in .npz; name a file such as"):
+        export_arrays(bag, tmp_path / "out")
+    (tmp_path / "cut.mcap").write_bytes(next(bag.glob("*.mcap")).read_bytes()[:-100])
+    with pytest.raises(DamagedBagError):
+        export_tables(tmp_path / "cut.mcap", tmp_path / "out", "csv")
+
+
+def test_tables_are_written_in_a_fraction_of_their_size(tmp_path: Path) -> None:
+    long = write_bag(tmp_path / "long", (m for step in range(4000) for m in make_step(step)), chunk_bytes=100_000)
+    tracemalloc.start()
+    files = export_tables(long, tmp_path / "out", "csv")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 0.5 * sum(file.stat().st_size for file in files)
