@@ -24,7 +24,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -35,6 +34,7 @@ from mcap.records import (
 from swarmabs_bringup.bag.records import (
     HEAD_SIZE,
     MAGIC,
+    MAX_SIZE,
     Record,
     RecordError,
     chunk_head,
@@ -45,12 +45,22 @@ from swarmabs_bringup.bag.records import (
     read_records,
     uncompress,
 )
+from swarmabs_core.scenario.errors import show
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _FOOTER_SIZE = HEAD_SIZE + 20
 _FOOTER_HEAD = struct.Struct("<BQQQ")
+_MESSAGE_INDEX_HEAD = struct.Struct("<HI")
+_MESSAGE_INDEX_ENTRY = 16
+_PIECE = 2**20
+
+MOST_ENTRIES = 2**18
+"""Most chunks, attachments and metadata records, of each, that an index holds."""
+
+MOST_DEFINITIONS = 2**26
+"""Most bytes of schemas and channels that an index holds."""
 
 
 def _no_statistics() -> Statistics:
@@ -87,6 +97,8 @@ class FileIndex:
         CRC-32 of the file up to `data_end`, or 0 if it is not known.
     problem : str or None
         Why the file is not complete; None if it is.
+    definitions : int
+        Size of all schemas and channels in bytes.
     """
 
     header: Header = field(default_factory=lambda: Header(profile="", library=""))
@@ -99,6 +111,7 @@ class FileIndex:
     data_end: int = len(MAGIC)
     crc: int = 0
     problem: str | None = None
+    definitions: int = 0
 
     def add_metadata(self, metadata: Metadata) -> bytes:
         """Take a metadata record that is to be appended at `data_end` into the index; return its bytes."""
@@ -172,8 +185,8 @@ def read_attachment(record: Record) -> Attachment:
         raise RecordError(record.offset, "no attachment is here, although the summary says so")
     attachment: Attachment = parse(Attachment, record)
     crc = int.from_bytes(record.content[-4:], "little")
-    if crc and zlib.crc32(record.content[:-4]) != crc:
-        raise RecordError(record.offset, f"CRC of the attachment {attachment.name!r} does not match")
+    if crc and zlib.crc32(memoryview(record.content)[:-4]) != crc:
+        raise RecordError(record.offset, f"CRC of the attachment {show(attachment.name)} does not match")
     return attachment
 
 
@@ -183,13 +196,31 @@ def _advance(index: FileIndex, record: Record) -> None:
     index.data_end = record.end
 
 
+def _indexed_channel(record: Record) -> int:
+    """Return the channel of a message index, of which nothing else is needed."""
+    entries = len(record.content) - _MESSAGE_INDEX_HEAD.size
+    channel, length = _MESSAGE_INDEX_HEAD.unpack_from(record.content) if entries >= 0 else (0, None)
+    if length != entries or entries % _MESSAGE_INDEX_ENTRY:
+        raise RecordError(record.offset, "malformed MessageIndex record")
+    return int(channel)
+
+
+def _check_number(index: FileIndex, offset: int) -> None:
+    for name, entries in (
+        ("chunks", index.chunks),
+        ("attachments", index.attachments),
+        ("metadata records", index.metadata),
+    ):
+        if len(entries) > MOST_ENTRIES:
+            raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
+
+
 def _take(index: FileIndex, record: Record) -> None:
     opcode, statistics = record.opcode, index.statistics
     if opcode == Opcode.CHUNK:
         _take_chunk(index, record)
     elif opcode == Opcode.MESSAGE_INDEX and index.chunks:
-        messages: MessageIndex = parse(MessageIndex, record)
-        index.chunks[-1].message_index_offsets[messages.channel_id] = record.offset
+        index.chunks[-1].message_index_offsets[_indexed_channel(record)] = record.offset
         index.chunks[-1].message_index_length += record.size
     elif opcode == Opcode.ATTACHMENT:
         attachment = read_attachment(record)
@@ -211,12 +242,14 @@ def _take(index: FileIndex, record: Record) -> None:
         statistics.metadata_count += 1
     else:
         _take_inner(index, record.opcode, record.content, (0, len(record.content)), record.offset)
+    _check_number(index, record.offset)
 
 
 def _take_chunk(index: FileIndex, record: Record) -> None:
     head, data = chunk_head(record), uncompress(record)
     # Lengths first: a record that reaches beyond the chunk must not leave half of it in the statistics.
-    inner = list(inner_records(data, record.offset))
+    for _ in inner_records(data, record.offset):
+        pass
     index.chunks.append(
         ChunkIndex(
             chunk_length=record.size,
@@ -231,7 +264,7 @@ def _take_chunk(index: FileIndex, record: Record) -> None:
         )
     )
     index.statistics.chunk_count += 1
-    for opcode, begin, end in inner:
+    for opcode, begin, end in inner_records(data, record.offset):
         _take_inner(index, opcode, data, (begin, end), record.offset)
 
 
@@ -246,14 +279,26 @@ def _take_inner(index: FileIndex, opcode: int, data: bytes, span: tuple[int, int
         statistics.message_end_time = max(statistics.message_end_time, message.log_time)
         statistics.message_count += 1
         statistics.channel_message_counts[message.channel_id] += 1
-    elif opcode == Opcode.SCHEMA:
-        schema: Schema = parse(Schema, Record(offset, opcode, data[begin:end]))
+    elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+        _define(index, Record(offset, opcode, data[begin:end]))
+
+
+def _define(index: FileIndex, record: Record) -> None:
+    """Take a schema or a channel; what is repeated replaces what was before."""
+    statistics = index.statistics
+    if record.opcode == Opcode.SCHEMA:
+        schema: Schema = parse(Schema, record)
+        known = index.schemas.get(schema.id) == schema
         index.schemas[schema.id] = schema
         statistics.schema_count = len(index.schemas)
-    elif opcode == Opcode.CHANNEL:
-        channel: Channel = parse(Channel, Record(offset, opcode, data[begin:end]))
+    else:
+        channel: Channel = parse(Channel, record)
+        known = index.channels.get(channel.id) == channel
         index.channels[channel.id] = channel
         statistics.channel_count = len(index.channels)
+    index.definitions += 0 if known else len(record.content)
+    if index.definitions > MOST_DEFINITIONS:
+        raise RecordError(record.offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
 
 
 def read_index(stream: BinaryIO, size: int) -> FileIndex:
@@ -283,6 +328,8 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
         raise RecordError(size, "the file has no summary section")
     if not len(MAGIC) <= footer.summary_start <= size - end_size:
         raise RecordError(size - end_size, f"the summary section is said to begin at byte {footer.summary_start}")
+    if size - footer.summary_start > MAX_SIZE:
+        raise RecordError(footer.summary_start, f"a summary section of more than {MAX_SIZE} bytes")
     _check_summary_crc(stream, footer, size - end_size)
     index = FileIndex(header=parse(Header, read_record(stream, len(MAGIC), size)))
     index.data_end = footer.summary_start - len(encoded(DataEnd(0)))
@@ -302,8 +349,9 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
             index.metadata.append(parse(MetadataIndex, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
             counted = index.statistics
-            _take_inner(index, record.opcode, record.content, (0, len(record.content)), record.offset)
+            _define(index, record)
             index.statistics = counted
+        _check_number(index, record.offset)
     if not found:
         raise RecordError(footer.summary_start, "the summary section has no statistics")
     return index
@@ -313,8 +361,14 @@ def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> N
     if footer.summary_crc == 0:
         return
     stream.seek(footer.summary_start)
-    checked = stream.read(footer_start - footer.summary_start + _FOOTER_SIZE - 4)
-    if zlib.crc32(checked) != footer.summary_crc:
+    left, crc = footer_start - footer.summary_start + _FOOTER_SIZE - 4, 0
+    while left:
+        piece = stream.read(min(left, _PIECE))
+        if not piece:
+            raise RecordError(footer.summary_start, "the summary section could not be read")
+        left -= len(piece)
+        crc = zlib.crc32(piece, crc)
+    if crc != footer.summary_crc:
         raise RecordError(footer.summary_start, "CRC of the summary section does not match")
 
 

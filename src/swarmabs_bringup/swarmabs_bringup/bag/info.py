@@ -15,6 +15,7 @@ from swarmabs_bringup.bag.errors import DamagedBagError
 from swarmabs_bringup.bag.metadata import ABORTED_KEY, REPAIRED_KEY
 from swarmabs_bringup.bag.reader import BagReader, load_yaml, open_bag
 from swarmabs_core.scenario import ScenarioError, parse_scenario
+from swarmabs_core.scenario.errors import shorten, show
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,6 +28,8 @@ SCENARIO_FILE = "scenario.yaml"
 
 PROVENANCE_FILE = "provenance.json"
 """Name of the attachment that says with what the run was made."""
+
+_LONGEST_QOS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +174,10 @@ def bag_info(path: Path | str) -> BagInfo:
         uncompressed_size=sum(chunk.uncompressed_size for chunk in bag.index.chunks),
         attachments={attachment.name: attachment.data_size for attachment in bag.index.attachments},
         scenario=_scenario(_attachment(bag, SCENARIO_FILE)),
-        versions={str(name): str(value) for name, value in versions.items()} if isinstance(versions, dict) else {},
-        fingerprint=str(fingerprint) if fingerprint is not None else None,
+        versions={name: value for name, value in versions.items() if isinstance(value, str)}
+        if isinstance(versions, dict)
+        else {},
+        fingerprint=fingerprint if isinstance(fingerprint, str) else None,
         complete=problem is None,
         problem=problem,
         aborted=_custom(bag, ABORTED_KEY),
@@ -260,9 +265,9 @@ def _qos(profiles: str) -> str:
     found = load_yaml(profiles)
     if not isinstance(found, list):
         return ""
-    shown = [
-        f"{profile.get('reliability')} {profile.get('durability')} {profile.get('depth')}"
+    profiles_shown = [
+        " ".join(show(profile.get(key)).strip("'") for key in ("reliability", "durability", "depth"))
         for profile in found
         if isinstance(profile, dict)
     ]
-    return ", ".join(dict.fromkeys(shown))
+    return shorten(", ".join(dict.fromkeys(profiles_shown)), _LONGEST_QOS)

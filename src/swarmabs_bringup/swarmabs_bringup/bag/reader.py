@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Metadata as MetadataRecord, Statistics
 
@@ -34,6 +33,8 @@ from swarmabs_bringup.bag.records import (
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import TOPICS
+from swarmabs_core.scenario.errors import ScenarioError, printable, shorten, show
+from swarmabs_core.scenario.yaml_tree import read_tree
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 _SUFFIX = ".mcap"
 _LONGEST_YAML = 2**20
+_MOST_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +194,10 @@ class BagReader:
         for entry in self.index.attachments:
             if entry.name == name:
                 with self._opened() as stream:
-                    return read_attachment(read_record(stream, entry.offset, self.size)).data
+                    attachment = read_attachment(read_record(stream, entry.offset, self.size))
+                    if attachment.name != name:
+                        raise RecordError(entry.offset, f"the attachment here is not {show(name)}, as the summary says")
+                    return attachment.data
         return None
 
     def rosbag2_metadata(self) -> dict[str, Any]:
@@ -215,7 +220,7 @@ class BagReader:
         """Return why the bag ends before its run was over, None if it does not."""
         custom = self.rosbag2_metadata().get("custom_data")
         reason = custom.get(ABORTED_KEY) if isinstance(custom, dict) else None
-        return None if reason is None else str(reason)
+        return reason if isinstance(reason, str) else None
 
     def check(self) -> None:
         """Read the whole file and compare it with every CRC and with what its summary says.
@@ -236,9 +241,10 @@ class BagReader:
                 f"but the file says {stated.data_section_crc:#010x}"
             )
         counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
-        for name, number in counted.items():
-            if said[name] != number:
-                raise DamagedBagError(f"{self.path}: the summary says {name} = {said[name]}, but it is {number}")
+        for name in {**counted, **said}:
+            number, stated_number = counted.get(name, 0), said.get(name, 0)
+            if stated_number != number:
+                raise DamagedBagError(_miscounted(self.path, name, stated_number, number))
 
     @contextmanager
     def _opened(self) -> Iterator[BinaryIO]:
@@ -251,7 +257,7 @@ class BagReader:
             raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
 
     def _stored(self) -> Iterator[StoredMessage]:
-        latest = 0
+        latest = count = 0
         try:
             with self.path.open("rb") as stream:
                 for message in _stored_messages(stream, self.index):
@@ -261,6 +267,7 @@ class BagReader:
                             f"channel {message.channel_id} of a message is not in the summary",
                         )
                     latest = message.log_time
+                    count += 1
                     yield message
         except RecordError as error:
             raise DamagedBagError(
@@ -268,6 +275,8 @@ class BagReader:
             ) from error
         except OSError as error:
             raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+        if self.problem is None and count != self.message_count:
+            raise DamagedBagError(_miscounted(self.path, "message_count", self.message_count, count))
 
 
 def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = False) -> BagReader:
@@ -326,7 +335,7 @@ def find_bag(path: Path) -> Path:
         if stat.S_ISREG(mode):
             return path
         if not stat.S_ISDIR(mode):
-            raise NotABagError(f"{path} is neither a folder nor a file: name a run folder, its bag/, or an .mcap file")
+            raise _neither(path)
         for folder in (path / "bag", path):
             files = sorted(folder.glob(f"*{_SUFFIX}"))
             if len(files) > 1:
@@ -334,6 +343,9 @@ def find_bag(path: Path) -> Path:
                     return folder
                 raise NotABagError(f"{folder} holds {len(files)} .mcap files: name one of them")
             if files:
+                mode = files[0].stat().st_mode
+                if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                    raise _neither(files[0])
                 return files[0]
     except (OSError, ValueError) as error:  # ValueError: the path has a NUL
         reason = error.strerror if isinstance(error, OSError) else error
@@ -341,13 +353,17 @@ def find_bag(path: Path) -> Path:
     raise NotABagError(f"{path} holds no bag: name a run folder, its bag/, or an .mcap file")
 
 
+def _neither(path: Path) -> NotABagError:
+    return NotABagError(f"{path} is neither a folder nor a file: name a run folder, its bag/, or an .mcap file")
+
+
 def load_yaml(text: str) -> Any:
     """Read YAML from a bag: plain data only; None if it is not YAML, or too long or too deep to be ours."""
     if len(text) > _LONGEST_YAML:
         return None
     try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError):
+        return read_tree(text, "").plain()
+    except ScenarioError:
         return None
 
 
@@ -362,6 +378,10 @@ def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileInd
         raise DamagedBagError(f"{file} is incomplete: {found.problem}{_readable(found)}") from error
 
 
+def _miscounted(path: Path, name: str, said: int, counted: int) -> str:
+    return f"{path}: the summary says {name} = {said}, but it is {counted}"
+
+
 def _readable(index: FileIndex) -> str:
     count, end = index.statistics.message_count, index.statistics.message_end_time
     return (
@@ -369,14 +389,16 @@ def _readable(index: FileIndex) -> str:
     )
 
 
-def _numbers(statistics: Statistics) -> dict[str, object]:
+def _numbers(statistics: Statistics) -> dict[str, int]:
     return {
         "message_count": statistics.message_count,
         "message_start_time": statistics.message_start_time,
         "message_end_time": statistics.message_end_time,
         "chunk_count": statistics.chunk_count,
-        "channel_message_counts": {
-            channel: count for channel, count in sorted(statistics.channel_message_counts.items()) if count
+        **{
+            f"messages of channel {channel}": count
+            for channel, count in sorted(statistics.channel_message_counts.items())
+            if count
         },
     }
 
@@ -403,11 +425,9 @@ def _describe(path: Path, index: FileIndex, namespace: str | None) -> dict[int, 
     if namespace is not None:
         chosen: str | None = f"{namespace.rstrip('/')}/"
         if chosen not in swarms:
-            raise NotABagError(
-                f"{path} holds no swarm in the namespace {namespace}, but in {', '.join(swarms) or 'none'}"
-            )
+            raise NotABagError(f"{path} holds no swarm in the namespace {namespace}, but in {_named(swarms) or 'none'}")
     elif len(swarms) > 1:
-        raise NotABagError(f"{path} holds several swarms: name one of the namespaces {', '.join(swarms)}")
+        raise NotABagError(f"{path} holds several swarms: name one of the namespaces {_named(swarms)}")
     else:
         chosen = swarms[0] if swarms else None
     counts = index.statistics.channel_message_counts
@@ -423,6 +443,11 @@ def _describe(path: Path, index: FileIndex, namespace: str | None) -> dict[int, 
         )
         for number, channel in sorted(index.channels.items())
     }
+
+
+def _named(namespaces: list[str]) -> str:
+    more = [f"{len(namespaces) - _MOST_NAMED} more"] if len(namespaces) > _MOST_NAMED else []
+    return ", ".join([*(printable(shorten(name)) for name in namespaces[:_MOST_NAMED]), *more])
 
 
 def _prefix(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None:

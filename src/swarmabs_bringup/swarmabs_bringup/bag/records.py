@@ -25,6 +25,12 @@ HEAD_SIZE = 9
 MAX_SIZE = 2**28
 """Records and uncompressed chunks beyond this size in bytes are taken for damage."""
 
+MAX_PARSED = 2**24
+"""Records beyond this size in bytes that are neither chunk nor attachment are taken for damage."""
+
+MAX_RATIO = 1000
+"""Chunks of more than a MiB that are larger by this factor when uncompressed are taken for damage."""
+
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
@@ -82,18 +88,25 @@ def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
     Raises
     ------
     RecordError
-        If the file ends before the record does, or the record is larger than `MAX_SIZE`.
+        If the file ends before the record does, or the record is larger than `MAX_SIZE` or of no kind.
     """
+    if offset > size:
+        raise RecordError(offset, f"a record is said to be here, but the file has {size} bytes")
     stream.seek(offset)
     head = stream.read(HEAD_SIZE)
     if len(head) < HEAD_SIZE:
         raise RecordError(offset, "the file ends within the head of a record")
     opcode, length = _HEAD.unpack(head)
+    if opcode == 0:
+        raise RecordError(offset, "zeros instead of a record")
     if length > size - offset - HEAD_SIZE:
         raise RecordError(offset, f"a record of {length} bytes begins, but {size - offset - HEAD_SIZE} bytes are left")
     if length > MAX_SIZE:
         raise RecordError(offset, f"a record of {length} bytes, more than {MAX_SIZE}")
-    content = stream.read(length)
+    try:
+        content = stream.read(length)
+    except MemoryError as error:
+        raise RecordError(offset, f"a record of {length} bytes, for which there is not enough memory") from error
     if len(content) < length:
         raise RecordError(offset, f"a record of {length} bytes, but only {len(content)} could be read")
     return Record(offset, opcode, content)
@@ -123,8 +136,10 @@ def parse(record_class: type[Parsable], record: Record) -> Any:
     Raises
     ------
     RecordError
-        If the content does not fit the record's type.
+        If the content does not fit the record's type, or is larger than `MAX_PARSED`.
     """
+    if len(record.content) > MAX_PARSED and record.opcode != Opcode.ATTACHMENT:
+        raise RecordError(record.offset, f"a {record_class.__name__} record of more than {MAX_PARSED} bytes")
     try:
         return record_class.read(ReadDataStream(BytesIO(record.content)))
     except (McapError, struct.error, ValueError, OverflowError) as error:
@@ -139,7 +154,7 @@ class ChunkHead(NamedTuple):
     uncompressed_size: int
     crc: int
     compression: str
-    data: bytes
+    data: memoryview
 
 
 def chunk_head(record: Record) -> ChunkHead:
@@ -162,7 +177,7 @@ def chunk_head(record: Record) -> ChunkHead:
     start = name_start + name_length + _LENGTH8.size
     if length != len(content) - start:
         raise RecordError(record.offset, f"a chunk of {length} bytes in a record with {len(content) - start}")
-    return ChunkHead(start_time, end_time, uncompressed_size, crc, name, content[start:])
+    return ChunkHead(start_time, end_time, uncompressed_size, crc, name, memoryview(content)[start:])
 
 
 def uncompress(record: Record) -> bytes:
@@ -171,17 +186,21 @@ def uncompress(record: Record) -> bytes:
     Raises
     ------
     RecordError
-        If they cannot be uncompressed, are larger than `MAX_SIZE`, or have another size or CRC than the chunk
-        says.
+        If they cannot be uncompressed, are larger than `MAX_SIZE` or `MAX_RATIO` allow, or have another size
+        or CRC than the chunk says.
     """
     head = chunk_head(record)
     size = head.uncompressed_size
     if size > MAX_SIZE:
         raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, more than {MAX_SIZE}")
+    if size > max(2**20, MAX_RATIO * len(head.data)):
+        raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, made from {len(head.data)}")
     try:
         data = _uncompress(head)
     except (zstandard.ZstdError, RuntimeError, ValueError) as error:
         raise RecordError(record.offset, f"the chunk cannot be uncompressed: {error}") from error
+    except MemoryError as error:
+        raise RecordError(record.offset, f"a chunk of {size} bytes, for which there is not enough memory") from error
     if len(data) != size:
         raise RecordError(record.offset, f"the chunk holds {len(data)} bytes, but says {size}")
     if head.crc and zlib.crc32(data) != head.crc:
@@ -191,7 +210,7 @@ def uncompress(record: Record) -> bytes:
 
 def _uncompress(head: ChunkHead) -> bytes:
     if head.compression == "":
-        return head.data
+        return bytes(head.data)
     if head.compression == "zstd":
         stated = zstandard.frame_content_size(head.data)
         if stated not in {-1, head.uncompressed_size}:
