@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmabs_bringup.bag import BagWriter, DamagedBagError, NotABagError, arrays, load_arrays, open_bag
+from swarmabs_bringup.bag import (
+    BagTooLargeError,
+    BagWriter,
+    DamagedBagError,
+    NotABagError,
+    arrays,
+    load_arrays,
+    open_bag,
+)
 from swarmabs_core.cdr import encode
+from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     EVENTS,
     MAIN_TOPICS,
@@ -79,6 +88,27 @@ def test_order_of_the_messages_does_not_matter(
     one, other = load_arrays(bag), load_arrays(write_bag(tmp_path / "bag", list(reversed(run))))
     assert one.agents.command.tolist() == other.agents.command.tolist()
     assert one.time.tolist() == other.time.tolist()
+
+
+def test_part_of_the_steps_is_that_of_all_steps(bag: Path) -> None:
+    whole, part = load_arrays(bag), load_arrays(bag, every=7)
+    assert part.step.tolist() == list(range(0, 41, 7))
+    assert part.angle.tolist() == whole.angle[::7].tolist()
+    assert part.agents.command.tolist() == whole.agents.command[::7].tolist()
+    assert part.desired.torque.tolist() == whole.desired.torque[::7].tolist()
+
+
+def test_arrays_that_do_not_fit_are_refused_before_anything_is_read(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = 123 * 92 + 41 * (52 + 76 + 100 + 108)
+    monkeypatch.setattr(arrays, "available_memory", lambda: int(2.5 * size))
+    load_arrays(bag)
+    monkeypatch.setattr(arrays, "available_memory", lambda: int(2.5 * size / 3) + 1)
+    with pytest.raises(
+        BagTooLargeError, match=r"bag_0\.mcap: its arrays take about 0 MB, .* load_arrays.*every=3"
+    ) as why:
+        load_arrays(bag)
+    assert isinstance(why.value, InputError)
+    load_arrays(bag, every=3)
 
 
 def test_payload_padded_by_dds_is_read(tmp_path: Path, run: list[Message]) -> None:

@@ -3,6 +3,7 @@
 from swarmabs_bringup.bag.arrays import load_arrays
 from swarmabs_bringup.bag.errors import (
     BagFolderError,
+    BagTooLargeError,
     BagWriteError,
     DamagedBagError,
     NotABagError,
@@ -30,6 +31,7 @@ __all__ = [
     "BagFolderError",
     "BagInfo",
     "BagReader",
+    "BagTooLargeError",
     "BagWriteError",
     "BagWriter",
     "DamagedBagError",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
+from swarmabs_bringup.bag.errors import BagTooLargeError, DamagedBagError, NotABagError
+from swarmabs_bringup.bag.memory import available_memory
 from swarmabs_bringup.bag.reader import BagReader, open_bag
 from swarmabs_core.arrays import LAYOUT, RunArrays, Tables, run_arrays, table
 from swarmabs_core.messages import AGENT_STATE, FRAME_ID, MAIN_TOPICS, Topic
@@ -22,7 +24,13 @@ _SPARSE = 50_000_000
 """Most entries of an array (steps, agents) beyond four times the number of messages."""
 
 
-def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool = False) -> RunArrays:
+_MEMORY_FACTOR = 2.5
+"""Memory that loading takes at its peak, in parts of the messages' size."""
+
+_STEP = struct.Struct("<28xQ")
+
+
+def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool = False, every: int = 1) -> RunArrays:
     """Load the main topics of a bag.
 
     Parameters
@@ -33,9 +41,13 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
         Which swarm to read if the bag holds several.
     damaged : bool
         Whether a bag without its end is loaded too, as far as it can be read.
+    every : int
+        Only the steps that are multiples of it are loaded; the others take no memory.
 
     Raises
     ------
+    BagTooLargeError
+        If there is not enough memory for the arrays; nothing has been read then.
     NotABagError
         If it is no bag, or has not all five main topics.
     DamagedBagError
@@ -45,12 +57,26 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
-    tables = _tables(bag)
+    _check_memory(bag, every)
+    tables = _tables(bag, every)
     _check_density(bag, tables)
     return run_arrays(tables)
 
 
-def _tables(bag: BagReader) -> dict[Topic, NDArray[np.void]]:
+def _check_memory(bag: BagReader, every: int) -> None:
+    size = sum(
+        LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
+    )
+    needed, available = int(_MEMORY_FACTOR * size / every), available_memory()
+    if needed > available:
+        enough = every * -(-needed // max(available, 1))
+        raise BagTooLargeError(
+            f"{bag.path}: its arrays take about {needed / 1e6:.0f} MB, but {available / 1e6:.0f} MB are free; load a"
+            f" part of the steps, such as load_arrays(..., every={enough}), or iterate over its messages"
+        )
+
+
+def _tables(bag: BagReader, every: int) -> dict[Topic, NDArray[np.void]]:
     sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
     for topic, log_time, payload in bag.messages(MAIN_TOPICS):
@@ -60,7 +86,8 @@ def _tables(bag: BagReader) -> dict[Topic, NDArray[np.void]]:
             raise DamagedBagError(
                 f"{bag.path}: /{topic.name} at {log_time / 1e9:.9g} s: {len(payload)} bytes, expected {size}"
             )
-        gathered[topic] += payload[:size]
+        if every == 1 or _STEP.unpack_from(payload)[0] % every == 0:
+            gathered[topic] += payload[:size]
     tables = {topic: table(topic, data) for topic, data in gathered.items()}
     for topic, rows in tables.items():
         _check_heads(bag, topic, rows)

@@ -45,5 +45,9 @@ class NotABagError(InputError):
     """What was named is no bag of a swarm, or there is nothing of that name."""
 
 
+class BagTooLargeError(InputError):
+    """There is not enough memory for what was asked of a bag."""
+
+
 class DamagedBagError(RunError):
     """A bag is cut off or changed; the text says where, and what can still be read."""

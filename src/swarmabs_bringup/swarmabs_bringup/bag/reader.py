@@ -6,6 +6,7 @@ says raises `DamagedBagError` with its position in the file, and never anything 
 
 from __future__ import annotations
 
+import math
 import stat
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -244,7 +245,7 @@ class BagReader:
         for name in {**counted, **said}:
             number, stated_number = counted.get(name, 0), said.get(name, 0)
             if stated_number != number:
-                raise DamagedBagError(_miscounted(self.path, name, stated_number, number))
+                raise DamagedBagError(_miscounted(self.path, name, stated_number, str(number)))
 
     @contextmanager
     def _opened(self) -> Iterator[BinaryIO]:
@@ -258,6 +259,7 @@ class BagReader:
 
     def _stored(self) -> Iterator[StoredMessage]:
         latest = count = 0
+        most = math.inf if self.problem else self.message_count
         try:
             with self.path.open("rb") as stream:
                 for message in _stored_messages(stream, self.index):
@@ -268,6 +270,8 @@ class BagReader:
                         )
                     latest = message.log_time
                     count += 1
+                    if count > most:
+                        break
                     yield message
         except RecordError as error:
             raise DamagedBagError(
@@ -276,7 +280,8 @@ class BagReader:
         except OSError as error:
             raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
         if self.problem is None and count != self.message_count:
-            raise DamagedBagError(_miscounted(self.path, "message_count", self.message_count, count))
+            counted = f"at least {count}" if count > most else str(count)
+            raise DamagedBagError(_miscounted(self.path, "message_count", self.message_count, counted))
 
 
 def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = False) -> BagReader:
@@ -378,7 +383,7 @@ def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileInd
         raise DamagedBagError(f"{file} is incomplete: {found.problem}{_readable(found)}") from error
 
 
-def _miscounted(path: Path, name: str, said: int, counted: int) -> str:
+def _miscounted(path: Path, name: str, said: int, counted: str) -> str:
     return f"{path}: the summary says {name} = {said}, but it is {counted}"
 
 
