@@ -60,6 +60,7 @@ def test_product_is_measured_beside_all_floors(capsys: pytest.CaptureFixture[str
         ("memory", {"agent_bytes", "total_bytes"}),
         ("large", {"start_seconds", "steps_per_second", "total_bytes", "cpu_ms_per_step"}),
         ("recorder", {"messages_per_second", "core_share", "messages_per_core_second"}),
+        ("reading", {"bag_bytes", "arrays_bytes_per_second", "ratio_to_iteration"}),
         ("simulate", {"real_time_factor", "real_time_factor_without_bag"}),
     ],
 )

@@ -55,5 +55,17 @@ def test_without_a_result_the_script_says_how_it_is_used(
 
 def test_the_page_has_a_place_for_every_table() -> None:
     page = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    for name in ("speed", "cost", "start", "memory", "large", "model", "hosts", "simulate", "recorder", "notes"):
+    for name in (
+        "speed",
+        "cost",
+        "start",
+        "memory",
+        "large",
+        "model",
+        "hosts",
+        "simulate",
+        "recorder",
+        "reading",
+        "notes",
+    ):
         assert page.count(f"<!-- bench: {name} -->") == 1

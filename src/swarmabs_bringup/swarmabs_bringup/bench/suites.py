@@ -15,6 +15,7 @@ from swarmabs_bringup.bench.large import LargeResult, measure_large
 from swarmabs_bringup.bench.launching import LaunchResult, measure_launch
 from swarmabs_bringup.bench.machine import machine_facts
 from swarmabs_bringup.bench.product import measure_product
+from swarmabs_bringup.bench.reading import measure_reading
 from swarmabs_bringup.bench.recording import measure_recorder
 from swarmabs_bringup.bench.simulating import SOLVER, measure_against_solver, measure_simulate
 from swarmabs_bringup.bench.tables import PACKED, PRODUCT
@@ -23,7 +24,7 @@ from swarmabs_core.errors import InputError, RunError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-Suite = Literal["product", "start", "memory", "large", "simulate", "recorder"]
+Suite = Literal["product", "start", "memory", "large", "simulate", "recorder", "reading"]
 SUITES: tuple[Suite, ...] = get_args(Suite)
 SCHEMA = 1
 """Version of the document."""
@@ -131,6 +132,8 @@ def run_suites(settings: Settings, tell: Callable[[str], None]) -> dict[str, Any
         document |= _simulate(settings, tell)
     if "recorder" in settings.suites:
         document["recorder"] = _recorder(settings, tell)
+    if "reading" in settings.suites:
+        document["reading"] = _reading(settings, tell)
     return document
 
 
@@ -307,6 +310,22 @@ def _recorder(settings: Settings, tell: Callable[[str], None]) -> list[dict[str,
             "messages_per_core_second": spread(
                 result.messages_per_core_second for result in results if result.messages_per_core_second is not None
             ),
+        }
+        rows.append({"robots": robots, "summary": summary, "repeats": [asdict(result) for result in results]})
+    return rows
+
+
+def _reading(settings: Settings, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    rows = []
+    for robots in settings.robots:
+        results = []
+        for number in range(settings.repeat):
+            tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: reading")
+            results.append(measure_reading(robots, window=settings.window))
+        summary = {
+            "bag_bytes": spread(result.bag_bytes for result in results),
+            "arrays_bytes_per_second": spread(result.bag_bytes / result.arrays_seconds for result in results),
+            "ratio_to_iteration": spread(result.ratio for result in results),
         }
         rows.append({"robots": robots, "summary": summary, "repeats": [asdict(result) for result in results]})
     return rows

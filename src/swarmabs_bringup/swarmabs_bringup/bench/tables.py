@@ -37,6 +37,7 @@ _LOOKS = {
 _MIB = 2**20
 _DEPLOYMENTS = ((1000, 10), (1000, 50), (1000, 1000), (10_000, 50), (10_000, 200), (10_000, 10_000))
 """Robots and hosts for which the steps per second are derived."""
+_MB = 1e6
 
 
 class Table(NamedTuple):
@@ -70,6 +71,7 @@ def tables(document: Document) -> tuple[Table, ...]:
         ("large", _large),
         ("simulate", _simulate),
         ("recorder", _recorder),
+        ("reading", _reading),
     )
     return (*(make(document[suite]) for suite, make in made if suite in document), *_modelled(document))
 
@@ -237,6 +239,21 @@ def _recorder(rows: list[dict[str, Any]]) -> Table:
     )
 
 
+def _reading(rows: list[dict[str, Any]]) -> Table:
+    found = []
+    for row in rows:
+        summary = row["summary"]
+        sizes = (shown(summary[key], _MB) for key in ("bag_bytes", "arrays_bytes_per_second"))
+        found.append((str(row["robots"]), *sizes, shown(summary["ratio_to_iteration"])))
+    return Table(
+        "reading",
+        "from a bag to arrays: size of the bag before compression, speed, and the time in parts of that in which the"
+        " mcap library passes over the raw messages",
+        ("robots", "MB", "MB/s", "of the raw messages"),
+        tuple(found),
+    )
+
+
 def _rows(rows: list[dict[str, Any]], keys: tuple[str, ...], unit: float = 1.0) -> tuple[tuple[str, ...], ...]:
     """Return rows that show these spreads."""
     return tuple((str(row["robots"]), *(shown(row["summary"][key], unit) for key in keys)) for row in rows)
@@ -336,7 +353,7 @@ def _finish(axes: Axes, numbers: list[int]) -> None:
 
 def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, float]]]:
     """Yield suite, robots, name and spread of all that was measured."""
-    for suite in ("product", "start", "memory", "large", "simulate", "recorder"):
+    for suite in ("product", "start", "memory", "large", "simulate", "recorder", "reading"):
         for row in document.get(suite, ()):
             summary = dict(row["summary"])
             if suite == PRODUCT:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RUNS = Path("runs")
 WIDTH = 160
 """Of what is printed into a file or pipe, characters."""
-SUITES = ("product", "start", "memory", "large", "simulate", "recorder")
+SUITES = ("product", "start", "memory", "large", "simulate", "recorder", "reading")
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, ...]:
