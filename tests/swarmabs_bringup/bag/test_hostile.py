@@ -142,6 +142,12 @@ def test_file_that_must_not_be_read(file: Path) -> None:
         open_bag(file)
 
 
+def test_what_stands_beside_the_file_is_not_read(whole: bytes, file: Path, run: list[Message]) -> None:
+    file.write_bytes(whole)
+    os.mkfifo(file.parent / "metadata.yaml")
+    assert bag_info(file.parent).message_count == len(run)
+
+
 def test_zeros_are_not_taken_for_records(file: Path) -> None:
     with file.open("wb") as stream:
         stream.write(MAGIC + HEADER)
