@@ -21,6 +21,7 @@ import numpy as np
 
 from swarmabs_bringup.bag import bag_info, load_arrays, open_bag
 from swarmabs_bringup.cli import main
+from swarmabs_bringup.figures.runs import find_runs
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, SwarmabsError
@@ -137,6 +138,7 @@ class Fuzzer:
         try:
             for _ in open_bag(self._file, damaged=True).decoded():
                 pass
+            find_runs([self._file], {"sample"})
         except SwarmabsError as error:
             check_line(error)
         try:

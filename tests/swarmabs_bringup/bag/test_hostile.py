@@ -13,6 +13,7 @@ from tests.swarmabs_bringup.bag.damage import MAGIC, chunk, joined, record, seal
 
 from swarmabs_bringup.bag import BagWriter, DamagedBagError, NotABagError, bag_info, index, load_arrays, open_bag
 from swarmabs_bringup.bag.index import FileIndex
+from swarmabs_bringup.figures.runs import find_runs
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import MAIN_TOPICS, Message
@@ -76,8 +77,10 @@ def test_attachment_of_another_name(whole: bytes, file: Path) -> None:
 
 def test_scenario_that_is_no_text(file: Path) -> None:
     file.write_bytes(sealed(MAGIC + HEADER + attachment(b"scenario.yaml", b"\xff\xfe")))
-    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is not UTF-8; run a scenario file instead$"):
+    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is no text in UTF-8, so it is not"):
         find_scenario(str(file))
+    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is no text in UTF-8, so it is not"):
+        find_runs([file], {"sample"})
 
 
 @pytest.mark.parametrize(

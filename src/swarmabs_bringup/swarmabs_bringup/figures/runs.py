@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.bag import SCENARIO_FILE, NotABagError, find_bag, load_arrays, open_bag
+from swarmabs_bringup.bag import NotABagError, find_bag, load_arrays, open_bag
+from swarmabs_bringup.bag.attached import attached_scenario
 from swarmabs_bringup.run_folder import new_run_folder
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.summary import summarise
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
-from swarmabs_core.scenario import Scenario, dump_scenario, parse_scenario
+from swarmabs_core.scenario import Scenario, dump_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
@@ -166,7 +167,11 @@ def _bags(path: Path) -> list[Path]:
     """Return the bag that a path names, or all those in a folder: a bag's, a run's, or one of several runs."""
     if not path.is_dir():
         return [find_bag(path)]
-    bags = [find_bag(child) for child in sorted(path.iterdir()) if _holds_bag(child)]
+    try:
+        children = sorted(path.iterdir())
+    except OSError as error:
+        raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
+    bags = [find_bag(child) for child in children if _holds_bag(child)]
     if not bags:
         raise NotABagError(f"{path} holds neither a bag nor folders of runs")
     return bags
@@ -184,10 +189,7 @@ def _source(bag: Path) -> Source:
     reason = opened.problem or opened.aborted()
     if reason is not None:
         raise InputError(f"{bag} is not complete: {reason}")
-    attached = opened.attachment(SCENARIO_FILE)
-    if attached is None:
-        raise InputError(f"{bag} holds no scenario, so it is not known what it is a run of")
-    scenario = parse_scenario(attached.decode(), source=f"{bag}:{SCENARIO_FILE}")
+    scenario = attached_scenario(opened)
     states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
     if states != scenario.steps + 1:
         raise InputError(f"{bag} is not complete: {states} of {scenario.steps + 1} states of the plane")
