@@ -1,6 +1,6 @@
 """Bags: the MCAP file of a run, written so that ROS tools open it, and read with nothing taken on trust."""
 
-from swarmabs_bringup.bag.arrays import load_arrays
+from swarmabs_bringup.bag.arrays import load_arrays, load_tables
 from swarmabs_bringup.bag.errors import (
     BagFolderError,
     BagTooLargeError,
@@ -44,6 +44,7 @@ __all__ = [
     "bag_info",
     "find_bag",
     "load_arrays",
+    "load_tables",
     "message_schema",
     "open_bag",
     "render",

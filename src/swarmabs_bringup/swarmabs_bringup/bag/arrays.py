@@ -53,30 +53,32 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
     DamagedBagError
         If the bag is damaged, or a message is not as the contract says.
     """
-    bag = open_bag(path, namespace=namespace, damaged=damaged)
+    return run_arrays(load_tables(open_bag(path, namespace=namespace, damaged=damaged), every=every))
+
+
+def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:
+    """Load the messages of each main topic as rows of a structured array, in the order of the file.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    every : int
+        As of `load_arrays`.
+
+    Raises
+    ------
+    BagTooLargeError
+        As of `load_arrays`.
+    NotABagError
+        If the bag has its end, but not all five main topics.
+    DamagedBagError
+        If the bag is damaged, or a message is not as the contract says.
+    """
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
     _check_memory(bag, every)
-    tables = _tables(bag, every)
-    _check_density(bag, tables)
-    return run_arrays(tables)
-
-
-def _check_memory(bag: BagReader, every: int) -> None:
-    size = sum(
-        LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
-    )
-    needed, available = int(_MEMORY_FACTOR * size / every), available_memory()
-    if needed > available:
-        enough = every * -(-needed // max(available, 1))
-        raise BagTooLargeError(
-            f"{bag.path}: its arrays take about {needed / 1e6:.0f} MB, but {available / 1e6:.0f} MB are free; load a"
-            f" part of the steps, such as load_arrays(..., every={enough}), or iterate over its messages"
-        )
-
-
-def _tables(bag: BagReader, every: int) -> dict[Topic, NDArray[np.void]]:
     sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
     for topic, log_time, payload in bag.messages(MAIN_TOPICS):
@@ -91,7 +93,21 @@ def _tables(bag: BagReader, every: int) -> dict[Topic, NDArray[np.void]]:
     tables = {topic: table(topic, data) for topic, data in gathered.items()}
     for topic, rows in tables.items():
         _check_heads(bag, topic, rows)
+    _check_density(bag, tables)
     return tables
+
+
+def _check_memory(bag: BagReader, every: int) -> None:
+    size = sum(
+        LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
+    )
+    needed, available = int(_MEMORY_FACTOR * size / every), available_memory()
+    if needed > available:
+        enough = every * -(-needed // max(available, 1))
+        raise BagTooLargeError(
+            f"{bag.path}: its arrays take about {needed / 1e6:.0f} MB, but {available / 1e6:.0f} MB are free; load a"
+            f" part of the steps, such as load_arrays(..., every={enough}), or iterate over its messages"
+        )
 
 
 def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void]) -> None:

@@ -13,6 +13,7 @@ from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
 from swarmabs_bringup.cli.repair import repair
+from swarmabs_bringup.cli.report import report
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
 from swarmabs_bringup.cli.sweep import sweep
@@ -37,6 +38,7 @@ for command in (
     verify,
     repair,
     compare,
+    report,
     export,
     scenario,
     env,

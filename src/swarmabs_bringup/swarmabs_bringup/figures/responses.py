@@ -83,7 +83,7 @@ def draw_large_swarms(runs: Sequence[RecordedRun]) -> Figure:
         positions_by_kind(axes, run)
         count = len(run.arrays.agents.ids)
         above(pair[0], f"{letters[0]}) {count} robots", _named(*pair))
-        above(axes, f"{letters[1]}) {count} robots", _kinds(run))
+        above(axes, f"{letters[1]}) {count} robots", kinds(run))
         for one in (pair[0], axes):
             time_axis(one, float(run.arrays.time[-1]))
             one.set_xlabel("time, s")
@@ -105,26 +105,35 @@ def parent_state(axes: Axes, run: RecordedRun) -> Pair:
 
 def positions(axes: Axes, run: RecordedRun) -> None:
     """Draw the positions of a few robots."""
-    agents = run.arrays.agents
-    for column, number in enumerate(agents.ids.tolist()):
-        colour, dashes = ROBOTS[column % len(ROBOTS)]
-        axes.plot(
-            run.arrays.time,
-            agents.position[:, column],
-            color=colour,
-            linestyle=dashes,
-            label=f"p{str(number).translate(_SUBSCRIPTS)}",
-        )
+    each_robot(axes, run, run.arrays.agents.position, "p")
     _label_positions(axes)
 
 
 def positions_by_kind(axes: Axes, run: RecordedRun) -> None:
     """Draw the positions of many robots in the colours of their kinds."""
+    robots_by_kind(axes, run, run.arrays.agents.position)
+    _label_positions(axes)
+
+
+def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> None:
+    """Draw a quantity of a few robots, shape (n+1, N), as lines named by its symbol and their ids."""
+    for column, number in enumerate(run.arrays.agents.ids.tolist()):
+        colour, dashes = ROBOTS[column % len(ROBOTS)]
+        axes.plot(
+            run.arrays.time,
+            values[:, column],
+            color=colour,
+            linestyle=dashes,
+            label=f"{symbol}{str(number).translate(_SUBSCRIPTS)}",
+        )
+
+
+def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> None:
+    """Draw a quantity of many robots, shape (n+1, N), as thin lines in the colours of their kinds."""
     agents = run.arrays.agents
     for column in range(len(agents.ids)):
         _, colour = KINDS[Kind(max(agents.kind[:, column].tolist()))]
-        axes.plot(run.arrays.time, agents.position[:, column], color=colour, linewidth=0.4)
-    _label_positions(axes)
+        axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
 
 
 def abstract_error(axes: Axes, run: RecordedRun) -> Pair:
@@ -192,7 +201,8 @@ def _named(*panel: Axes) -> list[Line2D]:
     return [line for axes in panel for line in axes.lines if not str(line.get_label()).startswith("_")]
 
 
-def _kinds(run: RecordedRun) -> list[Line2D]:
+def kinds(run: RecordedRun) -> list[Line2D]:
+    """Return legend entries of the kinds of robots that are there."""
     there = set(np.unique(run.arrays.agents.kind).tolist())
     return [Line2D([], [], color=colour, label=name) for kind, (name, colour) in KINDS.items() if kind in there]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import matplotlib.style
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from matplotlib.figure import Figure
 
@@ -63,20 +63,23 @@ _METADATA: dict[Format, dict[str, None]] = {"png": {"Software": None}, "svg": {"
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """Draw in the figures' style for the time of the block, whatever the user's matplotlibrc says."""
-    with matplotlib.style.context(["default", _SETTINGS]):
+def styled(more: Mapping[str, float] | None = None) -> Iterator[None]:
+    """Draw in the figures' style for the time of the block, whatever the user's matplotlibrc says.
+
+    Settings in `more` take the place of the style's.
+    """
+    with matplotlib.style.context(["default", _SETTINGS | dict(more or {})]):
         yield
 
 
-def rendered(figure: Figure, formats: Sequence[Format]) -> dict[Format, bytes]:
-    """Return a figure as the contents of files; call it within `styled`."""
+def rendered(figure: Figure, formats: Sequence[Format], title: str | None = None) -> dict[Format, bytes]:
+    """Return a figure as the contents of files, maybe with a title in their metadata; call it within `styled`."""
     # Laid out once: each format measures text in its own way, and would move what another one has placed.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     found: dict[Format, bytes] = {}
     for kind in formats:
         file = io.BytesIO()
-        figure.savefig(file, format=kind, metadata=_METADATA[kind])
+        figure.savefig(file, format=kind, metadata=_METADATA[kind] | ({"Title": title} if title else {}))
         found[kind] = file.getvalue()
     return found

@@ -1,0 +1,264 @@
+"""What a report is about: a bag with everything that is known of its run, read once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from swarmabs_bringup.bag import (
+    PROVENANCE_FILE,
+    SCENARIO_FILE,
+    DamagedBagError,
+    NotABagError,
+    load_tables,
+    open_bag,
+)
+from swarmabs_bringup.figures.runs import RecordedRun
+from swarmabs_core import configure
+from swarmabs_core.arrays import run_arrays
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, PLANE_STATE, Kind, PlaneState, SwarmEvent
+from swarmabs_core.recording import Metrics, Record, RecordedStep, digest_head
+from swarmabs_core.scenario import parse_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from swarmabs_bringup.bag import BagReader
+    from swarmabs_core.arrays import RunArrays, Tables
+    from swarmabs_core.scenario import Scenario
+
+    Floats = NDArray[np.float64]
+
+Data = TypeVar("Data")
+
+_LONGEST_JSON = 2**20
+_DRAWABLE = 1e100
+"""Numbers beyond are not drawn: no axis of a picture holds them."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A bag as a report shows it.
+
+    Attributes
+    ----------
+    bag : Path
+        The MCAP file.
+    run : RecordedRun
+        Scenario and arrays; what cannot be drawn, such as infinity, is NaN in them.
+    events : tuple of SwarmEvent
+        In the order of their steps.
+    metrics : dict
+        ``settled_at``, ``final_error``, ``rms_error``, ``max_abs_position``, ``messages`` as in ``summary.json``, and
+        ``digest``; computed from the bag's messages.
+    counts : dict
+        Number of messages by topic.
+    status, reason : str, str or None
+        How the run ended, as far as the bag says.
+    provenance : dict
+        What the bag says of its origin, empty if nothing.
+    summary : dict or None
+        The ``summary.json`` beside the bag, if it is of this run.
+    summary_note : str
+        Where the timing comes from, or why there is none.
+    """
+
+    bag: Path
+    run: RecordedRun
+    events: tuple[SwarmEvent, ...]
+    metrics: Mapping[str, float | int | str | None]
+    counts: Mapping[str, int]
+    status: str
+    reason: str | None
+    provenance: Mapping[str, Any]
+    summary: Mapping[str, Any] | None
+    summary_note: str
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was run."""
+        return self.run.scenario
+
+    @property
+    def arrays(self) -> RunArrays:
+        """The recorded steps."""
+        return self.run.arrays
+
+    @property
+    def steps(self) -> int:
+        """How many steps the plane has made."""
+        return max(len(self.arrays.step) - 1, 0)
+
+    @property
+    def drawable(self) -> bool:
+        """Whether there is any time to draw something over."""
+        return len(self.arrays.time) > 1 and float(self.arrays.time[-1]) > 0.0
+
+    @cached_property
+    def reference(self) -> Floats:
+        """The angle wanted at each step, rad."""
+        reference = configure.parent_controller(self.scenario).reference
+        return np.array([reference(t) for t in self.arrays.time.tolist()])
+
+    @cached_property
+    def error(self) -> Floats:
+        """Wanted minus recorded angle at each step, rad."""
+        return self.reference - self.arrays.angle
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the recorded torque of the swarm is an estimate from the plane's motion."""
+        return self.scenario.observer.type == "parent_response"
+
+    @property
+    def measured(self) -> bool:
+        """Whether the recorded motion of the plane is that of an imperfect sensor."""
+        sensor = self.scenario.plane.sensor
+        return any((*sensor.noise, *sensor.resolution))
+
+
+def read_recorded(path: Path) -> Recorded:
+    """Read a bag for a report; one that has lost its end too, as far as it goes.
+
+    Raises
+    ------
+    NotABagError
+        If it is no bag of a swarm, or holds no scenario.
+    DamagedBagError
+        If it cannot be read, or holds a robot of an unknown kind.
+    """
+    bag = open_bag(path, damaged=True)
+    attached = bag.attachment(SCENARIO_FILE)
+    if attached is None:
+        raise NotABagError(f"{bag.path} holds no scenario, so it is not known what it is a run of")
+    try:
+        text = attached.decode()
+    except UnicodeDecodeError as error:
+        raise DamagedBagError(f"{bag.path}: its {SCENARIO_FILE} is no text: {error}") from error
+    scenario = parse_scenario(text, source=f"{bag.path}:{SCENARIO_FILE}")
+    tables = load_tables(bag)
+    _check_kinds(bag, tables)
+    arrays = run_arrays(tables)
+    events = _events(bag)
+    metrics = {**_metrics(scenario, arrays), "messages": sum(map(len, tables.values())) + len(events)}
+    metrics["digest"] = digest_of(tables) if metrics["final_error"] is not None else None
+    status, reason = _ending(bag, scenario, len(tables[PLANE_STATE]))
+    summary, note = _summary(bag.path, metrics["digest"])
+    return Recorded(
+        bag=bag.path,
+        run=RecordedRun(scenario, _drawable(arrays)),
+        events=events,
+        metrics=metrics,
+        counts={topic.name: len(tables[topic]) for topic in MAIN_TOPICS} | {EVENTS.name: len(events)},
+        status=status,
+        reason=reason,
+        provenance=_mapping(bag.attachment(PROVENANCE_FILE) or b""),
+        summary=summary,
+        summary_note=note,
+    )
+
+
+def digest_of(tables: Tables) -> str:
+    """Return the digest (docs/design.md, Digest) of a run whose messages are given in any order."""
+    found = sha256()
+    topics = sorted(MAIN_TOPICS, key=lambda topic: topic.name)
+    steps = np.unique(np.concatenate([tables[topic]["step"] for topic in topics]))
+    parts = []
+    for topic in topics:
+        rows = tables[topic]
+        keys = (rows["agent_id"], rows["step"]) if topic is AGENT_STATE else (rows["step"],)
+        rows = rows[np.lexsort(keys)]
+        head = np.frombuffer(digest_head(topic, rows.dtype.itemsize), dtype=np.uint8)
+        texts = np.empty((len(rows), len(head) + rows.dtype.itemsize), dtype=np.uint8)
+        texts[:, : len(head)] = head
+        texts[:, len(head) :] = np.frombuffer(rows.tobytes(), dtype=np.uint8).reshape(len(rows), -1)
+        parts.append((texts, [*np.searchsorted(rows["step"], steps).tolist(), len(rows)]))
+    for number in range(len(steps)):
+        for texts, begins in parts:
+            found.update(texts[begins[number] : begins[number + 1]].tobytes())
+    return found.hexdigest()
+
+
+def _check_kinds(bag: BagReader, tables: Tables) -> None:
+    states = tables[AGENT_STATE]
+    wrong = states[~np.isin(states["kind"], [kind.value for kind in Kind])]
+    if len(wrong):
+        first = wrong[0]
+        raise DamagedBagError(
+            f"{bag.path}: agent {first['agent_id']} at step {first['step']}: {first['kind']} is no kind of robot"
+        )
+
+
+def _events(bag: BagReader) -> tuple[SwarmEvent, ...]:
+    found = [message for _, _, message in bag.decoded((EVENTS,)) if isinstance(message, SwarmEvent)]
+    return tuple(sorted(found, key=lambda event: event.step))
+
+
+def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, float | int | str | None]:
+    """Return the figures of the run, by the same arithmetic as while it is recorded."""
+    metrics = Metrics(configure.parent_controller(scenario).reference)
+    states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.angle.tolist(), strict=True)
+    for time, step, angle in states:
+        if not np.isnan(angle):
+            state = PlaneState(round(time * 1e9), step, angle, 0.0)
+            metrics.update(RecordedStep(step, (Record(PLANE_STATE, 0, state, b""),)))
+    positions = np.abs(arrays.agents.position)
+    there = positions[arrays.agents.kind > 0]
+    reach = float(there.max()) if there.size else None
+    finite = reach if reach is not None and np.isfinite(reach) else None
+    return {**metrics.summary(), "max_abs_position": finite}
+
+
+def _ending(bag: BagReader, scenario: Scenario, states: int) -> tuple[str, str | None]:
+    if bag.problem is not None:
+        return "damaged", f"the bag has lost its end: {bag.problem}"
+    reason = bag.aborted()
+    if reason is not None:
+        return ("interrupted" if reason.startswith("interrupted") else "failed"), reason
+    if states != scenario.steps + 1:
+        return "incomplete", f"{states} of {scenario.steps + 1} states of the plane are recorded"
+    return "ok", None
+
+
+def _summary(bag: Path, digest: object) -> tuple[Mapping[str, Any] | None, str]:
+    """Return the summary of the run whose folder holds the bag, and what is to be said of it."""
+    file = bag.resolve().parent.parent / "summary.json"
+    try:
+        if bag.resolve().parent.name != "bag" or not file.is_file():
+            return None, "not recorded: a bag holds no wall time, and no summary.json of its run lies beside it"
+        with file.open("rb") as stream:
+            found = _mapping(stream.read(_LONGEST_JSON))
+    except OSError as error:
+        return None, f"not known: summary.json cannot be read ({error.strerror})"
+    if found.get("digest") != digest:
+        return None, "not known: the summary.json beside the bag has another digest, it is of another run"
+    return found, "from summary.json beside the bag; the bag itself holds no wall time"
+
+
+def _mapping(data: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _drawable(arrays: Data) -> Data:
+    """Replace by NaN what no picture can show."""
+    changed: dict[str, Any] = {}
+    for field in fields(arrays):  # type: ignore[arg-type]
+        value = getattr(arrays, field.name)
+        if is_dataclass(value):
+            changed[field.name] = _drawable(value)
+        elif value.dtype.kind == "f":
+            with np.errstate(invalid="ignore"):
+                changed[field.name] = np.where(np.abs(value) < _DRAWABLE, value, np.nan)
+    return replace(arrays, **changed)  # type: ignore[type-var]

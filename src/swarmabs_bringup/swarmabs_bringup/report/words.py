@@ -1,0 +1,42 @@
+"""Numbers and text from bags as words of a report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_LONGEST = 400
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a number with four digits and its unit."""
+    return f"{value:.4g} {unit}".strip()
+
+
+def span(name: str, values: NDArray[np.float64], unit: str, *, over_time: bool = True) -> str:
+    """Return in words where values lie and, if they follow each other in time, from where to where they go."""
+    there = np.asarray(values)[np.isfinite(values)]
+    if not len(there):
+        return f"{name}: nothing recorded"
+    ends = f"from {there[0]:.4g} to {quantity(float(there[-1]), unit)}, " if over_time else ""
+    return f"{name}: {ends}between {there.min():.4g} and {quantity(float(there.max()), unit)}"
+
+
+def joined(*parts: str, by: str = "; ") -> str:
+    """Join what is not empty."""
+    return by.join(part for part in parts if part)
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def shown(value: object) -> str:
+    """Return what a bag says as one line that can be shown: printable, and not without end."""
+    text = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in str(value))
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
