@@ -36,14 +36,16 @@ def check_target(path: Path) -> None:
     Raises
     ------
     InputError
-        If there is something else than an earlier report, or its folder is not there or cannot be written.
+        If there is something else than an earlier report, or its folder cannot be made or written.
     """
     try:
         if path.exists() and not _is_report(path):
-            raise InputError(f"{path} exists and is no report; name another file with --html or --png, or a folder with -o")
-        folder = path.parent
+            raise InputError(
+                f"{path} exists and is no report; name another file with --html or --png, or a folder with -o"
+            )
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
         if not folder.is_dir():
-            raise InputError(f"{folder} is no folder; make it, or name another one with -o")
+            raise InputError(f"{folder} is no folder; name another one with -o")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{folder} cannot be written; choose another folder with -o")
     except (OSError, ValueError) as error:
@@ -61,6 +63,7 @@ def write_file(path: Path, content: bytes) -> bool:
     """
     part = path.with_name(f"{path.name}.part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         replaced = path.exists()
         try:
             part.write_bytes(content)

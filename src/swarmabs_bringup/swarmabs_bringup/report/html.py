@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
-
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -71,5 +70,3 @@ def document(page: ET.Element) -> str:
 
 def _line(line: str) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
-
-

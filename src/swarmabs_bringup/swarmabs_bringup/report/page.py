@@ -117,7 +117,7 @@ def _header(recorded: Recorded, name: str) -> Iterator[ET.Element]:
             ),
             ("Parent controller", scenario.controller.type),
             ("Recorded time", element("span", number(end, "s", "g"), f" of {scenario.duration_ns / 1e9:g} s")),
-            ("Steps", element("span", *steps, f" of {scenario.period:g} s")),
+            ("Steps", element("span", *steps, f", {scenario.period:g} s each")),
             ("Driver", shown(recorded.provenance.get("driver", "not recorded"))),
             ("Seed", str(scenario.seed)),
         )
@@ -172,7 +172,11 @@ def _events(recorded: Recorded) -> Iterator[ET.Element]:
         yield element("p", "Nothing happened that a node announced.")
         return
     if recorded.drawable:
-        yield element("p", "Triangles at the upper edge of the pictures mark the times of these events.")
+        yield element(
+            "p",
+            "At the upper edge of the pictures triangles mark who takes part (red: dead or stalled, orange: left, "
+            "green: joined, purple: safe stop), and dashes the other events.",
+        )
     if len(events) <= MOST_EVENTS:
         rows = [
             (
@@ -202,7 +206,7 @@ def _events(recorded: Recorded) -> Iterator[ET.Element]:
                 f"{len(group):,}",
                 f"{group[0].stamp / 1e9:g} s",
                 f"{group[-1].stamp / 1e9:g} s",
-                f"{min(values):.4g} to {max(values):.4g}",
+                f"{values[0]:.4g}" if len(group) == 1 else f"{min(values):.4g} to {max(values):.4g}",
                 shown(group[0].detail),
             )
         )
@@ -236,7 +240,11 @@ def _timing(recorded: Recorded) -> Iterator[ET.Element]:
         stepping = recorded.scenario.duration_ns / 1e9 / factor
         rows += [
             ("Stepping", number(stepping, "s"), "from the first step to the last"),
-            ("Start and end", number(max(wall - stepping, 0.0), "s"), "the rest: start of the processes, closing the bag"),
+            (
+                "Start and end",
+                number(max(wall - stepping, 0.0), "s"),
+                "the rest: start of the processes, closing the bag",
+            ),
             ("Speed", number(recorded.scenario.steps / stepping, "steps/s"), "without start and end"),
             ("Real-time factor", number(factor, ""), "simulated time per time of stepping"),
         ]

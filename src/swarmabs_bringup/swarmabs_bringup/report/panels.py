@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from swarmabs_bringup.figures.responses import (
+    STRETCHED,
     abstract_error,
     each_robot,
     kinds,
@@ -27,7 +29,6 @@ from swarmabs_bringup.figures.style import (
     GREY,
     ORANGE,
     PURPLE,
-    ROBOTS,
     SKY,
     VERMILION,
 )
@@ -38,7 +39,7 @@ from swarmabs_core.messages import EventKind, Kind, Status
 from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
@@ -53,17 +54,25 @@ NAMED, MANY = 4, 20
 """Most robots with a colour each, and with a line each."""
 TOLERANCE = 0.01
 """Error below which the plane counts as settled, rad."""
+BANDS = (
+    "Dark bands hold the middle 50 %, light ones 90 % of the robots that start on the same side of the axis; "
+    "dotted lines are the outermost ones, solid ones the medians."
+)
+_STRETCH = "The first seconds, shaded, have half of each time axis."
+_DECADES = 30.0
+"""Ratio of the values from which on an axis is logarithmic."""
 _ROWS = 40
 """Most robots with a row each in the picture of the membership."""
 _FEW_MARKS = 12
-_FINE = 241
-EVENT_COLOURS = {
+_FINE, _COARSE = 241, 21
+EVENT_COLOURS: Mapping[int, str] = {
     EventKind.DEAD: VERMILION,
     EventKind.LEFT: ORANGE,
     EventKind.JOINED: GREEN,
     EventKind.SAFE_STOP: PURPLE,
     EventKind.STALLED: VERMILION,
 }
+"""Colours of the events that say who takes part; the others are grey."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +88,7 @@ class Panel:
     draw: Callable[[FigureBase], None]
     about: str
     note: str = ""
-    height: float = 2.5
+    height: float = 2.2
 
 
 def panels(recorded: Recorded, on_plane: Weights, margin: Margins) -> Iterator[Panel]:
@@ -95,7 +104,8 @@ def panels(recorded: Recorded, on_plane: Weights, margin: Margins) -> Iterator[P
 def _plane(recorded: Recorded) -> Iterator[Panel]:
     arrays = recorded.arrays
     note = (
-        "Angle and rate are what the plane's sensor says, with its noise and resolution; the true ones are not recorded."
+        "Angle and rate are what the plane's sensor says, with its noise and resolution; "
+        "the true ones are not recorded."
         if recorded.measured
         else ""
     )
@@ -111,18 +121,21 @@ def _plane(recorded: Recorded) -> Iterator[Panel]:
         span("angle wanted", recorded.reference, "rad") if np.any(recorded.reference) else "",
         span("rate ω", arrays.angular_velocity, "rad/s"),
     )
-    yield Panel("plane", "plane", "Angle, reference and rate of the plane", draw, about, note)
+    stretched = _STRETCH if float(arrays.time[-1]) >= 2.0 * STRETCHED else ""
+    first = joined(note, stretched, by=" ")
+    yield Panel("plane", "plane", "Angle, reference and rate of the plane", draw, about, first)
 
     def draw_error(figure: FigureBase) -> None:
         axes = figure.add_subplot()
         error = np.abs(recorded.error)
-        axes.semilogy(arrays.time, np.where(error > 0, error, np.nan), color=BLUE, label="|θ wanted - θ|")
+        axes.plot(arrays.time, np.where(error > 0, error, np.nan), color=BLUE, label="|θ wanted - θ|")
         axes.axhline(TOLERANCE, color=BLACK, linestyle=DOTTED, linewidth=0.9, label="10 mrad")
         settled = recorded.metrics["settled_at"]
         if isinstance(settled, float):
             label = f"settled at {settled:g} s"
             axes.axvline(settled, color=GREEN, linestyle=DASHED, linewidth=0.9, label=label)
-        axes.set_ylabel("rad, logarithmic", labelpad=2.0)
+        axes.set_ylabel("error, rad")
+        _by_decades(axes, error)
         _finish(axes, recorded, axes.lines)
 
     settled = recorded.metrics["settled_at"]
@@ -143,7 +156,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
     )
     bands = len(agents.ids) > MANY
     if bands:
-        note = joined("Bands hold 50 and 90 % of the robots, the dotted lines are the outermost ones.", note, by=" ")
+        note = joined(BANDS, note, by=" ")
 
     def positions(figure: FigureBase) -> None:
         axes = _quantity(figure, recorded, agents.position, "p", "position p, m")
@@ -163,7 +176,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
             time_axis(axes, float(recorded.arrays.time[-1]))
             bar = density(axes, recorded)
             figure.colorbar(bar, ax=axes, label="kg per mm", pad=0.01)
-            axes.set_ylabel("position p, m", labelpad=2.0)
+            axes.set_ylabel("position p, m")
             _finish(axes, recorded, [])
 
         about = f"total mass {quantity(float(np.nansum(np.nanmax(agents.mass, axis=0))), 'kg')}"
@@ -187,9 +200,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
                 "robots",
                 f"Commands of the {name} integrators",
                 _drawing(recorded, values, "u", f"command u, {unit}"),
-                span(
-                    f"commands of {counted(int(of_kind.sum()), f'{name} integrator')}", values, unit, over_time=False
-                ),
+                span(f"commands of {counted(int(of_kind.sum()), f'{name} integrator')}", values, unit, over_time=False),
                 note,
             )
 
@@ -234,7 +245,7 @@ def _abstract(recorded: Recorded, on_plane: Weights) -> Iterator[Panel]:
     spans = list(on_plane.spans())
     masses = spans[0][2] if spans else ()
     if len(masses) > 1 and min(masses) > 0:
-        note = "Shaded: A_A, where every arrangement of the robots stays on the plane, and A_P, where some do."
+        note = "Shaded: A_A, where every arrangement of the robots lies on the plane, and A_P, where only some do."
         if len(spans) > 1:
             note += " The sets are those of the robots at the beginning."
         about = joined(
@@ -248,7 +259,7 @@ def _abstract(recorded: Recorded, on_plane: Weights) -> Iterator[Panel]:
             lambda figure: _space(figure, recorded, masses),
             about,
             note,
-            height=3.2,
+            height=2.9,
         )
 
 
@@ -259,7 +270,7 @@ def _margins(recorded: Recorded, margin: Margins) -> Iterator[Panel]:
         axes = figure.add_subplot()
         axes.plot(time, margin.end, color=BLUE, label="L/2 - largest |p|")
         axes.axhline(0.0, color=VERMILION, linestyle=DASHED, linewidth=0.9, label="end of the plane")
-        axes.set_ylabel("m", labelpad=2.0)
+        axes.set_ylabel("m")
         _finish(axes, recorded, axes.lines)
 
     yield Panel(
@@ -275,7 +286,7 @@ def _margins(recorded: Recorded, margin: Margins) -> Iterator[Panel]:
         axes.plot(time[margin.rows], margin.actual, color=BLUE, label="abstract state")
         axes.plot(time[margin.rows], margin.desired, color=BLACK, linestyle=DOTTED, label="desired one")
         axes.axhline(0.0, color=VERMILION, linestyle=DASHED, linewidth=0.9, label="boundary of A_A")
-        axes.set_ylabel("distance, N m and kg m²", labelpad=2.0)
+        axes.set_ylabel("distance, N m and kg m²")
         _finish(axes, recorded, axes.lines)
 
     yield Panel(
@@ -294,8 +305,9 @@ def _margins(recorded: Recorded, margin: Margins) -> Iterator[Panel]:
     def singular(figure: FigureBase) -> None:
         axes = figure.add_subplot()
         spread = np.where(margin.spread > 0, margin.spread, np.nan)
-        axes.semilogy(time, spread, color=GREEN, label="S₃/S₀²")
-        axes.set_ylabel("m², logarithmic", labelpad=2.0)
+        axes.plot(time, spread, color=GREEN, label="S₃/S₀²")
+        axes.set_ylabel("m²")
+        _by_decades(axes, spread)
         _finish(axes, recorded, axes.lines)
 
     limit = 1e-12 * recorded.scenario.plane.length**2
@@ -326,13 +338,13 @@ def _sums(recorded: Recorded) -> Panel:
         grid = figure.subplots(4, 2, sharex=True)
         for axes, (name, (values, unit)) in zip(grid.flat, shown.items(), strict=True):
             axes.plot(recorded.arrays.time, values, color=BLUE)
-            axes.set_ylabel(f"{name}, {unit}", labelpad=2.0)
+            axes.set_ylabel(f"{name}, {unit}")
             time_axis(axes, float(recorded.arrays.time[-1]))
         for axes in grid[-1]:
             axes.set_xlabel("time, s")
 
     about = joined(*(span(name, values, unit) for name, (values, unit) in shown.items()))
-    return Panel("sums", "sums", "Auxiliary sums", draw, about, height=5.2)
+    return Panel("sums", "sums", "Auxiliary sums", draw, about, height=4.8)
 
 
 def _membership(recorded: Recorded, on_plane: Weights) -> Panel:
@@ -357,7 +369,7 @@ def _membership(recorded: Recorded, on_plane: Weights) -> Panel:
                     )
         axes.set_yticks(range(len(agents.ids)), [str(number) for number in agents.ids.tolist()])
         axes.set_ylim(len(agents.ids) - 0.4, -0.6)
-        axes.set_ylabel("robot", labelpad=2.0)
+        axes.set_ylabel("robot")
         there = [Patch(color=colour, label=name) for name, (flags, colour) in looks.items() if flags.any()]
         _finish(axes, recorded, there)
 
@@ -366,7 +378,7 @@ def _membership(recorded: Recorded, on_plane: Weights) -> Panel:
         for (name, (flags, colour)), dashes in zip(looks.items(), ("-", DASHED, DOTTED), strict=True):
             axes.step(arrays.time, flags.sum(axis=1), where="post", color=colour, linestyle=dashes, label=name)
         axes.set_ylim(bottom=0.0)
-        axes.set_ylabel("robots", labelpad=2.0)
+        axes.set_ylabel("robots")
         _finish(axes, recorded, axes.lines)
 
     there = on_plane.there.sum(axis=1)
@@ -398,14 +410,15 @@ def _quantity(figure: FigureBase, recorded: Recorded, values: Floats, symbol: st
         legend: Sequence[Line2D | Patch] = axes.lines
     elif count <= MANY:
         robots_by_kind(axes, recorded.run, values)
-        legend = kinds(recorded.run)
+        drawn = {line.get_color() for line in axes.lines if np.isfinite(np.asarray(line.get_ydata(), float)).any()}
+        legend = [one for one in kinds(recorded.run) if one.get_color() in drawn]
     else:
         legend = draw_bands(axes, recorded, values)
     for line in list(axes.lines):
         if np.isnan(np.asarray(line.get_ydata(), dtype=float)).all():
             line.remove()
     axes.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.5)
-    axes.set_ylabel(label, labelpad=2.0)
+    axes.set_ylabel(label)
     _finish(axes, recorded, legend)
     return axes
 
@@ -422,7 +435,7 @@ def _drawing_of_state(
         if truth is not None:
             axes.plot(time, truth, color=GREEN, linestyle=DASHED, label=f"{letter} from the robots' states")
         axes.plot(time, wanted, color=BLACK, linestyle=DOTTED, label=f"{letter} desired")
-        axes.set_ylabel(f"{letter}, {unit}", labelpad=2.0)
+        axes.set_ylabel(f"{letter}, {unit}")
         _finish(axes, recorded, axes.lines)
 
     return draw
@@ -437,13 +450,21 @@ def _space(figure: FigureBase, recorded: Recorded, masses: Sequence[float]) -> N
     inertias = np.concatenate([state.inertia for state in states])
     reach = max(1.25 * float(np.nanmax(np.abs(torques), initial=0.0)), 0.1 * manifold.torque_max)
     high = 1.25 * max(float(np.nanmax(inertias, initial=0.0)), manifold.inertia(min(reach, manifold.torque_max)))
+    boundary = 1.15 * largest_admissible_inertia(0.0, masses, plane.length, plane.gravity)
+    high = boundary if high < boundary < 4.0 * high else high
     torque = np.linspace(-reach, reach, _FINE)
     least = np.array([smallest_inertia(t, masses, plane.gravity) for t in torque.tolist()])
     inner = np.array([largest_admissible_inertia(t, masses, plane.length, plane.gravity) for t in torque.tolist()])
-    outer = np.array([largest_inertia(t, masses, plane.length, plane.gravity).lower for t in torque.tolist()])
-    inner, outer = (np.clip(curve, least, 2.0 * high) for curve in (inner, outer))
+    inner = np.clip(inner, least, 2.0 * high)
     axes.fill_between(torque, least, inner, color=SKY, alpha=0.35, linewidth=0.0, label="A_A")
-    axes.fill_between(torque, inner, outer, color=ORANGE, alpha=0.25, linewidth=0.0, label="A_P")
+    if (inner < high).any():
+        # Even in the torque, and slow to compute for many different masses.
+        sides = np.linspace(0.0, reach, _COARSE)
+        highest = [largest_inertia(t, masses, plane.length, plane.gravity).lower for t in sides.tolist()]
+        outer = np.interp(np.abs(torque), sides, np.clip(highest, 0.0, 2.0 * high))
+        axes.fill_between(
+            torque, inner, outer, color=ORANGE, alpha=0.25, linewidth=0.0, label="A_P", where=outer > inner
+        )
     on_manifold = np.clip(torque, -manifold.torque_max, manifold.torque_max)
     axes.plot(
         on_manifold,
@@ -484,42 +505,49 @@ def _finish(axes: Axes, recorded: Recorded, named: Sequence[Line2D | Patch]) -> 
     _mark_events(axes, recorded)
 
 
+def _by_decades(axes: Axes, values: Floats) -> None:
+    """Make the vertical axis logarithmic where the values ask for it."""
+    positive: Floats = values[np.isfinite(values) & (values > 0)]
+    if len(positive) and float(np.max(positive)) > _DECADES * float(np.min(positive)):
+        axes.set_yscale("log")
+
+
 def _legend(axes: Axes, named: Sequence[object]) -> None:
     if named:
         axes.legend(
             handles=named,
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
-            ncols=min(len(named), 5),
+            ncols=min(len(named), 4),
             borderaxespad=0.2,
         )
 
 
 def _mark_events(axes: Axes, recorded: Recorded) -> None:
-    """Mark events at the upper edge, few of them by lines through the panel as well."""
-    times = {(event.stamp / 1e9, EVENT_COLOURS.get(EventKind(event.kind), GREY)) for event in _known(recorded)}
+    """Mark events at the upper edge: by triangles who takes part, few of them through the panel too; else by dashes."""
+    end = float(recorded.arrays.time[-1])
     edge = axes.get_xaxis_transform()
-    for time, colour in sorted(times):
-        if len(times) <= _FEW_MARKS:
-            axes.axvline(time, color=colour, linewidth=0.7, linestyle=DOTTED, zorder=0.6)
-    for colour in sorted({colour for _, colour in times}):
+    times: dict[str, set[float]] = defaultdict(set)
+    for event in recorded.events:
+        if event.stamp / 1e9 <= end:
+            times[EVENT_COLOURS.get(event.kind, GREY)].add(event.stamp / 1e9)
+    few = sum(len(found) for colour, found in times.items() if colour != GREY) <= _FEW_MARKS
+    for colour, found in sorted(times.items()):
+        marked = colour != GREY
         axes.plot(
-            sorted(time for time, one in times if one == colour),
-            np.ones(sum(one == colour for _, one in times)),
+            sorted(found),
+            np.ones(len(found)),
             transform=edge,
             linestyle="none",
-            marker="v",
-            markersize=3.5,
+            marker="v" if marked else "|",
+            markersize=4.5 if marked else 3.5,
+            markeredgewidth=0.4,
             color=colour,
             clip_on=False,
-            zorder=5.0,
+            zorder=5.0 if marked else 4.0,
         )
-
-
-def _known(recorded: Recorded) -> Iterator[object]:
-    known = {kind.value for kind in EventKind}
-    end = recorded.arrays.time[-1]
-    return (event for event in recorded.events if event.kind in known and event.stamp / 1e9 <= end)
+        for time in sorted(found) if marked and few else ():
+            axes.axvline(time, color=colour, linewidth=0.7, linestyle=DOTTED, zorder=0.6)
 
 
 def _lowest(values: Floats, time: Floats, unit: str) -> str:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from swarmabs_bringup.report.panels import Panel
     from swarmabs_bringup.report.record import Recorded
 
-WIDTH = 5.2
+WIDTH = 4.4
 """Of a panel in a page, inches: about that of a phone, so that its text can be read there."""
-OVERVIEW = ("plane", "positions", "abstract-error", "tracking", "space", "margin-end")
-"""The panels of the PNG, row by row."""
+OVERVIEW = (("plane",), ("mass", "positions"), ("abstract-error",), ("tracking",), ("space",), ("margin-end",))
+"""The panels of the PNG, row by row; of several that stand in one place, the first that there is."""
 COLOURS = {
     style.BLACK: "ink",
     style.GREY: "grey",
@@ -45,6 +45,8 @@ PNG_MARK = "swarmabs report"
 """Marks a PNG file as that of a report."""
 
 _NAMESPACE = re.compile(r"^\{[^}]*\}")
+_FONT = re.compile(r"font-family:[^;]*;? ?")
+_UPRIGHT = re.compile(r"rotate\(-?0 [^)]*\) ?")
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _REFERENCE = re.compile(r"url\(#([^)]*)\)")
@@ -66,7 +68,8 @@ def page_picture(panel: Panel) -> ET.Element:
 
 def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:
     """Return the most telling panels with the run's name and state as a PNG file."""
-    chosen = [panels[key] for key in OVERVIEW if key in panels]
+    places = [[panels[key] for key in keys if key in panels] for keys in OVERVIEW]
+    chosen = [place[0] for place in places if place]
     with _drawing():
         columns = 3
         rows = max(1, -(-len(chosen) // columns))
@@ -126,10 +129,12 @@ def _inlined(root: ET.Element, key: str) -> ET.Element:
                 value = f"{key}-{value}"
             elif name == "href" and value.startswith("#"):
                 value = f"#{key}-{value[1:]}"
-            elif name == "d" or name in {"x", "y", "transform", "points"}:
-                value = _NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), value)
+            elif name in {"d", "x", "y", "transform"}:
+                value = _NUMBER.sub(lambda found: f"{float(found[0]):.2f}", _UPRIGHT.sub("", value))
+                if not value:
+                    continue
             elif name == "style":
-                value = _COLOUR.sub(lambda found: _variable(found[0]), value)
+                value = _COLOUR.sub(lambda found: _variable(found[0]), _FONT.sub("", value))
             element.set(name, _REFERENCE.sub(rf"url(#{key}-\1)", value))
     for parent in list(root.iter()):
         for child in list(parent):

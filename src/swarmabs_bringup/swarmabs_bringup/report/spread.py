@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from swarmabs_bringup.figures.style import BLUE, DOTTED, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from swarmabs_bringup.figures.style import BLACK, BLUE, DASHED, DOTTED, GREEN, PURPLE, SOLID, VERMILION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
 
 COLUMNS, LINES = 240, 80
-_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 
 
 def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | Patch]:
-    """Draw the bands of 50 and 90 % of the robots, the outermost ones, the median and three named robots.
+    """Draw bands that hold 50 and 90 % of the robots, the outermost ones, the median, and three named robots.
+
+    Robots that start on different sides of the axis have bands of their own: they go different ways.
 
     Parameters
     ----------
@@ -45,35 +47,50 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
         What stands for it in a legend.
     """
     there = np.isfinite(values).any(axis=0)
-    time, found = [], []
+    legend: list[Line2D | Patch] = []
+    for positive, colour in ((True, BLUE), (False, VERMILION)):
+        chosen = np.flatnonzero(there & ((_start(recorded) > 0) == positive))
+        if len(chosen):
+            _draw_band(axes, recorded, values[:, chosen], colour)
+            legend.append(Patch(color=colour, alpha=0.5, label=f"p {'>' if positive else '≤'} 0 at first"))
+    named = _named(recorded, values, there).items() if there.any() else ()
+    for (name, column), (colour, dashes) in zip(
+        named, ((BLACK, SOLID), (GREEN, DASHED), (PURPLE, SOLID)), strict=False
+    ):
+        legend += axes.plot(
+            recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=0.7, label=name
+        )
+    return legend
+
+
+def _draw_band(axes: Axes, recorded: Recorded, values: Floats, colour: str) -> None:
+    time: list[float] = []
+    found: list[list[float]] = []
     for rows, _ in _columns(axes, recorded):
-        part = values[rows][:, there]
+        part: Floats = values[rows].ravel()
         part = part[np.isfinite(part)]
         if len(part):
             time.append(float(recorded.arrays.time[rows].mean()))
-            found.append([part.min(), *np.quantile(part, _QUANTILES), part.max()])
-    if not found:
-        return []
+            found.append(np.quantile(part, _QUANTILES).tolist())
     lowest, low, lower, middle, upper, high, highest = np.array(found).T
-    axes.fill_between(time, low, high, color=SKY, alpha=0.3, linewidth=0.0)
-    axes.fill_between(time, lower, upper, color=BLUE, alpha=0.35, linewidth=0.0)
+    axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
+    axes.fill_between(time, lower, upper, color=colour, alpha=0.35, linewidth=0.0)
     for edge in (lowest, highest):
-        axes.plot(time, edge, color=BLUE, linestyle=DOTTED, linewidth=0.7)
-    axes.plot(time, middle, color=BLUE, linewidth=1.1)
-    lines = [
-        axes.plot(recorded.arrays.time, values[:, column], color=colour, linewidth=0.7, label=name)[0]
-        for (name, column), colour in zip(
-            _named(recorded, values, there).items(), (ORANGE, VERMILION, PURPLE), strict=False
-        )
-    ]
-    return [Patch(color=BLUE, alpha=0.35, label="50 %"), Patch(color=SKY, alpha=0.3, label="90 %"), *lines]
+        axes.plot(time, edge, color=colour, linestyle=DOTTED, linewidth=0.7)
+    axes.plot(time, middle, color=colour, linewidth=1.1)
+
+
+def _start(recorded: Recorded) -> Floats:
+    """Return where each robot is first, m."""
+    agents = recorded.arrays.agents
+    return np.asarray(agents.position[(agents.kind > 0).argmax(axis=0), np.arange(len(agents.ids))])
 
 
 def density(axes: Axes, recorded: Recorded) -> QuadMesh:
     """Draw how much mass is where at each time, kg per mm; the time axis of the panel is set."""
     agents, time = recorded.arrays.agents, recorded.arrays.time
     positions = agents.position[np.isfinite(agents.position)]
-    low, high = (float(positions.min()), float(positions.max())) if len(positions) else (-0.5, 0.5)
+    low, high = (float(np.min(positions)), float(np.max(positions))) if len(positions) else (-0.5, 0.5)
     slack = 0.02 * (high - low) + 1e-6
     edges = np.linspace(low - slack, high + slack, LINES + 1)
     kept, masses = [], []

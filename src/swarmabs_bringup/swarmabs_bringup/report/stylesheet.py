@@ -45,13 +45,14 @@ figure { margin: 0; padding: 0.7rem 0.8rem; background: var(--panel); border: 1p
   border-radius: 6px; break-inside: avoid; min-width: 0; }
 figure h3 { margin: 0 0 0.3rem; }
 figcaption p { font-size: 0.82rem; line-height: 1.4; margin: 0.3rem 0 0; }
-svg { display: block; width: 100%; height: auto; max-width: 44rem; margin: 0 auto; }
+svg { display: block; width: 100%; height: auto; max-width: 42rem; margin: 0 auto; }
 svg * { stroke-linejoin: round; stroke-linecap: butt; }
-svg text { fill: var(--ink); }
+svg text { fill: var(--ink); font-family: "DejaVu Sans", Verdana, Helvetica, Arial, sans-serif; }
 .table { overflow-x: auto; margin: 0.6rem 0; }
 table { border-collapse: collapse; font-size: 0.88rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-size: 0.85rem; padding-bottom: 0.3rem; }
-th, td { text-align: left; vertical-align: top; padding: 0.28rem 1.2rem 0.28rem 0; border-bottom: 1px solid var(--line); }
+th, td { text-align: left; vertical-align: top; padding: 0.28rem 1.2rem 0.28rem 0;
+  border-bottom: 1px solid var(--line); }
 thead th { color: var(--quiet); font-weight: 600; }
 tbody th { font-weight: 500; }
 pre { overflow-x: auto; background: var(--panel); border: 1px solid var(--line); border-radius: 6px;

@@ -53,7 +53,7 @@ def column_points(column: Integers, values: Floats) -> Integers:
     extremes = [
         found
         for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)
-        for found in (begin + int(lowest[begin:end].argmin()), begin + int(highest[begin:end].argmax()))
+        for found in (begin + int(np.argmin(lowest[begin:end])), begin + int(np.argmax(highest[begin:end])))
     ]
     return np.unique(np.concatenate([begins, ends - 1, gaps, gaps + 1, np.array(extremes, dtype=np.int64)]))
 

@@ -23,7 +23,7 @@ def span(name: str, values: NDArray[np.float64], unit: str, *, over_time: bool =
     if not len(there):
         return f"{name}: nothing recorded"
     ends = f"from {there[0]:.4g} to {quantity(float(there[-1]), unit)}, " if over_time else ""
-    return f"{name}: {ends}between {there.min():.4g} and {quantity(float(there.max()), unit)}"
+    return f"{name}: {ends}between {np.min(there):.4g} and {quantity(float(np.max(there)), unit)}"
 
 
 def joined(*parts: str, by: str = "; ") -> str:
