@@ -62,3 +62,15 @@ def test_a_path_that_is_no_function_of_time_is_thinned_too() -> None:
     x, y = (np.asarray(data, dtype=float) for data in (line.get_xdata(), line.get_ydata()))
     assert len(x) <= 4_000
     np.testing.assert_allclose(np.hypot(x, y), 1.0)
+
+
+def test_noise_and_gaps_in_a_path_do_not_keep_it_from_ending() -> None:
+    x, y = np.random.default_rng(7).normal(size=(2, 60_000))
+    x[1_000:50_000:2] = np.nan
+    figure = Figure(figsize=(3.0, 3.0), dpi=100)
+    axes = figure.add_subplot()
+    (line,) = axes.plot(x, y)
+    axes.set(xlim=(0.5, 1.0), ylim=(0.5, 1.0))
+    figure.draw_without_rendering()
+    thin_lines(figure)
+    assert 2_000 <= len(np.asarray(line.get_xdata())) <= 4_000

@@ -63,7 +63,7 @@ _DECADES = 30.0
 """Ratio of the values from which on an axis is logarithmic."""
 _ROWS = 40
 """Most robots with a row each in the picture of the membership."""
-_FEW_MARKS = 12
+_FEW_MARKS, _MOST_MARKS = 12, 200
 _FINE, _COARSE = 241, 21
 EVENT_COLOURS: Mapping[int, str] = {
     EventKind.DEAD: VERMILION,
@@ -529,14 +529,19 @@ def _mark_events(axes: Axes, recorded: Recorded) -> None:
     edge = axes.get_xaxis_transform()
     times: dict[str, set[float]] = defaultdict(set)
     for event in recorded.events:
-        if event.stamp / 1e9 <= end:
+        if 0.0 <= event.stamp / 1e9 <= end:
             times[EVENT_COLOURS.get(event.kind, GREY)].add(event.stamp / 1e9)
     few = sum(len(found) for colour, found in times.items() if colour != GREY) <= _FEW_MARKS
+    scale = axes.xaxis.get_transform()
+    first, last = scale.transform(np.array([0.0, end]))
     for colour, found in sorted(times.items()):
         marked = colour != GREY
+        every = np.array(sorted(found))
+        places = np.floor(_MOST_MARKS * (scale.transform(every) - first) / (last - first))
+        every = every[np.unique(places, return_index=True)[1]]
         axes.plot(
-            sorted(found),
-            np.ones(len(found)),
+            every,
+            np.ones(len(every)),
             transform=edge,
             linestyle="none",
             marker="v" if marked else "|",

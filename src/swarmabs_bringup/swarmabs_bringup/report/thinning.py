@@ -64,10 +64,11 @@ def _chosen(axes: Axes, points: Floats, scale: float) -> Integers:
     places[~np.isfinite(places)] = np.nan
     if not np.isnan(places[:, 0]).any() and (np.diff(points[:, 0]) >= 0).all():
         return column_points(np.floor(places[:, 0]).astype(np.int64), points[:, 1])
-    cells = places
-    while True:
+    # A path that fills an area: its points in coarser and coarser cells, at last in one.
+    chosen = np.arange(len(points))
+    cells = np.where(np.isnan(places), -1.0, places - np.nanmin(places, axis=0, initial=np.inf))
+    while len(chosen) > _MOST and (cells > 0).any():
         moved = np.any(np.floor(cells[1:]) != np.floor(cells[:-1]), axis=1)
         chosen = np.concatenate([[0], np.flatnonzero(moved) + 1])
-        if len(chosen) <= _MOST or len(points) <= _MOST:
-            return chosen
-        cells = cells / 2.0
+        cells = np.where(cells < 0, cells, np.where(cells < 1.0, 0.0, cells / 2.0))
+    return chosen[:: -(-len(chosen) // _MOST)]
