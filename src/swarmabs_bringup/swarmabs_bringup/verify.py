@@ -6,12 +6,12 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.bag import PROVENANCE_FILE, SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
+from swarmabs_bringup.bag import SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
+from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.provenance import plugin_versions, versions
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
-from swarmabs_core.scenario import parse_scenario
 from swarmabs_core.verification import Difference, Ending, Verification
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class BagToVerify:
         if missing and not self._bag.problem:
             raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
         self.scenario = _scenario(self._bag)
-        self._provenance = _provenance(self._bag)
+        self._provenance = attached_provenance(self._bag)
         driver = self._provenance.get("driver", DRIVERS[0])
         if driver not in DRIVERS:
             raise InputError(
@@ -205,24 +205,9 @@ def open_to_verify(path: Path) -> BagToVerify | Verdict:
 
 
 def _scenario(bag: BagReader) -> Scenario:
-    data = bag.attachment(SCENARIO_FILE)
-    if data is None and bag.problem is not None:
+    if bag.problem is not None and bag.attachment(SCENARIO_FILE) is None:
         raise DamagedBagError(f"{bag.path}: {bag.problem}; with its end it has lost its scenario")
-    if data is None:
-        raise InputError(f"{bag.path} holds no scenario: without it nothing can be recomputed")
-    try:
-        text = data.decode()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{bag.path}: its {SCENARIO_FILE} is not text: {error}") from error
-    return parse_scenario(text, source=f"{bag.path}:{SCENARIO_FILE}")
-
-
-def _provenance(bag: BagReader) -> dict[str, Any]:
-    try:
-        found = json.loads(bag.attachment(PROVENANCE_FILE) or b"{}")
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    return attached_scenario(bag)
 
 
 def _other_digest(bag: BagReader, digest: str) -> Difference | None:
