@@ -12,6 +12,7 @@ from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.bag.definitions import READABLE
 from swarmabs_bringup.cli import main
 from swarmabs_bringup.comparison import compare_bags
+from swarmabs_bringup.verify import BagToVerify
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.recording import Digest
 from swarmabs_core.scenario import load_scenario
@@ -48,6 +49,13 @@ def test_its_digest_is_still_that_of_its_messages() -> None:
     assert found.equal
     assert found.a.digest == BAG_DIGEST
     assert found.a.figures["max_abs_position"] == 0.1353662543782129
+
+
+@same_library
+def test_it_verifies_and_its_library_is_not_taken_for_another_one() -> None:
+    bag = BagToVerify(DATA)
+    assert main(["verify", str(DATA)]) == 0
+    assert not any("mathematical library" in note for note in bag._elsewhere())
 
 
 @same_library

@@ -12,6 +12,7 @@ from tests.swarmabs_bringup.comparison.runs import write_bag
 
 from swarmabs_bringup.bag import open_bag
 from swarmabs_bringup.cli import main
+from swarmabs_bringup.comparison import compare_bags
 from swarmabs_bringup.provenance import provenance
 from swarmabs_bringup.rerun import recorded_run
 from swarmabs_core.errors import InputError
@@ -178,3 +179,13 @@ def test_steering_is_refused(remake: Remake) -> None:
 
     with pytest.raises(InputError, match=r"a setting was changed from outside at step 5 \('controller.gains.0'\)"):
         recorded_run(remake(steered))
+
+
+def test_a_split_bag_is_one_run(original: Path, tmp_path: Path) -> None:
+    words = ["--set", "duration=2.5", "--max-bag-duration", "1", "-o", str(tmp_path / "split")]
+    assert main(["simulate", str(original / "scenario.yaml"), *words]) == 0
+    assert len(list((tmp_path / "split" / "bag").glob("*.mcap"))) > 1
+    assert main(["simulate", str(tmp_path / "split"), "-o", str(tmp_path / "whole")]) == 0
+    rerun = json.loads((tmp_path / "whole" / "summary.json").read_text())["rerun_of"]
+    assert (rerun["same"], rerun["last_step"]) == (True, 250)
+    assert compare_bags(tmp_path / "whole", tmp_path / "split").equal

@@ -10,7 +10,7 @@ from swarmabs_bringup.bag import SCENARIO_FILE, DamagedBagError, NotABagError, o
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.provenance import plugin_versions, versions
 from swarmabs_core.errors import InputError
-from swarmabs_core.fingerprint import libm_fingerprint
+from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 from swarmabs_core.verification import Difference, Ending, Verification
 
@@ -173,10 +173,10 @@ class BagToVerify:
     def _elsewhere(self) -> tuple[str, ...]:
         """Return what was different where the bag was recorded and may explain a difference."""
         notes = []
-        recorded, here = self._provenance.get("libm_fingerprint"), libm_fingerprint()
-        if recorded is not None and recorded != here:
+        recorded, here = self._provenance.get("libm_fingerprint"), libm_fingerprints()
+        if recorded is not None and recorded not in here:
             notes.append(
-                f"the bag was recorded with another mathematical library (fingerprint {recorded}, here {here}): "
+                f"the bag was recorded with another mathematical library (fingerprint {recorded}, here {here[0]}): "
                 "bits may differ for that alone; --tolerance 1e-9 compares numbers instead"
             )
         then = self._provenance.get("versions")
