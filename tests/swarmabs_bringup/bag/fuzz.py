@@ -156,6 +156,7 @@ class Fuzzer:
             raise WrongAnswerError(f"swarm info exits {code}, with --json {again}")
         if document:
             json.loads(document)
+        command("verify", str(self._file))
         try:
             scenario = find_scenario(str(self._file))
         except SwarmabsError as error:
