@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -45,14 +46,31 @@ def described(metadata: str) -> bytes:
 
 def test_chunk_that_became_something_unknown_is_missed(whole: bytes, file: Path, run: list[Message]) -> None:
     """The format tells readers to pass over records of kinds that they do not know."""
-    place = next(r.offset for r in split(whole) if r.opcode == Opcode.CHUNK)
-    data = bytearray(whole)
-    data[place] = 0x80
-    file.write_bytes(data)
+
+    def change(found: FileIndex) -> None:
+        found.statistics.message_count = len(run)
+
+    records = split(whole)
+    number = [number for number, found in enumerate(records) if found.opcode == Opcode.CHUNK][1]
+    records[number] = records[number]._replace(opcode=0x80)
+    file.write_bytes(sealed(joined(records), change))
     with pytest.raises(DamagedBagError, match=f"the summary says message_count = {len(run)}, but it is "):
         list(open_bag(file).messages())
     with pytest.raises(DamagedBagError, match="message_count"):
         load_arrays(file)
+
+
+def test_chunk_that_became_something_else_while_another_record_became_a_message(
+    tmp_path: Path, run: list[Message], write_bag: Callable[..., Path]
+) -> None:
+    """The number of messages is right then, but not the CRC of the data section."""
+    data = bytearray((write_bag(tmp_path / "bag", run[:1]) / "bag_0.mcap").read_bytes())
+    for found in split(bytes(data)):
+        if found.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
+            data[found.offset] = {Opcode.CHUNK: 0x80, Opcode.MESSAGE_INDEX: Opcode.MESSAGE}[Opcode(found.opcode)]
+    (tmp_path / "x.mcap").write_bytes(data)
+    with pytest.raises(DamagedBagError, match="CRC of the data section is"):
+        list(open_bag(tmp_path / "x.mcap").messages())
 
 
 @pytest.mark.parametrize("place", [2**63, 2**64 - 1, 2**40])

@@ -38,6 +38,7 @@ from swarmabs_bringup.bag.records import (
     Record,
     RecordError,
     chunk_head,
+    crc_with,
     inner_records,
     parse,
     read_message,
@@ -191,8 +192,7 @@ def read_attachment(record: Record) -> Attachment:
 
 
 def _advance(index: FileIndex, record: Record) -> None:
-    head = struct.pack("<BQ", record.opcode, len(record.content))
-    index.crc = zlib.crc32(record.content, zlib.crc32(head, index.crc))
+    index.crc = crc_with(index.crc, record)
     index.data_end = record.end
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import stat
+import zlib
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +23,10 @@ from swarmabs_bringup.bag.index import FileIndex, read_attachment, read_index, s
 from swarmabs_bringup.bag.metadata import ABORTED_KEY, RECORD_KEY, RECORD_NAME
 from swarmabs_bringup.bag.records import (
     MAGIC,
+    Record,
     RecordError,
     StoredMessage,
+    crc_with,
     inner_records,
     parse,
     read_message,
@@ -235,12 +238,7 @@ class BagReader:
             found = scan_index(stream, self.size)
             if found.problem is not None:
                 raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
-            stated: DataEnd = parse(DataEnd, read_record(stream, found.data_end, self.size))
-        if stated.data_section_crc not in {0, found.crc}:
-            raise DamagedBagError(
-                f"{self.path}: CRC of the data section is {found.crc:#010x}, "
-                f"but the file says {stated.data_section_crc:#010x}"
-            )
+            _check_crc(read_record(stream, found.data_end, self.size), found.crc)
         counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
         for name in {**counted, **said}:
             number, stated_number = counted.get(name, 0), said.get(name, 0)
@@ -408,9 +406,19 @@ def _numbers(statistics: Statistics) -> dict[str, int]:
     }
 
 
+def _check_crc(end: Record, crc: int) -> None:
+    """Compare the CRC of the data section with what its end says."""
+    stated: DataEnd = parse(DataEnd, end)
+    if stated.data_section_crc not in {0, crc}:
+        raise RecordError(
+            end.offset, f"CRC of the data section is {crc:#010x}, but the file says {stated.data_section_crc:#010x}"
+        )
+
+
 def _stored_messages(stream: BinaryIO, index: FileIndex) -> Iterator[StoredMessage]:
     if index.data_end <= len(MAGIC):
         return
+    crc = zlib.crc32(MAGIC)
     # A damaged bag ends at data_end; a complete one has a DataEnd record there, which ends the loop.
     for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
         if record.opcode == Opcode.CHUNK:
@@ -420,6 +428,9 @@ def _stored_messages(stream: BinaryIO, index: FileIndex) -> Iterator[StoredMessa
                     yield read_message(data, begin, end, record.offset)
         elif record.opcode == Opcode.MESSAGE:
             yield read_message(record.content, 0, len(record.content), record.offset)
+        elif record.opcode == Opcode.DATA_END:
+            _check_crc(record, crc)
+        crc = crc_with(crc, record)
         if index.problem and record.end >= index.data_end:
             return
 

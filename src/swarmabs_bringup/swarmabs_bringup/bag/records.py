@@ -74,6 +74,11 @@ class StoredMessage(NamedTuple):
     payload: bytes
 
 
+def crc_with(crc: int, record: Record) -> int:
+    """Return the CRC-32 of what stands before a record and of the record."""
+    return zlib.crc32(record.content, zlib.crc32(_HEAD.pack(record.opcode, len(record.content)), crc))
+
+
 class Parsable(Protocol):
     """A record class of the mcap library."""
 
