@@ -42,7 +42,7 @@ class RecordedRun:
     last_step : int
         The last step in it, -1 if there is none.
     complete : bool
-        Whether this is the last step of its scenario.
+        Whether this is the last step of its scenario, and none before it is missing.
     differences : tuple of str
         What is different now from when it was made, or cannot be repeated; a sentence each.
     """
@@ -90,14 +90,17 @@ class RecordedRun:
         return (None, None) if same is None and outcome.status == "interrupted" else (bool(same), "prefix")
 
     def _continued_by(self, bag: BagReader) -> bool | None:
-        """Say whether another bag has the same messages up to the last step here, None if it ends before."""
+        """Say whether another bag has the messages that are here, None if it ends before them.
+
+        Where the bag breaks off, or was repaired, messages of a step may be missing, and whole steps.
+        """
         others = _main_steps(bag)
         for step in _main_steps(open_bag(self.bag)):
-            other = next(others, None)
+            other = next((found for found in others if found.step == step.step), None)
             if other is None:
                 return None
-            ours, theirs = ([record.payload for record in found.records] for found in (step, other))
-            if ours != theirs and not (step.step == self.last_step and set(ours) <= set(theirs)):
+            ours, theirs = ({record.payload for record in found.records} for found in (step, other))
+            if not ours <= theirs:
                 return False
         return True
 
@@ -124,7 +127,7 @@ def recorded_run(path: Path | str) -> RecordedRun:
     provenance = attached_provenance(bag)
     _check_repeatable(bag, provenance)
     differences = [*_differences(provenance, scenario)]
-    digest, last_step = Digest(), -1
+    digest, last_step, steps = Digest(), -1, 0
     try:
         for step in recorded_steps(bag.decoded(), str(bag.path)):
             if step.records[0].topic is EVENTS:
@@ -132,13 +135,14 @@ def recorded_run(path: Path | str) -> RecordedRun:
             else:
                 digest.update(step)
                 last_step = step.step
+                steps += 1
     except DamagedBagError as error:
         differences.append(f"only a part of the bag can be compared: {error}")
     return RecordedRun(
         Path(path),
         digest.hexdigest() if last_step >= 0 else None,
         last_step,
-        last_step == scenario.steps,
+        last_step == scenario.steps == steps - 1,
         tuple(differences),
     )
 

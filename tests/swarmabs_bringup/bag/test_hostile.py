@@ -95,9 +95,9 @@ def test_attachment_of_another_name(whole: bytes, file: Path) -> None:
 
 def test_scenario_that_is_no_text(file: Path) -> None:
     file.write_bytes(sealed(MAGIC + HEADER + attachment(b"scenario.yaml", b"\xff\xfe")))
-    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is no text in UTF-8, so it is not"):
+    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is not UTF-8 text, so it is not"):
         find_scenario(str(file))
-    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is no text in UTF-8, so it is not"):
+    with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is not UTF-8 text, so it is not"):
         find_runs([file], {"sample"})
 
 

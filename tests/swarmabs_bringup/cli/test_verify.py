@@ -208,7 +208,7 @@ def test_what_cannot_be_verified_is_refused(capfd: pytest.CaptureFixture[str], r
     assert re.search(
         r"scenario\.yaml:2: .*plne", refused(capfd, with_attachment("scenario.yaml", b"schema: 1\nplne: 1"))
     )
-    assert "is not text" in refused(capfd, with_attachment("scenario.yaml", b"\xff"))
+    assert "is not UTF-8 text" in refused(capfd, with_attachment("scenario.yaml", b"\xff"))
     assert "recorded by driver 'realtime'" in refused(
         capfd, with_attachment("provenance.json", b'{"driver": "realtime"}')
     )

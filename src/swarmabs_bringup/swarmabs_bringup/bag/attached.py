@@ -36,12 +36,12 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario
     """
     text = bag.attachment(SCENARIO_FILE)
     if text is None:
-        raise InputError(f"{bag.path} holds no scenario; run a scenario file instead")
+        raise InputError(f"{bag.path} holds no scenario, so it is not known what it is a run of")
     source = f"{bag.path}:{SCENARIO_FILE}"
     try:
         return parse_scenario(text.decode(), source=source, overrides=overrides)
     except UnicodeDecodeError as error:
-        raise InputError(f"{source} is not UTF-8 text; run a scenario file instead") from error
+        raise InputError(f"{source} is not UTF-8 text, so it is not known what it is a run of") from error
 
 
 def attached_provenance(bag: BagReader) -> dict[str, Any]:
