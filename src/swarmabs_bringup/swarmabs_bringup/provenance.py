@@ -13,6 +13,8 @@ from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.law_registry import ALL_LAWS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from swarmabs_core.scenario import Scenario
 
 SCHEMA_VERSION = 1
@@ -38,9 +40,19 @@ def plugin_versions(scenario: Scenario) -> dict[str, str]:
     return dict(package for package in packages if package is not None)
 
 
-def provenance(scenario: Scenario, *, driver: str) -> dict[str, object]:
-    """Return the provenance of a run; `driver` says what moved the state machines: ``lockstep`` or ``simulate``."""
-    return {
+def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None) -> dict[str, object]:
+    """Return the provenance of a run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    driver : str
+        What moved the state machines: ``lockstep`` or ``simulate``.
+    replay : mapping, optional
+        What of which bag was replayed, if it is no run of its own.
+    """
+    own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
         "scenario": scenario.name,
         "seed": scenario.seed,
@@ -50,8 +62,9 @@ def provenance(scenario: Scenario, *, driver: str) -> dict[str, object]:
         "byte_order": sys.byteorder,
         "libm_fingerprint": libm_fingerprint(),
     }
+    return own if replay is None else own | {"replay": dict(replay)}
 
 
-def provenance_json(scenario: Scenario, *, driver: str) -> bytes:
-    """Return the provenance as a bag's attachment."""
-    return json.dumps(provenance(scenario, driver=driver), indent=2, sort_keys=True).encode() + b"\n"
+def provenance_json(scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None) -> bytes:
+    """Return the provenance as a bag's attachment; parameters as of `provenance`."""
+    return json.dumps(provenance(scenario, driver=driver, replay=replay), indent=2, sort_keys=True).encode() + b"\n"

@@ -13,10 +13,11 @@ from swarmabs_core.errors import RunError
 from swarmabs_core.simulation import simulated_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from swarmabs_bringup.orchestration.progress import Phase
     from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_core.recording import Step
     from swarmabs_core.scenario import Scenario
 
 _TELL_EVERY = 0.1
@@ -47,6 +48,29 @@ def simulate_run(
     """
     folder.fill(scenario)
     recording = Recording(scenario, folder.bag if record else None, driver="simulate", split=split)
+    return record_steps(simulated_steps(scenario), scenario, recording, on_progress=on_progress)
+
+
+def record_steps(
+    steps: Iterator[Step],
+    scenario: Scenario,
+    recording: Recording,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Outcome:
+    """Record steps that are computed in this process.
+
+    Parameters
+    ----------
+    steps : iterator of Step
+        The steps, computed while they are iterated over.
+    scenario : Scenario
+        What they are steps of.
+    recording : Recording
+        Where they go; it is completed, however they end.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    """
     begun = told = time.monotonic()
 
     def tell(phase: Phase, now: float) -> None:
@@ -57,7 +81,7 @@ def simulate_run(
 
     try:
         with end_asked() as asked:
-            for step in simulated_steps(scenario):
+            for step in steps:
                 recording.add(step)
                 if asked():
                     return Outcome("interrupted", "interrupted", recording.abort("interrupted"))

@@ -63,6 +63,14 @@ class Change:
             ) from None
 
 
+def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Change, ...]:
+    """Return the scheduled changes with ends that nobody had planned, which come before those planned."""
+    unplanned = tuple(ends)
+    ended = {change.agent_id for change in unplanned}
+    kept = (change for change in schedule if change.kind is ChangeKind.JOIN or change.agent_id not in ended)
+    return tuple(sorted((*kept, *unplanned)))
+
+
 @dataclass(slots=True)
 class _Span:
     """First and last step at which a robot publishes, and whether its weight stays on the plane then."""

@@ -13,6 +13,7 @@ from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
 from swarmabs_bringup.cli.repair import repair
+from swarmabs_bringup.cli.replay import replay
 from swarmabs_bringup.cli.report import report
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
@@ -36,6 +37,7 @@ for command in (
     check,
     info,
     verify,
+    replay,
     repair,
     compare,
     report,

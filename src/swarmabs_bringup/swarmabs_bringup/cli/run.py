@@ -155,7 +155,7 @@ def _carry_out(
             outcome.figures,
             status=outcome.status,
             reason=outcome.reason,
-            wall_time=_since_start(),
+            wall_time=since_start(),
             stepping_seconds=outcome.stepping_seconds,
             rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides)) if recorded is not None else None,
         )
@@ -178,7 +178,7 @@ def _carry_out(
     return 0 if outcome.status == "ok" else 1
 
 
-def _since_start() -> float:
+def since_start() -> float:
     """Return the wall time since this process was started, which is when the user's command was.
 
     Of the fields of ``/proc/self/stat`` behind the name, which may itself hold blanks, the twentieth is the start in

@@ -28,6 +28,7 @@ from swarmabs_core.messages import (
 from swarmabs_ros.repeat import FIRST, WINDOW
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from pathlib import Path
 
     from swarmabs_core.behaviours import AgentConfig
@@ -216,7 +217,7 @@ def plan(
         ),
         *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process),
     ]
-    _expect_counterparts(processes)
+    expect_counterparts(processes)
     return tuple(processes)
 
 
@@ -291,7 +292,7 @@ def _agent_parameters(config: AgentConfig) -> dict[str, object]:
     return parameters
 
 
-def _expect_counterparts(processes: list[ProcessPlan]) -> None:
+def expect_counterparts(processes: Collection[ProcessPlan]) -> None:
     """Tell every process how many counterparts each of its endpoints will meet."""
     publishers = Counter(topic for process in processes for topic in process.publications)
     subscribers = Counter(topic for process in processes for topic in process.subscriptions)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -12,6 +13,7 @@ from swarmabs_bringup.splitting import Split
 from swarmabs_core import configure
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -31,7 +33,7 @@ from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from swarmabs_core.scenario import Scenario
 
@@ -41,6 +43,8 @@ PARAMETERS = (
     Parameter("max_bag_size", 0, "size in bytes after which the bag goes on in a new file; 0: never", minimum=0),
     Parameter("max_bag_duration_ns", 0, "simulated time in ns that a file of the bag spans; 0: all", minimum=0),
     Parameter("logs", "", "folder whose log files are attached at the end"),
+    Parameter("replay", "", "what of which bag is replayed, as JSON for the provenance; empty: nothing"),
+    Parameter("ends", (), "ends of robots that the replayed run's scenario had not planned, each 'KIND AGENT STEP'"),
 )
 
 CREDITS = 10
@@ -63,13 +67,22 @@ class Recorder:
         Where the steps go.
     on_step : callable
         Told the number of steps recorded.
+    ends : iterable of Change
+        Ends of robots that the scenario does not plan.
     """
 
-    def __init__(self, scenario: Scenario, recording: Recording, on_step: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        recording: Recording,
+        on_step: Callable[[int], None],
+        ends: Iterable[Change] = (),
+    ) -> None:
         self._period_ns = scenario.step_ns
         self._recording = recording
         self._on_step = on_step
-        self._collector = RunCollector(configure.members(scenario), configure.schedule(scenario), scenario.steps)
+        schedule = with_ends(configure.schedule(scenario), ends)
+        self._collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
         self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
         self._credited = -1
         self._newest = -1
@@ -150,8 +163,15 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     scenario = load_scenario(Path(settings.text("scenario_file")))
     bag = settings.text("bag")
     split = Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns"))
-    folder = Path(bag) if bag else None
-    recording = Recording(scenario, folder, driver="lockstep", namespace=settings.namespace, split=split)
+    replay = settings.text("replay")
+    recording = Recording(
+        scenario,
+        Path(bag) if bag else None,
+        driver="lockstep",
+        namespace=settings.namespace,
+        split=split,
+        replay=json.loads(replay) if replay else None,
+    )
     planned = {change.step for change in configure.schedule(scenario)}
     reported = time.monotonic()
 
@@ -164,7 +184,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
             if latest is not None:
                 status.send("progress", step=latest.step, angle=latest.angle, error=latest.error)
 
-    recorder = Recorder(scenario, recording, report)
+    ends = [Change.parse(text) for text in settings.texts("ends")]
+    recorder = Recorder(scenario, recording, report, ends)
 
     def finish(problem: str | None) -> None:
         log = {"run.log": _log_text(settings.text("logs"))}

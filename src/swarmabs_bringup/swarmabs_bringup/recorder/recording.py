@@ -37,6 +37,8 @@ class Recording:
         Namespace of the swarm, which the bag's topics have.
     split : Split
         When the bag goes on in a new file, by default never.
+    replay : mapping, optional
+        What of which bag is replayed, for the provenance.
 
     Raises
     ------
@@ -52,6 +54,7 @@ class Recording:
         driver: str,
         namespace: str = "/",
         split: Split = ONE_FILE,
+        replay: Mapping[str, object] | None = None,
     ) -> None:
         self._digest = Digest()
         self._metrics = Metrics(configure.parent_controller(scenario).reference)
@@ -64,7 +67,7 @@ class Recording:
                 split=split,
                 attachments={
                     "scenario.yaml": dump_scenario(scenario).encode(),
-                    "provenance.json": provenance_json(scenario, driver=driver),
+                    "provenance.json": provenance_json(scenario, driver=driver, replay=replay),
                 },
             )
 

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 BRAKING_TIME = 0.1
 """Time constant of a double integrator's brake in a safe stop, s."""
+COMMAND_LIMITED = "command limited"
+"""What a robot says of a command that it limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +303,7 @@ class Agent:
         events = self._set_status(Status.ACTIVE, EventKind.RECOVERED, "")
         before, self._limited = self._limited, self._command != command
         if self._limited and not before:
-            events = (*events, self._event(EventKind.LIMIT_HIT, command, "command limited"))
+            events = (*events, self._event(EventKind.LIMIT_HIT, command, COMMAND_LIMITED))
         return events
 
     def _law(self, broadcasts: _Broadcasts) -> tuple[float, str]:

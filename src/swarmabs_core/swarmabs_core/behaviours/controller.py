@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.5
 """Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
+TORQUE_LIMITED = "torque limited to torque_max"
+"""What the controller says of a torque that it limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,5 +155,5 @@ class Controller:
         """Say when the wanted torque begins to be limited."""
         before, self._clipped = self._clipped, raw != command
         if self._clipped and not before:
-            return (SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, raw, "torque limited to torque_max"),)
+            return (SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, raw, TORQUE_LIMITED),)
         return ()

@@ -1,0 +1,127 @@
+"""A replay from a bag to a new one, over DDS or in this process."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bringup.bag import open_bag
+from swarmabs_bringup.recorder.recording import Recording
+from swarmabs_bringup.replay.deviations import deviations
+from swarmabs_bringup.replay.source import recorded_steps
+from swarmabs_bringup.simulate import record_steps
+from swarmabs_core.recording import Digest
+from swarmabs_core.replay import Replay
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from swarmabs_bringup.orchestration.plan import ProcessPlan
+    from swarmabs_bringup.orchestration.progress import Outcome, Progress
+    from swarmabs_bringup.replay.deviations import Deviations
+    from swarmabs_bringup.replay.source import Source
+    from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_core.behaviours.player import NodeName
+    from swarmabs_core.membership import Change
+    from swarmabs_core.recording import RecordedStep
+    from swarmabs_core.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayRun:
+    """A replay that is to be made.
+
+    Parameters
+    ----------
+    source : Source
+        What is replayed.
+    nodes : tuple of NodeName
+        The nodes under test.
+    overrides : tuple of str
+        What was changed for them, ``a.b=value`` each.
+    scenario : Scenario
+        With which settings they are made: `Source.scenario`.
+    """
+
+    source: Source
+    nodes: tuple[NodeName, ...]
+    overrides: tuple[str, ...]
+    scenario: Scenario
+
+    @property
+    def _ends(self) -> tuple[Change, ...]:
+        return tuple(change for change in self.source.ends if change.step <= self.scenario.steps)
+
+    def provenance(self) -> dict[str, object]:
+        """Return what the new bag says of the replay."""
+        return {
+            "of": self.source.digest,
+            "nodes": [str(node) for node in self.nodes],
+            "overrides": list(self.overrides),
+        }
+
+    def in_process(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
+        """Replay in this process, as fast as possible.
+
+        Parameters
+        ----------
+        folder : RunFolder
+            An empty folder for the results.
+        on_progress : callable, optional
+            Told how it goes, some ten times a second.
+        """
+        folder.fill(self.scenario)
+        recording = Recording(
+            self.scenario,
+            folder.bag,
+            driver="simulate",
+            namespace=self.source.namespace,
+            replay=self.provenance(),
+        )
+        replay = Replay(self.scenario, self.nodes, self.source.steps(), self._ends)
+        return record_steps(replay.steps(), self.scenario, recording, on_progress=on_progress)
+
+    def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
+        """Replay over DDS, the nodes under test as processes of their own; parameters as of `in_process`."""
+        # These need the whole of ROS.
+        from swarmabs_bringup.orchestration import LockstepRun  # noqa: PLC0415
+        from swarmabs_bringup.replay.plan import replay_plan  # noqa: PLC0415
+
+        def arrange(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
+            return replay_plan(processes, self.scenario, self.source, self.nodes, self.provenance())
+
+        return LockstepRun(
+            self.scenario, folder, on_progress=on_progress, namespace=self.source.namespace, arrange=arrange
+        ).run()
+
+    def result(self, folder: RunFolder, digest: str | None) -> dict[str, Any]:
+        """Return how the replay differs from the recording.
+
+        Parameters
+        ----------
+        folder : RunFolder
+            Its results.
+        digest : str, optional
+            Its digest, if it has one.
+        """
+        recorded = Digest()
+        replayed = recorded_steps(open_bag(folder.path), self.scenario, self._ends)
+        found: Deviations = deviations(self._recorded(recorded), replayed, self.nodes)
+        return {
+            **self.provenance(),
+            "same": digest == recorded.hexdigest(),
+            "compared": found.messages,
+            "first_difference": None if found.first is None else asdict(found.first),
+            "deviations": [asdict(field) for field in found.fields],
+        }
+
+    def _recorded(self, digest: Digest) -> Iterator[RecordedStep]:
+        """Yield the recorded steps that are replayed, and sum them up."""
+        last = -1
+        for step in self.source.steps():
+            if step.step > self.scenario.steps:
+                return
+            if step.step > last:  # else an event that was late
+                last = step.step
+                digest.update(step)
+            yield step

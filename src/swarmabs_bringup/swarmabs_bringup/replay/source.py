@@ -1,0 +1,179 @@
+"""A recorded run as a source of messages: its scenario, its complete steps, and what nobody had planned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.bag import SCENARIO_FILE, BagReader, open_bag
+from swarmabs_core import configure
+from swarmabs_core.behaviours.player import NodeKind
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, ChangeKind, with_ends
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS
+from swarmabs_core.recording import Digest, RunCollector
+from swarmabs_core.replay import silent_since
+from swarmabs_core.scenario import DelayFault, LossFault, parse_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from swarmabs_core.behaviours.player import NodeName
+    from swarmabs_core.recording import RecordedStep
+    from swarmabs_core.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A bag that can be replayed; made by `open_source`.
+
+    Attributes
+    ----------
+    bag : BagReader
+        The bag.
+    recorded : Scenario
+        Its scenario.
+    digest : str
+        Digest of its complete steps.
+    last_step : int
+        The last complete step.
+    ends : tuple of Change
+        Ends of robots that the scenario had not planned.
+    robots : frozenset of int
+        Ids of the robots that have recorded a state.
+    """
+
+    bag: BagReader
+    recorded: Scenario
+    digest: str
+    last_step: int
+    ends: tuple[Change, ...]
+    robots: frozenset[int]
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of the recorded swarm."""
+        return (self.bag.namespace or "/").rstrip("/") or "/"
+
+    def steps(self) -> Iterator[RecordedStep]:
+        """Yield the complete steps, in order; an event that was recorded late comes late again."""
+        return recorded_steps(self.bag, self.recorded, self.ends)
+
+    def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> Scenario:
+        """Return the scenario of a replay: the recorded one with changes, as far as there are complete steps.
+
+        Parameters
+        ----------
+        nodes : collection of NodeName
+            The nodes under test.
+        overrides : sequence of str
+            ``a.b=value`` each.
+
+        Raises
+        ------
+        InputError
+            If a node under test has recorded nothing, or a change contradicts the recording.
+        """
+        for node in nodes:
+            if node.kind is NodeKind.AGENT and node.agent_id not in self.robots:
+                ids = ", ".join(map(str, sorted(self.robots)[:20])) + (" ..." if len(self.robots) > 20 else "")
+                raise InputError(
+                    f"--node {node}: the bag has no states of robot {node.agent_id}; it has those of {ids}"
+                )
+        changed = recorded_scenario(self.bag, overrides).resolved()
+        for what, of in (
+            ("control period", lambda scenario: scenario.step_ns),
+            ("robots", configure.members),
+            ("faults that end robots or let them join", configure.schedule),
+        ):
+            if of(changed) != of(self.recorded):
+                raise InputError(f"--set changes the {what}, but the other nodes say what was recorded; run it instead")
+        return _shortened(changed, min(self.last_step, changed.steps))
+
+
+def open_source(path: Path) -> Source:
+    """Open a bag and read it once, to learn which steps are complete and who ended unplanned.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a run in lockstep.
+    DamagedBagError
+        If the bag has lost its end.
+    """
+    bag = open_bag(path)
+    missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
+    if missing:
+        raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")
+    scenario = recorded_scenario(bag).resolved()
+    ends: list[Change] = []
+    robots: set[int] = set()
+    digest, last = Digest(), -1
+    for step in recorded_steps(bag, scenario):
+        if step.step > last:
+            last = step.step
+            digest.update(step)
+        for record in step.records:
+            silent = silent_since(record.message)
+            if silent is not None:
+                ends.append(Change(silent[1] - 1, silent[0], ChangeKind.KILL))
+            elif record.topic is AGENT_STATE:
+                robots.add(record.agent_id)
+    if last < 1:
+        raise InputError(f"{bag.path} has {last + 1} complete steps, too few for a replay")
+    return Source(bag, scenario, digest.hexdigest(), last, tuple(ends), frozenset(robots))
+
+
+def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
+    """Yield the complete steps of a bag, in order.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    scenario : Scenario
+        Its scenario, which says whose states make a step complete.
+    ends : collection of Change
+        Ends of robots that the scenario had not planned, as far as they are known beforehand.
+    """
+    schedule = with_ends(configure.schedule(scenario), ends)
+    collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
+    for _, _, message in bag.decoded((*MAIN_TOPICS, EVENTS)):
+        yield from collector.add(message)
+
+
+def recorded_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario:
+    """Return the scenario of a bag, with changes.
+
+    Raises
+    ------
+    InputError
+        If the bag has none, or a change is not valid.
+    """
+    text = bag.attachment(SCENARIO_FILE)
+    if text is None:
+        raise InputError(f"{bag.path} holds no scenario: no node can be tried out on it; leave out --node")
+    return parse_scenario(text.decode(), source=f"{bag.path}:{SCENARIO_FILE}", overrides=overrides)
+
+
+def _shortened(scenario: Scenario, last_step: int) -> Scenario:
+    """Return the scenario of the first steps of a run, without the faults and robots that come later."""
+    if last_step == scenario.steps:
+        return scenario
+    later = {
+        change.agent_id
+        for change in configure.schedule(scenario)
+        if change.step > last_step and change.kind is ChangeKind.JOIN
+    }
+    kept = tuple(
+        fault
+        for fault in scenario.faults
+        if isinstance(fault, (DelayFault, LossFault))
+        or (scenario.fault_step(fault.at) <= last_step and fault.agent not in later)
+    )
+    swarm = scenario.swarm.model_copy(
+        update={"agents": tuple(agent for agent in scenario.agents if agent.id not in later)}
+    )
+    duration = last_step * scenario.step_ns / 1e9
+    return scenario.model_copy(update={"duration": duration, "faults": kept, "swarm": swarm})

@@ -1,0 +1,39 @@
+"""How a replay differs from its recording, for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rich.console import RenderableType
+
+
+def result_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
+    """Return the result of a replay: that it is the same, or what differs first and how far each field deviates."""
+    compared = f"{', '.join(result['nodes'])}: {result['compared']} messages compared with the recording"
+    if result["same"]:
+        return (Text(f"{compared}; same digest"),)
+    first = result["first_difference"]
+    if first is None:
+        return (Text(f"{compared}; none differs"),)
+    robot = f" of robot {first['agent']}" if first["agent"] else ""
+    text = (
+        f"{compared}; the first that differs: step {first['step']}, {first['topic']}{robot}, {first['field']} is "
+        f"{first['replayed']!r}, was {first['recorded']!r}\n"
+        "open loop: this is what the nodes would have said to what was recorded; nothing else has reacted"
+    )
+    table = Table(box=None, pad_edge=False)
+    for name in ("topic", "field"):
+        table.add_column(name)
+    for name in ("messages that differ", "largest deviation", "at step", "robot"):
+        table.add_column(name, justify="right")
+    for row in result["deviations"]:
+        largest = "-" if row["largest"] is None else f"{row['largest']:.4g}"
+        step = "-" if row["step"] is None else str(row["step"])
+        table.add_row(row["topic"], row["field"], str(row["differing"]), largest, step, str(row["agent"] or "-"))
+    return Text(text), table

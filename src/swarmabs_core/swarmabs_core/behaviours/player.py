@@ -1,0 +1,236 @@
+"""The player of a recorded run: it stands in for all nodes but those that are tried out on the recording.
+
+What it publishes is what was recorded, so a replay is open loop: the nodes under test answer, and nobody reacts to
+their answers but other nodes under test.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.behaviours.agent import COMMAND_LIMITED
+from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
+from swarmabs_core.behaviours.controller import TORQUE_LIMITED
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    MAIN_TOPICS,
+    NEVER,
+    PLANE_STATE,
+    RECORDING_PROGRESS,
+    TOPIC_OF,
+    AgentState,
+    EventKind,
+    Message,
+    Messages,
+    RecordingProgress,
+    SwarmEvent,
+    Topic,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    from swarmabs_core.recording import Record, RecordedStep
+
+
+class NodeKind(str, Enum):
+    """What a node does in the swarm."""
+
+    PLANE = "plane"
+    OBSERVER = "observer"
+    CONTROLLER = "controller"
+    AGENT = "agent"
+
+
+class NodeName(NamedTuple):
+    """A node of a run, in writing ``plane``, ``observer``, ``controller`` or ``agent:N``."""
+
+    kind: NodeKind
+    agent_id: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.kind.value}:{self.agent_id}" if self.kind is NodeKind.AGENT else self.kind.value
+
+    @classmethod
+    def parse(cls, text: str) -> NodeName:
+        """Read a node's name.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        kind, colon, number = text.partition(":")
+        try:
+            name = cls(NodeKind(kind), int(number) if colon else 0)
+        except ValueError:
+            name = None
+        if name is None or (name.kind is NodeKind.AGENT) != bool(colon) or str(name) != text:
+            raise InputError(f"no node {text!r}; name controller, observer, plane, or a robot as agent:N")
+        return name
+
+
+PLANE, OBSERVER, CONTROLLER = (NodeName(kind) for kind in (NodeKind.PLANE, NodeKind.OBSERVER, NodeKind.CONTROLLER))
+
+_PUBLISHER = {
+    PLANE_STATE: PLANE,
+    ABSTRACT_STATE: OBSERVER,
+    AUXILIARY_STATE: OBSERVER,
+    DESIRED_ABSTRACT_STATE: CONTROLLER,
+}
+_ANNOUNCED_BY_OBSERVER = (EventKind.JOINED, EventKind.LEFT, EventKind.DEAD)
+_ANNOUNCED_BY_ROBOTS = (EventKind.SAFE_STOP, EventKind.RECOVERED, EventKind.FAULT_INJECTED)
+
+
+def publisher_of(message: Message) -> NodeName:
+    """Return the node that has published a message of one of the main topics, or an event."""
+    if isinstance(message, AgentState):
+        return NodeName(NodeKind.AGENT, message.agent_id)
+    if isinstance(message, SwarmEvent):
+        return _announcer(message)
+    return _PUBLISHER[TOPIC_OF[type(message)]]
+
+
+def _announcer(event: SwarmEvent) -> NodeName:
+    """Return who has announced an event. A limit may be hit by three nodes, which say so in their own words."""
+    if event.kind in _ANNOUNCED_BY_OBSERVER:
+        return OBSERVER
+    if event.kind in _ANNOUNCED_BY_ROBOTS or event.detail == COMMAND_LIMITED:
+        return NodeName(NodeKind.AGENT, event.agent_id)
+    return PLANE if event.kind == EventKind.LIMIT_HIT and event.detail != TORQUE_LIMITED else CONTROLLER
+
+
+class _Key(NamedTuple):
+    """Which message is awaited."""
+
+    step: int
+    topic: Topic
+    agent_id: int
+
+
+class _Phase(NamedTuple):
+    """What is published at once, and what has to be there before anything else is."""
+
+    messages: Messages
+    awaited: frozenset[_Key]
+
+
+class Player:
+    """Publishes a recorded run step by step; waits in each for the nodes under test.
+
+    A step has two phases: the robots' states with the events, then the coordinators' broadcasts. After each the player
+    waits for those messages that the recording has from the nodes under test. So each of them is in the step of what it
+    hears, and loses nothing: what got lost is repeated, since somebody waits for it.
+
+    Parameters
+    ----------
+    steps : iterator of RecordedStep
+        The recorded run, in order.
+    live : collection of NodeName
+        The nodes under test.
+    last_step : int
+        The step with which the replay ends.
+    window : int
+        How many steps the replay may be ahead of its recorder; 0 if nobody reports how far that is.
+
+    Attributes
+    ----------
+    hears : tuple of Topic
+        The topics to which it listens.
+    """
+
+    def __init__(
+        self, steps: Iterator[RecordedStep], live: Collection[NodeName], *, last_step: int, window: int = 0
+    ) -> None:
+        self._steps = steps
+        self._live = frozenset(live)
+        self._last_step = last_step
+        self._window = window
+        self._written = -1
+        self._step = -1
+        self._phases: deque[_Phase] = deque()
+        self._awaited: frozenset[_Key] = frozenset()
+        self._heard: set[_Key] = set()
+        robots = any(name.kind is NodeKind.AGENT for name in live)
+        self.hears = tuple(
+            topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or _PUBLISHER.get(topic) in self._live
+        )
+        if window:
+            self.hears = (*self.hears, RECORDING_PROGRESS)
+
+    def start(self) -> Messages:
+        """Publish what comes before the first answer."""
+        return self._proceed()
+
+    def handle(self, message: Message) -> Messages:
+        """Take an answer of a node under test, or the recorder's progress; answer what was recorded next."""
+        topic = TOPIC_OF[type(message)]
+        if topic not in self.hears:
+            raise UnexpectedMessageError("player", message)
+        if isinstance(message, RecordingProgress):
+            if message.written_step != NEVER:
+                self._written = max(self._written, message.written_step)
+            return self._proceed()
+        publisher = publisher_of(message)
+        if publisher not in self._live:  # its own, on a topic that it shares with a node under test
+            return ()
+        if message.step > self._step + 1:
+            raise StepAheadError(str(publisher), got=message.step, expected=self._step)
+        if message.step < self._step:
+            return ()
+        self._heard.add(_Key(message.step, topic, publisher.agent_id))
+        return self._proceed()
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for the nodes under test, then, if the recorder is too far behind, for the recorder."""
+        missing = {key.topic for key in self._awaited - self._heard}
+        if missing:
+            return tuple(topic for topic in self.hears if topic in missing)
+        return () if self._finished() else (RECORDING_PROGRESS,)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and what is missing for it."""
+        keys = sorted(self._awaited - self._heard, key=lambda key: (key.topic.name, key.agent_id))
+        if not keys:
+            return self._step + 1, () if self._finished() else ("recorder",)
+        return self._step, tuple(f"agent {key.agent_id}" if key.agent_id else key.topic.name for key in keys)
+
+    def _finished(self) -> bool:
+        return self._step >= self._last_step and not self._phases
+
+    def _proceed(self) -> Messages:
+        """Publish, phase by phase, as long as nothing is missing."""
+        out: list[Message] = []
+        while self._awaited <= self._heard and (self._phases or self._next_step()):
+            messages, self._awaited = self._phases.popleft()
+            out.extend(messages)
+        return tuple(out)
+
+    def _next_step(self) -> bool:
+        """Load the next recorded step; tell whether there is one, and credit for it."""
+        if self._finished() or (self._window and self._step + 1 - self._window > self._written):
+            return False
+        step = next(self._steps)
+        self._step = max(self._step, step.step)  # an event that was late when it was recorded is of a step before
+        self._heard = {key for key in self._heard if key.step >= self._step}
+        coordinators = [r for r in step.records if r.topic is not AGENT_STATE and r.topic is not EVENTS]
+        # An event stands before the states that it explains.
+        others = [r for r in step.records if r.topic is EVENTS] + [r for r in step.records if r.topic is AGENT_STATE]
+        self._phases.extend((self._phase(others), self._phase(coordinators)))
+        return True
+
+    def _phase(self, records: Collection[Record]) -> _Phase:
+        played, awaited = [], set()
+        for record in records:
+            if publisher_of(record.message) not in self._live:
+                played.append(record.message)
+            elif record.topic is not EVENTS:
+                awaited.add(_Key(record.message.step, record.topic, record.agent_id))
+        return _Phase(tuple(played), frozenset(awaited))
