@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_core import configure
-from swarmabs_core.behaviours import Controller, Plane, make_agent, make_observer
+from swarmabs_core.behaviours import Controller, LifeSpan, Plane, make_agent, make_observer
 from swarmabs_core.behaviours.observer import Observer
 from swarmabs_core.behaviours.player import NodeKind, NodeName, Player
 from swarmabs_core.errors import RunError
-from swarmabs_core.membership import with_ends
+from swarmabs_core.membership import ChangeKind, with_ends
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -86,7 +87,11 @@ class Replay:
             model = configure.parent_model(scenario)
             self._observer = make_observer(configure.observer_config(scenario), model)
             return self._observer, (AGENT_STATE,) if model is None else (AGENT_STATE, PLANE_STATE)
-        agent = make_agent(next(c for c in configure.agent_configs(scenario) if c.agent_id == name.agent_id))
+        robot = next(config for config in configure.agent_configs(scenario) if config.agent_id == name.agent_id)
+        if name.agent_id in self._silent:
+            last = self._silent[name.agent_id] - 1
+            robot = replace(robot, life=LifeSpan(robot.life.first_step, ChangeKind.KILL, last))
+        agent = make_agent(robot)
         return agent, agent.needs
 
     def steps(self) -> Iterator[RecordedStep]:

@@ -89,6 +89,11 @@ def replay_plan(
         "replay": json.dumps(provenance),
         "ends": tuple(str(change) for change in source.ends if change.step <= scenario.steps),
     }
-    planned = (player, *(by_name[process_name(node)] for node in nodes), replace(recorder, parameters=told))
+    tested = [by_name[process_name(node)] for node in nodes]
+    for process in tested:
+        for change in source.ends:
+            if change.agent_id in process.agents:  # it falls silent by itself: nobody stops it this time
+                process.parameters.update(end=change.kind.value, end_step=change.step)
+    planned = (player, *tested, replace(recorder, parameters=told))
     expect_counterparts(planned)
     return planned

@@ -142,8 +142,7 @@ def play(
     node: Node = SwarmNode(NAME)
     try:
         publishers = {
-            topic.channel.name: node.create_publisher(topic.message_class, topic.channel.name, topic.qos)
-            for topic in topics
+            topic.channel: node.create_publisher(topic.message_class, topic.channel.name, topic.qos) for topic in topics
         }
         while wait and not asked_to_end() and not all(p.get_subscription_count() for p in publishers.values()):
             time.sleep(SLICE / 5.0)
@@ -157,10 +156,15 @@ def play(
         rclpy.try_shutdown()
 
 
-def _publish(bag: BagReader, publishers: dict[str, Publisher], pace: Pace, asked_to_end: Callable[[], bool]) -> int:
+def _publish(
+    bag: BagReader,
+    publishers: dict[BagChannel, Publisher],
+    pace: Pace,
+    asked_to_end: Callable[[], bool],
+) -> int:
     def read() -> Iterator[tuple[int, tuple[Publisher, bytes]]]:
         for channel, message in bag.stored_messages():
-            publisher = publishers.get(channel.name)
+            publisher = publishers.get(channel)
             if publisher is not None:
                 yield message.log_time, (publisher, message.payload)
 

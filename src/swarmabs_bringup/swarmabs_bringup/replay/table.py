@@ -29,7 +29,7 @@ def result_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
     )
     table = Table(box=None, pad_edge=False)
     for name in ("topic", "field"):
-        table.add_column(name)
+        table.add_column(name, no_wrap=True)
     for name in ("messages that differ", "largest deviation", "at step", "robot"):
         table.add_column(name, justify="right")
     for row in result["deviations"]:
