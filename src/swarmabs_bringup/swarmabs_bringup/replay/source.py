@@ -6,21 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.bag import SCENARIO_FILE, BagReader, open_bag
+from swarmabs_bringup.bag.metadata import dump_yaml
 from swarmabs_core import configure
 from swarmabs_core.behaviours.player import NodeKind
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, ChangeKind, with_ends
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS
-from swarmabs_core.recording import Digest, RunCollector
+from swarmabs_core.recording import Digest, RecordedStep, RunCollector
 from swarmabs_core.replay import silent_since
-from swarmabs_core.scenario import DelayFault, LossFault, parse_scenario
+from swarmabs_core.scenario import parse_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
     from swarmabs_core.behaviours.player import NodeName
-    from swarmabs_core.recording import RecordedStep
     from swarmabs_core.scenario import Scenario
 
 
@@ -139,8 +139,26 @@ def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] 
     """
     schedule = with_ends(configure.schedule(scenario), ends)
     collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
+    held: RecordedStep | None = None  # the events of a step stand behind its other messages
     for _, _, message in bag.decoded((*MAIN_TOPICS, EVENTS)):
-        yield from collector.add(message)
+        for step in collector.add(message):
+            if held is not None and step.step == held.step:
+                held = _with_events(held, step)
+            elif held is not None and step.step < held.step:
+                yield step  # an event that was late when it was recorded
+            else:
+                if held is not None:
+                    yield held
+                held = step
+    if held is not None:
+        yield held
+
+
+def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
+    """Return a step with further events."""
+    main = [record for record in step.records if record.topic is not EVENTS]
+    events = [record for record in (*step.records, *more.records) if record.topic is EVENTS]
+    return RecordedStep(step.step, (*main, *sorted(events, key=lambda record: record.payload)))
 
 
 def recorded_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario:
@@ -166,14 +184,12 @@ def _shortened(scenario: Scenario, last_step: int) -> Scenario:
         for change in configure.schedule(scenario)
         if change.step > last_step and change.kind is ChangeKind.JOIN
     }
-    kept = tuple(
+    text = scenario.model_dump(mode="json", by_alias=True)
+    text["duration"] = last_step * scenario.step_ns / 1e9
+    text["swarm"]["agents"] = [agent for agent in text["swarm"]["agents"] if agent["id"] not in later]
+    text["faults"] = [
         fault
-        for fault in scenario.faults
-        if isinstance(fault, (DelayFault, LossFault))
-        or (scenario.fault_step(fault.at) <= last_step and fault.agent not in later)
-    )
-    swarm = scenario.swarm.model_copy(
-        update={"agents": tuple(agent for agent in scenario.agents if agent.id not in later)}
-    )
-    duration = last_step * scenario.step_ns / 1e9
-    return scenario.model_copy(update={"duration": duration, "faults": kept, "swarm": swarm})
+        for fault in text["faults"]
+        if "at" not in fault or (scenario.fault_step(fault["at"]) <= last_step and fault["agent"] not in later)
+    ]
+    return parse_scenario(dump_yaml(text), source="scenario of the replay").resolved()

@@ -1,0 +1,123 @@
+"""Bags as sources of replays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.swarmabs_bringup.replay.conftest import SETTINGS
+
+from swarmabs_bringup.bag import BagWriter, open_bag
+from swarmabs_bringup.replay.source import open_source
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_core.behaviours.player import NodeName
+from swarmabs_core.cdr import encode
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, SwarmEvent, Topic
+from swarmabs_core.recording import Digest, Record
+from swarmabs_core.replay import SILENT
+from swarmabs_core.scenario import dump_scenario
+from swarmabs_core.simulation import Simulation
+
+ALL = (*MAIN_TOPICS, EVENTS)
+NODE = (NodeName.parse("controller"),)
+STEPS = list(Simulation(find_scenario("pd_het_4", SETTINGS)).steps())
+
+
+def write(
+    folder: Path, records: list[Record], *settings: str, topics: tuple[Topic, ...] = ALL
+) -> Path:
+    """Write a bag of these records with the scenario of these settings."""
+    scenario = find_scenario("pd_het_4", settings).resolved()
+    writer = BagWriter(folder, topics=topics, attachments={"scenario.yaml": dump_scenario(scenario).encode()})
+    for record in records:
+        if record.topic in topics:
+            writer.write(record.topic, record.message.stamp, record.payload)
+    writer.close()
+    return folder
+
+
+def records(until: int) -> list[Record]:
+    return [record for step in STEPS[:until] for record in step.records]
+
+
+def test_a_source_is_what_was_recorded(recorded: Path) -> None:
+    source = open_source(recorded)
+    assert list(source.steps()) == STEPS
+    assert (source.last_step, source.ends, source.robots) == (60, (), frozenset({1, 2, 3, 4}))
+    digest = Digest()
+    for step in STEPS:
+        digest.update(step)
+    assert source.digest == digest.hexdigest()
+    assert source.scenario(NODE, ()) == source.recorded
+
+
+def test_a_run_that_ended_early_is_replayed_as_far_as_its_steps_are_complete(tmp_path: Path) -> None:
+    bag = write(tmp_path / "bag", records(21)[:-2], *SETTINGS)  # step 20 lacks its last two broadcasts
+    source = open_source(bag)
+    assert source.last_step == 19
+    scenario = source.scenario(NODE, ())
+    assert (scenario.steps, [fault.kind for fault in scenario.faults]) == (19, ["loss"])
+    assert [step.step for step in source.steps()] == list(range(20))
+
+
+def test_a_robot_that_would_have_joined_later_is_left_out(tmp_path: Path) -> None:
+    settings = ("duration=0.6", "faults=[{at: 0.3, kind: join, agent: 3}]")
+    steps = list(Simulation(find_scenario("pd_het_4", settings)).steps())
+    bag = write(tmp_path / "bag", [record for step in steps[:21] for record in step.records], *settings)
+    scenario = open_source(bag).scenario(NODE, ())
+    assert [agent.id for agent in scenario.agents] == [1, 2, 4]
+    assert scenario.faults == ()
+
+
+def test_an_unplanned_end_is_found(tmp_path: Path) -> None:
+    def silenced(record: Record) -> Record:
+        if not isinstance(record.message, SwarmEvent) or record.message.detail != "kill":
+            return record
+        message = record.message._replace(detail=SILENT)
+        return record._replace(message=message, payload=encode(message))
+
+    silent = list(map(silenced, records(61)))
+    source = open_source(write(tmp_path / "bag", silent, "duration=0.6"))
+    assert source.ends == (Change(30, 3, ChangeKind.KILL),)
+    death = next(step for step in source.steps() if step.step == 31)  # a plane under test waits for it in this step
+    assert [record.agent_id for record in death.records if record.topic is EVENTS] == [3]
+    assert source.last_step == 60
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["step=0.02"], "--set changes the control period, .*; run it instead"),
+        (["swarm.agents.4={id: 9, kind: single_integrator, mass: 0.4, position: 0.1}"], "--set changes the robots"),
+        (["faults.0.at=0.2"], "--set changes the faults that end robots or let them join"),
+        (["controller.gains.x=1"], "controller.gains"),
+    ],
+)
+def test_changes_that_contradict_the_recording_are_refused(recorded: Path, overrides: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        open_source(recorded).scenario(NODE, overrides)
+
+
+def test_a_longer_duration_changes_nothing_and_a_shorter_one_is_kept(recorded: Path) -> None:
+    source = open_source(recorded)
+    assert source.scenario(NODE, ["duration=10"]).steps == 60
+    assert source.scenario(NODE, ["duration=0.4"]).steps == 40
+
+
+def test_a_robot_that_has_recorded_nothing_is_refused(recorded: Path) -> None:
+    with pytest.raises(InputError, match="agent:7: the bag has no states of robot 7; it has those of 1, 2, 3, 4"):
+        open_source(recorded).scenario((NodeName.parse("agent:7"),), ())
+
+
+def test_bags_without_scenario_topic_or_steps_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"has no topic plane/state: .*; leave out --node"):
+        open_source(write(tmp_path / "a", records(3), *SETTINGS, topics=(AGENT_STATE, EVENTS)))
+    with pytest.raises(InputError, match="has 1 complete steps, too few for a replay"):
+        open_source(write(tmp_path / "b", records(1), *SETTINGS))
+    writer = BagWriter(tmp_path / "c", topics=ALL, attachments={})
+    writer.close()
+    with pytest.raises(InputError, match=r"holds no scenario: .*; leave out --node"):
+        open_source(tmp_path / "c")
+    assert open_bag(tmp_path / "c").message_count == 0
