@@ -91,10 +91,9 @@ def test_a_run_that_dropped_a_robot_is_replayed(folder: Path, tmp_path: Path, ma
         signal_process(mark, "agent_003", signal.SIGKILL)
         run = command.wait()
     assert run.code == 0, run.err
-    for node, *more in (("observer",), ("plane",), ("agent:3",), ("observer", "--in-process")):
-        words = ("replay", folder, "--node", node, "--expect-same", *more, "-o", tmp_path / f"{node}{len(more)}")
-        done = swarm(*words, "--json")
-        assert done.code == 0, (node, more, done.err)
+    for node in ("observer", "plane", "agent:3"):
+        done = swarm("replay", folder, "--node", node, "--expect-same", "-o", tmp_path / node, "--json")
+        assert done.code == 0, (node, done.err)
         assert done.summary()["digest"] == run.summary()["digest"]
 
 

@@ -148,8 +148,8 @@ def _play(
         for warning in warnings:
             click.echo(f"warning: {warning}", err=True)
         names = [topic.channel.name for topic in playable]
-        click.echo(f"playing {', '.join(names)} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True)
         with end_asked() as asked:
+            click.echo(f"playing {', '.join(names)} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True)
             count = play(bag, playable, pace, wait=wait, asked_to_end=asked)
     if as_json:
         print_json({"bag": str(bag.path), "topics": names, "messages": count})
