@@ -20,6 +20,7 @@ import parent_controller.node
 import plane_sim.node
 from swarmabs_bringup.orchestration.plan import plan
 from swarmabs_bringup.recorder import node as recorder
+from swarmabs_bringup.replay import node as replay_player
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import BROADCAST, TOPICS
@@ -213,6 +214,7 @@ def all_tables() -> dict[str, str]:
         "agent_node": parameters(agent_node.node.PARAMETERS),
         "agent_group": parameters(agent_node.group.PARAMETERS),
         "recorder": parameters(recorder.PARAMETERS),
+        "replay_player": parameters(replay_player.PARAMETERS),
     }
 
 

@@ -11,7 +11,7 @@ from swarmabs_core.behaviours import Controller, LifeSpan, Plane, make_agent, ma
 from swarmabs_core.behaviours.observer import Observer
 from swarmabs_core.behaviours.player import NodeKind, NodeName, Player
 from swarmabs_core.errors import RunError
-from swarmabs_core.membership import ChangeKind, with_ends
+from swarmabs_core.membership import SILENT, ChangeKind, with_ends
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Topic
     from swarmabs_core.recording import RecordedStep
     from swarmabs_core.scenario import Scenario
-
-SILENT = "silent"
-"""Why the observer drops a robot that nobody had planned to end."""
-
 
 def silent_since(message: Message) -> tuple[int, int] | None:
     """Return robot and first step without it, if the message says that a robot was dropped; else None."""

@@ -13,10 +13,9 @@ from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.behaviours.player import NodeName
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, SwarmEvent, Topic
 from swarmabs_core.recording import Digest, Record
-from swarmabs_core.replay import SILENT
 from swarmabs_core.scenario import dump_scenario
 from swarmabs_core.simulation import Simulation
 
