@@ -24,9 +24,7 @@ NODE = (NodeName.parse("controller"),)
 STEPS = list(Simulation(find_scenario("pd_het_4", SETTINGS)).steps())
 
 
-def write(
-    folder: Path, records: list[Record], *settings: str, topics: tuple[Topic, ...] = ALL
-) -> Path:
+def write(folder: Path, records: list[Record], *settings: str, topics: tuple[Topic, ...] = ALL) -> Path:
     """Write a bag of these records with the scenario of these settings."""
     scenario = find_scenario("pd_het_4", settings).resolved()
     writer = BagWriter(folder, topics=topics, attachments={"scenario.yaml": dump_scenario(scenario).encode()})
