@@ -98,7 +98,7 @@ def test_a_run_that_dropped_a_robot_is_replayed(folder: Path, tmp_path: Path, ma
 
 
 def test_a_replay_that_is_interrupted_leaves_a_readable_bag(recorded: Path, folder: Path, tmp_path: Path) -> None:
-    assert swarm("simulate", "--duration", 200, "-o", tmp_path / "long").code == 0
+    assert swarm("simulate", "--duration", 60, "-o", tmp_path / "long").code == 0
     with started_swarm("replay", tmp_path / "long", "--node", "plane", "-o", folder) as command:
         until_stepping(folder)
         os.kill(command.pid, signal.SIGINT)

@@ -9,7 +9,7 @@ from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.behaviours.player import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName, Player, publisher_of
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -154,6 +154,13 @@ def test_it_ends_with_the_last_step() -> None:
     assert tried.awaits() == (DESIRED_ABSTRACT_STATE,)
     assert tried.handle(recorded(1, DESIRED_ABSTRACT_STATE)) == ()
     assert tried.awaits() == ()
+
+
+def test_a_recording_that_is_too_short_is_an_error() -> None:
+    tried = Player(iter(STEPS[:1]), (CONTROLLER,), last_step=3)
+    tried.start()
+    with pytest.raises(RunError, match="the recording ends with step 0, before step 3"):
+        tried.handle(recorded(0, DESIRED_ABSTRACT_STATE))
 
 
 def test_a_late_event_is_played_late() -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.behaviours.agent import COMMAND_LIMITED
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.behaviours.controller import TORQUE_LIMITED
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -217,7 +217,9 @@ class Player:
         """Load the next recorded step; tell whether there is one, and credit for it."""
         if self._finished() or (self._window and self._step + 1 - self._window > self._written):
             return False
-        step = next(self._steps)
+        step = next(self._steps, None)
+        if step is None:
+            raise RunError(f"the recording ends with step {self._step}, before step {self._last_step}")
         self._step = max(self._step, step.step)  # an event that was late when it was recorded is of a step before
         self._heard = {key for key in self._heard if key.step >= self._step}
         coordinators = [r for r in step.records if r.topic is not AGENT_STATE and r.topic is not EVENTS]
