@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from swarmabs_core.recording import RecordedStep
     from swarmabs_core.scenario import Scenario
 
+
 def silent_since(message: Message) -> tuple[int, int] | None:
     """Return robot and first step without it, if the message says that a robot was dropped; else None."""
     if isinstance(message, SwarmEvent) and message.kind == EventKind.DEAD and message.detail == SILENT:

@@ -12,7 +12,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from swarmabs_bringup.bag.metadata import dump_yaml, qos_profile, qos_yaml
+from swarmabs_bringup.bag.metadata import dump_yaml, qos_profile
 from swarmabs_bringup.replay.qos import recorded_profiles
 from swarmabs_ros.endpoints import profile
 from swarmabs_ros.qos import OFFERED
@@ -26,7 +26,7 @@ def policies(made: QoSProfile) -> tuple[object, ...]:
 @pytest.mark.parametrize("topic", OFFERED, ids=lambda topic: topic.name)
 def test_what_a_run_offers_comes_back(topic: object) -> None:
     qos = OFFERED[topic]  # type: ignore[index]
-    (found,) = recorded_profiles(qos_yaml(qos))
+    (found,) = recorded_profiles(dump_yaml([qos_profile(qos)]))
     assert policies(found)[:4] == policies(profile(qos))[:4]
     assert policies(found)[4:] == (QoSLivelinessPolicy.AUTOMATIC, *policies(QoSProfile(depth=1))[5:])
 

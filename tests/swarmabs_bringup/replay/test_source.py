@@ -115,6 +115,6 @@ def test_bags_without_scenario_topic_or_steps_are_refused(tmp_path: Path) -> Non
         open_source(write(tmp_path / "b", records(1), *SETTINGS))
     writer = BagWriter(tmp_path / "c", topics=ALL, attachments={})
     writer.close()
-    with pytest.raises(InputError, match=r"holds no scenario: .*; leave out --node"):
+    with pytest.raises(InputError, match="holds no scenario"):
         open_source(tmp_path / "c")
     assert open_bag(tmp_path / "c").message_count == 0

@@ -6,8 +6,9 @@ import sys
 from pathlib import Path
 
 from swarmabs_bringup.bag import open_bag
+from swarmabs_bringup.bag.attached import attached_scenario
 from swarmabs_bringup.replay.plan import played
-from swarmabs_bringup.replay.source import recorded_scenario, recorded_steps
+from swarmabs_bringup.replay.source import recorded_steps
 from swarmabs_core.behaviours.player import NodeName, Player
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
@@ -37,7 +38,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     if not settings.text("bag") or last is None:
         raise InputError("parameters bag and last_step: give a bag and the step with which the replay ends")
     bag = open_bag(Path(settings.text("bag")), namespace=settings.namespace)
-    scenario = recorded_scenario(bag).resolved()
+    scenario = attached_scenario(bag).resolved()
     ends = [Change.parse(text) for text in settings.texts("ends")]
     nodes = [NodeName.parse(text) for text in settings.texts("nodes")]
     steps = recorded_steps(bag, scenario, ends)

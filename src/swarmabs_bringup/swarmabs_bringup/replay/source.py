@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.bag import SCENARIO_FILE, BagReader, open_bag
+from swarmabs_bringup.bag import BagReader, open_bag
+from swarmabs_bringup.bag.attached import attached_scenario
 from swarmabs_bringup.bag.metadata import dump_yaml
 from swarmabs_core import configure
 from swarmabs_core.behaviours.player import NodeKind
@@ -81,7 +82,7 @@ class Source:
                 raise InputError(
                     f"--node {node}: the bag has no states of robot {node.agent_id}; it has those of {ids}"
                 )
-        changed = recorded_scenario(self.bag, overrides).resolved()
+        changed = attached_scenario(self.bag, overrides).resolved()
         for what, of in (
             ("control period", lambda scenario: scenario.step_ns),
             ("robots", configure.members),
@@ -106,7 +107,7 @@ def open_source(path: Path) -> Source:
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing:
         raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")
-    scenario = recorded_scenario(bag).resolved()
+    scenario = attached_scenario(bag).resolved()
     ends: list[Change] = []
     robots: set[int] = set()
     digest, last = Digest(), -1
@@ -159,20 +160,6 @@ def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
     main = [record for record in step.records if record.topic is not EVENTS]
     events = [record for record in (*step.records, *more.records) if record.topic is EVENTS]
     return RecordedStep(step.step, (*main, *sorted(events, key=lambda record: record.payload)))
-
-
-def recorded_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario:
-    """Return the scenario of a bag, with changes.
-
-    Raises
-    ------
-    InputError
-        If the bag has none, or a change is not valid.
-    """
-    text = bag.attachment(SCENARIO_FILE)
-    if text is None:
-        raise InputError(f"{bag.path} holds no scenario: no node can be tried out on it; leave out --node")
-    return parse_scenario(text.decode(), source=f"{bag.path}:{SCENARIO_FILE}", overrides=overrides)
 
 
 def _shortened(scenario: Scenario, last_step: int) -> Scenario:
