@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag import open_bag
+from swarmabs_bringup.comparison import compare_steps
 from swarmabs_bringup.recorder.recording import Recording
-from swarmabs_bringup.replay.deviations import deviations
 from swarmabs_bringup.replay.source import recorded_steps
 from swarmabs_bringup.simulate import record_steps
-from swarmabs_core.recording import Digest
+from swarmabs_core.behaviours.player import publisher_of
+from swarmabs_core.messages import EVENTS
+from swarmabs_core.recording import Digest, RecordedStep
 from swarmabs_core.replay import Replay
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from swarmabs_bringup.comparison import Difference
     from swarmabs_bringup.orchestration.plan import ProcessPlan
     from swarmabs_bringup.orchestration.progress import Outcome, Progress
-    from swarmabs_bringup.replay.deviations import Deviations
     from swarmabs_bringup.replay.source import Source
     from swarmabs_bringup.run_folder import RunFolder
     from swarmabs_core.behaviours.player import NodeName
     from swarmabs_core.membership import Change
-    from swarmabs_core.recording import RecordedStep
     from swarmabs_core.scenario import Scenario
 
 
@@ -106,14 +108,22 @@ class ReplayRun:
         """
         recorded = Digest()
         replayed = recorded_steps(open_bag(folder.path), self.scenario, self._ends)
-        found: Deviations = deviations(self._recorded(recorded), replayed, self.nodes)
+        found = compare_steps(self._answers(self._recorded(recorded)), self._answers(replayed))
         return {
             **self.provenance(),
             "same": digest == recorded.hexdigest(),
-            "compared": found.messages,
-            "first_difference": None if found.first is None else asdict(found.first),
-            "deviations": [asdict(field) for field in found.fields],
+            "compared": sum(topic.compared for topic in found.topics),
+            "first_difference": None if found.first is None else _difference(found.first),
+            "deviations": [{"topic": topic.topic, **asdict(field)} for topic in found.topics for field in topic.fields],
         }
+
+    def _answers(self, steps: Iterable[RecordedStep]) -> Iterator[RecordedStep]:
+        """Yield what the nodes under test have said, without events."""
+        live = frozenset(self.nodes)
+        for step in steps:
+            answers = tuple(r for r in step.records if r.topic is not EVENTS and publisher_of(r.message) in live)
+            if answers:
+                yield RecordedStep(step.step, answers)
 
     def _recorded(self, digest: Digest) -> Iterator[RecordedStep]:
         """Yield the recorded steps that are replayed, and sum them up."""
@@ -125,3 +135,13 @@ class ReplayRun:
                 last = step.step
                 digest.update(step)
             yield step
+
+
+def _difference(first: Difference) -> dict[str, object]:
+    """Return the first difference as plain data; a number that is not finite becomes a text."""
+    place = {"step": first.step, "topic": first.topic, "agent": first.agent, "field": first.field}
+    return {**place, "recorded": _plain(first.a), "replayed": _plain(first.b)}
+
+
+def _plain(value: float | str | None) -> float | str | None:
+    return repr(value) if isinstance(value, float) and not isfinite(value) else value
