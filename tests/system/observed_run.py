@@ -27,7 +27,7 @@ def main() -> int:
         if progress.phase == "running" and progress.angle is not None:  # something is recorded
             os.write(log, f"{time.monotonic():.6f} {progress.step}\n".encode())
 
-    split = Split(nanoseconds=3 * 10**9)
+    split = Split(nanoseconds=20 * 10**9)
     outcome = LockstepRun(scenario, new_run_folder(Path(folder)), on_progress=say, split=split).run()
     return 0 if outcome.status == "ok" else 1
 
