@@ -123,7 +123,7 @@ class Membership:
     def publishes(self, agent_id: int, step: int) -> bool:
         """Tell whether a robot publishes its state of a step."""
         span = self._spans.get(agent_id)
-        return span is not None and span.first <= step and (span.last is None or step <= span.last)
+        return span is not None and span.covers(step)
 
     def stays(self, agent_id: int) -> bool:
         """Tell whether a robot that publishes no more remains on the plane."""
