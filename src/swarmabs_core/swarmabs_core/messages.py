@@ -39,6 +39,7 @@ class Mode(IntEnum):
 
     RUN = 1
     STOP = 2
+    RESET = 3
 
 
 class EventKind(IntEnum):
@@ -54,6 +55,8 @@ class EventKind(IntEnum):
     STEERING = 8
     STALLED = 9
     MODE_CHANGED = 10
+    REFUSED = 11
+    HELD = 12
 
 
 class PlaneState(NamedTuple):

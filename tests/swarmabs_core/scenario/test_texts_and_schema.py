@@ -151,6 +151,14 @@ limits:
 lockstep:
   on_stall: drop
   stall_timeout: 5.0
+realtime:
+  broadcast_age_limit: 0.1
+  state_age_limit: 0.1
+  plane_age_limit: 0.1
+  clock_tolerance: 0.02
+  lane_margin: 0.02
+  start: wait
+  quorum: null
 faults:
   - {kind: kill, at: 1.0, agent: 1}
   - {kind: delay, steps: 2}

@@ -17,8 +17,8 @@ from hypothesis import given, settings, strategies as st
 from tests.plugin_packages import SCALED, install
 from tests.swarmabs_core.helpers import builtin, digest
 
-from swarmabs_core import command_filter, configure, drive, plant, simulation
-from swarmabs_core.behaviours import Agent, AgentConfig, Observer, controller, make_agent
+from swarmabs_core import command_filter, configure, desired_state, drive, plant, simulation
+from swarmabs_core.behaviours import Agent, AgentConfig, Observer, make_agent
 from swarmabs_core.cdr import agent_id_of, decode, encode
 from swarmabs_core.controllers import arise
 from swarmabs_core.errors import MalformedMessageError, RunError
@@ -260,13 +260,13 @@ class Nudged(Agent):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__(config)
-        law = self._command_of
+        law = self._controller.follow
 
         def nudged(p: float, v: float, abstract: AbstractState, *others: Any) -> float:
             command = law(p, v, abstract, *others)
             return math.nextafter(command, math.inf) if abstract.step == 30 else command
 
-        self._command_of = nudged
+        self._controller.follow = nudged
 
 
 @pytest.mark.parametrize("robot", [1, 3])
@@ -417,7 +417,7 @@ def test_a_run_that_had_to_fail_cannot_go_on(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(RunError, match=r"1\.5 rad"):
         steps.extend(Simulation(scenario).steps())
     with monkeypatch.context() as patch:
-        patch.setattr(controller, "STEEPEST", 10.0)
+        patch.setattr(desired_state, "STEEPEST", 10.0)
         bag = record(scenario)
     found = first_difference(scenario, bag)
     assert (found.topic, found.field, found.recomputed) == (DESIRED_ABSTRACT_STATE.name, "message", None)

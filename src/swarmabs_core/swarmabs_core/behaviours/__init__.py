@@ -1,6 +1,6 @@
 """What the nodes do, as pure state machines: messages in, messages out; no ROS, no clock, no I/O."""
 
-from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan, Limits
+from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.group import AgentGroup
@@ -9,6 +9,7 @@ from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.packing import PackingController, Unpacking
 from swarmabs_core.behaviours.parent_response import ParentResponseObserver, make_observer
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
+from swarmabs_core.robot_controller import Limits
 
 __all__ = [
     "Agent",

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import copysign, inf, isfinite, sin
+from math import isfinite, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflict
-from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.faults import lost
-from swarmabs_core.law_registry import PAPER, Robot, make_command
+from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -34,6 +33,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.robot_controller import Limits, RobotController
 from swarmabs_core.sensing import Sensor
 
 if TYPE_CHECKING:
@@ -41,18 +41,8 @@ if TYPE_CHECKING:
     from swarmabs_core.parameters import Settings
     from swarmabs_core.swarm_law import SwarmGains
 
-BRAKING_TIME = 0.1
-"""Time constant of a double integrator's brake in a safe stop, s."""
 COMMAND_LIMITED = "command limited"
 """What a robot says of a command that it limits."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Largest speed (m/s) and force (N) of a robot."""
-
-    velocity: float = inf
-    force: float = inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,15 +157,9 @@ class Agent:
     def __init__(self, config: AgentConfig, drive: Drive | None = None) -> None:
         self._config = config
         period = config.period_ns / 1e9
-        self._ideal: SingleIntegratorDrive | DoubleIntegratorDrive
-        if config.kind is Kind.SINGLE_INTEGRATOR:
-            self._ideal = SingleIntegratorDrive(period)
-        else:
-            self._ideal = DoubleIntegratorDrive(period, config.mass, config.damping)
-        self._drive = drive or self._ideal
         robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
-        self._command_of = make_command(config.law, config.law_settings, robot)
-        self._braking_time = max(BRAKING_TIME, period)
+        self._controller = RobotController(robot, config.law, config.law_settings, config.limits)
+        self._drive = drive or self._controller.ideal
         # The message that comes last is waited for first: then the others are there already.
         self.needs: tuple[Topic, ...] = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
         if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR:
@@ -292,14 +276,15 @@ class Agent:
             self._command, self._broadcast_step = 0.0, NEVER
             return ()
         broadcasts = self._history[0]
-        if broadcasts.desired.mode != Mode.RUN:
-            self._stopped = True
+        mode = broadcasts.desired.mode
+        if mode != Mode.RUN:
+            self._stopped = mode != Mode.RESET
         command, problem = self._law(broadcasts)
         if problem:
-            self._command, self._broadcast_step = self._brake(), NEVER
+            self._command, self._broadcast_step = self._controller.brake(self._velocity), NEVER
             return self._set_status(Status.SAFE_STOP, EventKind.SAFE_STOP, problem)
         self._broadcast_step = broadcasts.abstract.step
-        self._command = self._limit(command)
+        self._command = self._controller.limit(self._velocity, command)
         events = self._set_status(Status.ACTIVE, EventKind.RECOVERED, "")
         before, self._limited = self._limited, self._command != command
         if self._limited and not before:
@@ -311,26 +296,12 @@ class Agent:
         abstract, sums, desired = broadcasts
         if self._stopped:
             return 0.0, "stop commanded"
+        if desired.mode != Mode.RUN:
+            return 0.0, "reset commanded"
         if is_degenerate(sums.s0, sums.s3, self._config.plane_length):
             return 0.0, "the swarm has no spread (S3 vanishes)"
-        command = self._command_of(self._position, self._velocity, abstract, sums, desired)
+        command = self._controller.follow(self._position, self._velocity, abstract, sums, desired)
         return command, "" if isfinite(command) else "the law gives no finite command"
-
-    def _brake(self) -> float:
-        config = self._config
-        if config.kind is Kind.SINGLE_INTEGRATOR:
-            return 0.0
-        force = min(config.mass * abs(self._velocity) / self._braking_time, config.limits.force)
-        return -copysign(force, self._velocity)
-
-    def _limit(self, command: float) -> float:
-        limits = self._config.limits
-        if isinstance(self._ideal, SingleIntegratorDrive):
-            return min(max(command, -limits.velocity), limits.velocity)
-        if limits.velocity < inf:
-            coast, gain = self._ideal.decay * self._velocity, self._ideal.force_to_velocity
-            command = min(max(command, (-limits.velocity - coast) / gain), (limits.velocity - coast) / gain)
-        return min(max(command, -limits.force), limits.force)  # last: a drive cannot give more
 
     def _set_status(self, status: Status, kind: EventKind, detail: str) -> Messages:
         if status is self._status:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.behaviours.agent import COMMAND_LIMITED
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
-from swarmabs_core.behaviours.controller import TORQUE_LIMITED
+from swarmabs_core.desired_state import TORQUE_LIMITED
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,

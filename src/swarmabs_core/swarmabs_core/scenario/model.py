@@ -163,6 +163,42 @@ class Lockstep(Model):
     stall_timeout: Positive = Field(default=5.0, description="wall time without an answer that is a stall, s")
 
 
+class Realtime(Model):
+    """What holds where the clock and not the last message makes the steps: on robots, and with `run --realtime`."""
+
+    broadcast_age_limit: Positive = Field(
+        default=0.1, description="age of the newest complete broadcasts from which on a robot stops, s"
+    )
+    state_age_limit: Positive = Field(
+        default=0.1, description="age of a robot's state from which on it is taken to stand still, s"
+    )
+    plane_age_limit: Positive = Field(
+        default=0.1, description="age of the plane's state from which on the parent controller asks for nothing, s"
+    )
+    clock_tolerance: NonNegative = Field(
+        default=0.02, description="how far a message may come from the future by the receiver's clock, s"
+    )
+    lane_margin: NonNegative = Field(
+        default=0.02, description="distance from the plane's ends at which a robot must have come to rest, m"
+    )
+    start: Literal["wait", "quorum", "proceed"] = Field(
+        default="wait",
+        description="wait: all robots must have been heard before the swarm moves; quorum: as many as `quorum` says; "
+        "proceed: two",
+    )
+    quorum: Annotated[int, Field(ge=2, le=65535)] | None = Field(
+        default=None, description="robots that must have been heard with start: quorum"
+    )
+
+    @model_validator(mode="after")
+    def _check_quorum(self) -> "Realtime":
+        if (self.quorum is None) == (self.start == "quorum"):
+            if self.quorum is None:
+                raise problem("start is 'quorum' and there is no number 'quorum'", "say how many robots must be there")
+            raise problem(f"'quorum' has no meaning with start: {self.start}", "remove it, or use start: quorum")
+        return self
+
+
 class Scenario(Model):
     """A run, completely described.
 
@@ -192,6 +228,7 @@ class Scenario(Model):
     )
     limits: Limits = Field(default=Limits(), description="limits of the robots' drives")
     lockstep: Lockstep = Field(default=Lockstep(), description="what happens when a robot does not answer")
+    realtime: Realtime = Field(default=Realtime(), description="what holds where the clock makes the steps")
     faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )

@@ -1,0 +1,98 @@
+"""From the plane's state to the desired abstract state of the swarm: law, limit, command filter, manifold."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from swarmabs_core.command_filter import CommandFilter
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
+
+if TYPE_CHECKING:
+    from swarmabs_core.controllers.base import ParentController
+    from swarmabs_core.manifold import Manifold
+
+STEEPEST = 1.5
+"""Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
+TORQUE_LIMITED = "torque limited to torque_max"
+"""What the controller says of a torque that it limits."""
+
+
+class DesiredStateGenerator:
+    """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period.
+
+    Parameters
+    ----------
+    period_ns : int
+        Control period, ns.
+    manifold : Manifold
+        Curve on which the desired abstract state lies.
+    law : ParentController
+        The control law.
+    """
+
+    def __init__(self, period_ns: int, manifold: Manifold, law: ParentController) -> None:
+        self._manifold = manifold
+        self._law = law
+        self._period = period_ns / 1e9
+        self._filter = CommandFilter(self._period)
+        self._state: tuple[float, float] | None = None
+        self._clipped = False
+
+    def advance(self, time_ns: int, plane: PlaneState, mode: Mode = Mode.RUN) -> tuple[Messages, DesiredAbstractState]:
+        """Return events, and the desired abstract state that follows a state of the plane.
+
+        Parameters
+        ----------
+        time_ns : int
+            Time of the law and its reference, ns.
+        plane : PlaneState
+            The plane's state, whose step the answer takes over.
+        mode : Mode
+            What the answer asks of the swarm.
+
+        Raises
+        ------
+        RunError
+            If the plane is too steep, or the law gives no finite torque.
+        """
+        manifold, period, step = self._manifold, self._period, plane.step
+        if not abs(plane.angle) < STEEPEST:
+            raise RunError(
+                f"step {step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: "
+                "the swarm cannot hold the plane in this scenario"
+            )
+        raw = self._law.torque(time_ns / 1e9, plane)
+        if not isfinite(raw):
+            raise RunError(
+                f"step {step}: the parent controller asks for a torque of {raw} N m at an angle of "
+                f"{plane.angle:.4g} rad; its law must give a finite number"
+            )
+        command = manifold.clip(raw)
+        torque, rate = self._state or (command, 0.0)
+        next_torque, next_rate = self._filter.advance(torque, rate, command)
+        self._state = (next_torque, next_rate)
+        acceleration = (next_rate - rate) / period
+        desired = DesiredAbstractState(
+            time_ns,
+            step,
+            mode,
+            torque,
+            manifold.inertia(torque),
+            rate,
+            manifold.inertia_rate(torque, rate),
+            # A robot holds its command for a period: it needs the means over it, not the initial values.
+            (next_torque - torque) / period,
+            manifold.curvature * (next_torque * next_torque - torque * torque) / period,
+            acceleration,
+            manifold.inertia_acceleration(torque, rate, acceleration),
+        )
+        return self._limit(raw, command, time_ns, step), desired
+
+    def _limit(self, raw: float, command: float, stamp: int, step: int) -> Messages:
+        """Say when the wanted torque begins to be limited."""
+        before, self._clipped = self._clipped, raw != command
+        if self._clipped and not before:
+            return (SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, raw, TORQUE_LIMITED),)
+        return ()

@@ -1,0 +1,53 @@
+"""What every node has in common where the clock makes the steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from swarmabs_core.messages import Message, Messages
+
+
+class RealtimeBehaviour(Protocol):
+    """A node as a state machine. Whoever drives it publishes what it answers, in that order.
+
+    `now` is the time of the swarm's clock, in ns since 1970; it is an argument so that a test is its own clock.
+    """
+
+    def hear(self, message: Message, now: int) -> Messages:
+        """Take a message that has arrived; none, however wrong, raises an error."""
+        ...
+
+    def tick(self, now: int) -> Messages:
+        """Do what is done once per period."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """How time becomes steps: step k is the k-th period since an epoch that all nodes know.
+
+    A node that starts late or again knows the step from its clock alone, so nobody has to be restarted with it.
+
+    Parameters
+    ----------
+    period_ns : int
+        Control period, ns.
+    epoch_ns : int
+        Time at which step 0 begins, ns since 1970.
+    """
+
+    period_ns: int
+    epoch_ns: int = 0
+
+    def step(self, now: int) -> int:
+        """Return the step of a time; negative before the epoch."""
+        return (now - self.epoch_ns) // self.period_ns
+
+    def begin(self, step: int, phase: float = 0.0) -> int:
+        """Return the time (ns) at which a step begins, or at which this share of it is over."""
+        return self.epoch_ns + step * self.period_ns + round(phase * self.period_ns)
+
+    def steps(self, seconds: float) -> int:
+        """Return how many whole periods a span of time (s) has, one at least."""
+        return max(1, round(seconds * 1e9) // self.period_ns)

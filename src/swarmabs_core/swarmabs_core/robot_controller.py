@@ -1,0 +1,83 @@
+"""From a robot's state and the broadcasts to a command that its drive can carry out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign, inf
+from typing import TYPE_CHECKING
+
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.law_registry import make_command
+from swarmabs_core.messages import Kind
+
+if TYPE_CHECKING:
+    from swarmabs_core.law_registry import Robot
+    from swarmabs_core.parameters import Settings
+
+BRAKING_TIME = 0.1
+"""Time constant of a double integrator's brake in a safe stop, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest speed (m/s) and force (N) of a robot."""
+
+    velocity: float = inf
+    force: float = inf
+
+
+class RobotController:
+    """The law of one robot, its limits and its brake. It keeps no state.
+
+    Parameters
+    ----------
+    robot : Robot
+        What the law may know of the robot.
+    law : str
+        Name of the law.
+    settings : Settings
+        Settings of the law besides the gains; those left out have their defaults.
+    limits : Limits
+        What the drive can do.
+
+    Attributes
+    ----------
+    follow : callable
+        Position (m), velocity (m/s) and the three broadcasts in, the command of the law (m/s or N) out.
+    ideal : SingleIntegratorDrive or DoubleIntegratorDrive
+        The motion that the law expects.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or it refuses its settings.
+    """
+
+    def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits) -> None:
+        self.follow = make_command(law, settings, robot)
+        self.ideal: SingleIntegratorDrive | DoubleIntegratorDrive
+        if robot.kind is Kind.SINGLE_INTEGRATOR:
+            self.ideal = SingleIntegratorDrive(robot.period)
+        else:
+            self.ideal = DoubleIntegratorDrive(robot.period, robot.mass, robot.damping)
+        self._robot = robot
+        self._limits = limits
+        self._braking_time = max(BRAKING_TIME, robot.period)
+
+    def brake(self, velocity: float) -> float:
+        """Return the command that brings the robot to rest: 0 m/s, or a force (N) against its velocity (m/s)."""
+        robot = self._robot
+        if robot.kind is Kind.SINGLE_INTEGRATOR:
+            return 0.0
+        force = min(robot.mass * abs(velocity) / self._braking_time, self._limits.force)
+        return -copysign(force, velocity)
+
+    def limit(self, velocity: float, command: float) -> float:
+        """Return the command within the drive's limits, at a velocity (m/s)."""
+        limits, ideal = self._limits, self.ideal
+        if isinstance(ideal, SingleIntegratorDrive):
+            return min(max(command, -limits.velocity), limits.velocity)
+        if limits.velocity < inf:
+            coast, gain = ideal.decay * velocity, ideal.force_to_velocity
+            command = min(max(command, (-limits.velocity - coast) / gain), (limits.velocity - coast) / gain)
+        return min(max(command, -limits.force), limits.force)  # last: a drive cannot give more
