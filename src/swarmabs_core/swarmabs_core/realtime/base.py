@@ -3,9 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from enum import IntEnum
+from typing import NamedTuple, Protocol
 
 from swarmabs_core.messages import Message, Messages
+
+
+class Level(IntEnum):
+    """How serious a state of health is, with the numbers of ``diagnostic_msgs/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Health(NamedTuple):
+    """How a node is: level, one line for people, and figures as (name, text)."""
+
+    level: Level
+    text: str
+    values: tuple[tuple[str, str], ...] = ()
 
 
 class RealtimeBehaviour(Protocol):
@@ -20,6 +37,14 @@ class RealtimeBehaviour(Protocol):
 
     def tick(self, now: int) -> Messages:
         """Do what is done once per period."""
+        ...
+
+    def halt(self) -> None:
+        """Leave everything safe, since no tick will follow for now; more than once does no harm."""
+        ...
+
+    def health(self, now: int) -> Health:
+        """Return how the node is."""
         ...
 
 
