@@ -46,6 +46,10 @@ class RobotController:
         Position (m), velocity (m/s) and the three broadcasts in, the command of the law (m/s or N) out.
     ideal : SingleIntegratorDrive or DoubleIntegratorDrive
         The motion that the law expects.
+    mass : float
+        kg.
+    braking_time : float
+        Time constant of the brake, s.
 
     Raises
     ------
@@ -60,17 +64,20 @@ class RobotController:
             self.ideal = SingleIntegratorDrive(robot.period)
         else:
             self.ideal = DoubleIntegratorDrive(robot.period, robot.mass, robot.damping)
-        self._robot = robot
+        self.mass = robot.mass
+        self.braking_time = max(BRAKING_TIME, robot.period)
+        self._kind = robot.kind
         self._limits = limits
-        self._braking_time = max(BRAKING_TIME, robot.period)
 
     def brake(self, velocity: float) -> float:
         """Return the command that brings the robot to rest: 0 m/s, or a force (N) against its velocity (m/s)."""
-        robot = self._robot
-        if robot.kind is Kind.SINGLE_INTEGRATOR:
+        if self._kind is Kind.SINGLE_INTEGRATOR:
             return 0.0
-        force = min(robot.mass * abs(velocity) / self._braking_time, self._limits.force)
-        return -copysign(force, velocity)
+        return -copysign(self.braking_force(velocity), velocity)
+
+    def braking_force(self, velocity: float) -> float:
+        """Return the size (N) of the force with which a double integrator brakes from a velocity (m/s)."""
+        return min(self.mass * abs(velocity) / self.braking_time, self._limits.force)
 
     def limit(self, velocity: float, command: float) -> float:
         """Return the command within the drive's limits, at a velocity (m/s)."""

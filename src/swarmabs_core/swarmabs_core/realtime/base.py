@@ -76,3 +76,10 @@ class Schedule:
     def steps(self, seconds: float) -> int:
         """Return how many whole periods a span of time (s) has, one at least."""
         return max(1, round(seconds * 1e9) // self.period_ns)
+
+
+AGENT_PHASE = 0.0
+PLANE_PHASE = OBSERVER_PHASE = 0.5
+CONTROLLER_PHASE = 0.75
+"""Shares of a period after which the nodes tick: robots first, then who gathers their states. The parent controller
+answers each state of the plane at once and ticks only to watch over it."""

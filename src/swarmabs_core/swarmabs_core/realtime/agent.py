@@ -1,0 +1,323 @@
+"""A robot in real time: it moves only on data it can vouch for, and stops by itself when there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isfinite
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.law_registry import PAPER, Robot
+from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, Status, SwarmEvent
+from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.broadcasts import BroadcastInbox
+from swarmabs_core.realtime.envelope import LaneEnvelope
+from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.robot_controller import Limits, RobotController
+
+if TYPE_CHECKING:
+    from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+    from swarmabs_core.messages import Message, Messages
+    from swarmabs_core.parameters import Settings
+    from swarmabs_core.realtime.broadcasts import BroadcastSet
+    from swarmabs_core.realtime.drives import Drive, Measurement
+    from swarmabs_core.swarm_law import SwarmGains
+
+FAREWELLS = 10
+"""Periods for which a robot that leaves says so."""
+HELD = "the swarm has no spread (S3 vanishes)"
+LANE_LIMITED = "command limited by the end of the lane"
+COMMAND_LIMITED = "command limited"
+"""What a robot says when it keeps still or limits a command."""
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeAgentConfig:
+    """Configuration of a robot.
+
+    Parameters
+    ----------
+    agent_id : int
+        1 to 65535.
+    kind : Kind
+        Dynamics.
+    mass : float
+        kg.
+    gains : SwarmGains
+        Gains of the law.
+    schedule : Schedule
+        How time becomes steps.
+    bounds : Bounds
+        What is known of the swarm and its plane beforehand.
+    lane_limit : float
+        Distance from the axis within which the robot stays, m.
+    damping : float
+        N s/m, of a double integrator.
+    limits : Limits
+        What the drive can do.
+    deceleration : float
+        How hard the base of a single integrator brakes, m/s^2.
+    broadcast_age_limit : float
+        Age of the newest complete broadcasts from which on the robot stops, s.
+    measurement_age_limit : float
+        Age of its own measurement from which on it stops, s.
+    clock_tolerance : float
+        How far a broadcast may be from the future by the robot's clock, s.
+    law : str
+        Name of the law.
+    law_settings : Settings
+        Settings of the law besides the gains; those left out have their defaults.
+    """
+
+    agent_id: int
+    kind: Kind
+    mass: float
+    gains: SwarmGains
+    schedule: Schedule
+    bounds: Bounds
+    lane_limit: float
+    damping: float = 0.0
+    limits: Limits = field(default_factory=Limits)
+    deceleration: float = inf
+    broadcast_age_limit: float = 0.1
+    measurement_age_limit: float = 0.1
+    clock_tolerance: float = 0.02
+    law: str = PAPER.name
+    law_settings: Settings = field(default_factory=dict, hash=False)
+
+
+class Decision(NamedTuple):
+    """What a robot does with a set of broadcasts: the command (m/s or N), and what has changed it on the way."""
+
+    command: float
+    wanted: float
+    lane_limited: bool
+
+
+class RealtimeLaw:
+    """Law, limits and lane of one robot, without any memory: the same input gives the same bits, here and in a check.
+
+    Parameters
+    ----------
+    config : RealtimeAgentConfig
+        Configuration.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or it refuses its settings.
+    """
+
+    def __init__(self, config: RealtimeAgentConfig) -> None:
+        period = config.schedule.period_ns / 1e9
+        robot = Robot(config.kind, config.mass, config.damping, config.gains, config.bounds.gravity, period)
+        self.controller = RobotController(robot, config.law, config.law_settings, config.limits)
+        self._envelope = LaneEnvelope(self.controller, period, config.lane_limit, config.deceleration)
+
+    def follow(self, position: float, velocity: float, broadcasts: BroadcastSet) -> Decision | None:
+        """Return what a robot at a position (m) with a velocity (m/s) does; None if the law gives no finite command."""
+        wanted = self.controller.follow(position, velocity, *broadcasts)
+        if not isfinite(wanted):
+            return None
+        command = self.controller.limit(velocity, wanted)
+        kept = self._envelope.apply(position, velocity, command)
+        return Decision(kept, wanted, kept != command)
+
+    def brake(self, velocity: float) -> float:
+        """Return the command of a robot that stops from a velocity (m/s)."""
+        return self.controller.brake(velocity)
+
+
+def ideal_motion(config: RealtimeAgentConfig) -> SingleIntegratorDrive | DoubleIntegratorDrive:
+    """Return how a robot moves that does exactly what its law expects, over one period."""
+    return RealtimeLaw(config).controller.ideal
+
+
+class RealtimeAgent:
+    """One robot of the swarm. It never learns of any other.
+
+    Parameters
+    ----------
+    config : RealtimeAgentConfig
+        Configuration.
+    drive : Drive
+        Its body.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or it refuses its settings.
+    """
+
+    def __init__(self, config: RealtimeAgentConfig, drive: Drive) -> None:
+        self._config = config
+        self._drive = drive
+        self._law = RealtimeLaw(config)
+        self._inbox = BroadcastInbox(config.schedule, config.broadcast_age_limit, config.clock_tolerance, config.bounds)
+        self._refusals = Refusals(config.agent_id)
+        self._measurement: Measurement | None = None
+        self._last_step: int | None = None
+        self._command = 0.0
+        self._broadcast_step = NEVER
+        self._status = Status.SAFE_STOP
+        self._problem = "has not begun yet"
+        self._held = False
+        self._limited = ""
+        self._farewells: int | None = None
+
+    def hear(self, message: Message, now: int) -> Messages:
+        """Take a broadcast; what cannot be vouched for is refused."""
+        problem = self._inbox.add(message, now)
+        return self._refusals.add(problem, self._config.schedule.step(now), now) if problem else ()
+
+    def tick(self, now: int) -> Messages:
+        """Measure, publish the state, decide what to do for the next period and let the drive do it."""
+        step = self._config.schedule.step(now)
+        if step < 0 or (self._last_step is not None and step <= self._last_step):
+            return ()  # not begun yet, or the clock was set back: no step is made twice
+        self._last_step = step
+        measured = self._drive.read(now)
+        if measured is not None and isfinite(measured.position) and isfinite(measured.velocity):
+            self._measurement = measured
+        if self._farewells is not None:
+            return self._say_farewell(step)
+        fresh = self._fresh(now)
+        states = self._publish(step, fresh=fresh)
+        return (*states, *self._decide(now, fresh=fresh))
+
+    def leave(self, now: int) -> Messages:
+        """Stop, and say for some periods that the robot's weight leaves the plane."""
+        if self._farewells is not None:
+            return ()
+        self._rest()
+        self._farewells = FAREWELLS
+        return (self._event(now, EventKind.LEFT, 0.0, "asked to leave"),)
+
+    def join(self, now: int) -> Messages:
+        """Take part again after `leave`."""
+        if self._farewells is None:
+            return ()
+        self._farewells = None
+        return (self._event(now, EventKind.JOINED, 0.0, "asked to join"),)
+
+    def halt(self) -> None:
+        """Leave the body safe, since no tick will follow for now."""
+        self._rest()
+
+    def health(self, now: int) -> Health:
+        """Return whether the robot follows the broadcasts, and if not, why."""
+        newest, m = self._inbox.newest, self._measurement
+        age = None if newest is None else self._config.schedule.step(now) - newest.step
+        values = (
+            ("status", "LEFT" if self._farewells is not None else self._status.name),
+            ("broadcast age, steps", "none" if age is None else str(age)),
+            ("position, m", "none" if m is None else f"{m.position:.4f}"),
+            ("velocity, m/s", "none" if m is None else f"{m.velocity:.4f}"),
+            ("command", f"{self._command:.4f}"),
+            ("refused", str(self._refusals.total)),
+            ("last refusal", self._refusals.latest),
+        )
+        if self._farewells is not None:
+            return Health(Level.OK, "has left", values)
+        if self._status is not Status.ACTIVE:
+            return Health(Level.ERROR, f"safe stop: {self._problem}", values)
+        if self._held:
+            return Health(Level.WARN, f"keeps still: {HELD}", values)
+        return Health(Level.OK, f"follows the broadcasts{', ' + self._limited if self._limited else ''}", values)
+
+    def _fresh(self, now: int) -> bool:
+        m = self._measurement
+        return m is not None and abs(now - m.stamp) <= self._config.measurement_age_limit * 1e9
+
+    def _publish(self, step: int, *, fresh: bool) -> Messages:
+        """Return the state with the command held until now; a robot that cannot see is not one to count on."""
+        m, config = self._measurement, self._config
+        if m is None:
+            return ()
+        status = Status.LEFT if self._farewells is not None else self._status if fresh else Status.SAFE_STOP
+        return (
+            AgentState(
+                m.stamp,
+                step,
+                self._broadcast_step,
+                config.agent_id,
+                config.kind,
+                status,
+                config.mass,
+                config.damping,
+                m.position,
+                m.velocity,
+                self._command,
+            ),
+        )
+
+    def _decide(self, now: int, *, fresh: bool) -> Messages:
+        problem = self._inbox.problem(now) if fresh else "no fresh measurement of its own motion"
+        m, broadcasts = self._measurement, self._inbox.newest
+        if problem or m is None or broadcasts is None:
+            return self._stop(now, problem)
+        if is_degenerate(broadcasts.sums.s0, broadcasts.sums.s3, self._config.bounds.plane_length):
+            return self._hold(now, m)
+        decision = self._law.follow(m.position, m.velocity, broadcasts)
+        if decision is None:
+            return self._stop(now, "the law gives no finite command")
+        self._act(decision.command, broadcasts.step, now)
+        events = self._active(now, followed=True)
+        return (*events, *self._note_limits(now, decision))
+
+    def _stop(self, now: int, problem: str) -> Messages:
+        """Come to rest, and say why when the robot begins to."""
+        m = self._measurement
+        self._act(self._law.brake(m.velocity) if m is not None and self._fresh(now) else 0.0, NEVER, now)
+        before, self._status, self._held, self._limited = self._status, Status.SAFE_STOP, False, ""
+        changed, self._problem = problem != self._problem, problem
+        if before is Status.SAFE_STOP and not changed:
+            return ()
+        return (self._event(now, EventKind.SAFE_STOP, 0.0, problem),)
+
+    def _hold(self, now: int, m: Measurement) -> Messages:
+        """Keep still but take part: where all have stopped there is no spread until robots say that they follow."""
+        self._act(self._law.brake(m.velocity), NEVER, now)
+        before, self._limited = self._held, ""
+        events = self._active(now, followed=False)
+        self._held = True
+        return events if before else (*events, self._event(now, EventKind.HELD, 0.0, HELD))
+
+    def _active(self, now: int, *, followed: bool) -> Messages:
+        recovered = followed and (self._status is not Status.ACTIVE or self._held)
+        self._status, self._problem = Status.ACTIVE, ""
+        if not followed:
+            return ()
+        self._held = False
+        return (self._event(now, EventKind.RECOVERED, 0.0, ""),) if recovered else ()
+
+    def _act(self, command: float, broadcast_step: int, now: int) -> None:
+        self._command, self._broadcast_step = command, broadcast_step
+        self._drive.write(command, now)
+
+    def _note_limits(self, now: int, decision: Decision) -> Messages:
+        limited = LANE_LIMITED if decision.lane_limited else COMMAND_LIMITED
+        if decision.command == decision.wanted:
+            limited = ""
+        before, self._limited = self._limited, limited
+        if limited and limited != before:
+            return (self._event(now, EventKind.LIMIT_HIT, decision.wanted, limited),)
+        return ()
+
+    def _say_farewell(self, step: int) -> Messages:
+        if not self._farewells:
+            return ()
+        self._farewells -= 1
+        return self._publish(step, fresh=True)
+
+    def _rest(self) -> None:
+        self._drive.stop()
+        self._command, self._broadcast_step = 0.0, NEVER
+        self._status, self._held, self._limited = Status.SAFE_STOP, False, ""
+        self._problem = "deactivated"
+
+    def _event(self, now: int, kind: EventKind, value: float, detail: str) -> SwarmEvent:
+        """Return an event that holds from the next state on."""
+        step = max(0, self._config.schedule.step(now) + 1)
+        return SwarmEvent(now, step, self._config.agent_id, kind, value, detail)

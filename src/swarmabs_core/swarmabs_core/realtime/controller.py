@@ -1,0 +1,233 @@
+"""The parent controller in real time: it answers each state of the plane, and it is who says STOP."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from swarmabs_core.desired_state import DesiredStateGenerator
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import (
+    AbstractState,
+    DesiredAbstractState,
+    EventKind,
+    Message,
+    Messages,
+    Mode,
+    PlaneState,
+    SwarmEvent,
+)
+from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.refusals import Refusals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_core.controllers.base import ParentController
+    from swarmabs_core.manifold import Manifold
+    from swarmabs_core.realtime.plausibility import Bounds
+
+RESET_SECONDS = 1.0
+"""Time for which RESET is published before RUN, s, so that every robot hears it."""
+MOST_STEPS = 100
+"""Missed steps that law and filter catch up; beyond, they begin anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeControllerConfig:
+    """Configuration of the parent controller's node, whatever its law.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        How time becomes steps.
+    bounds : Bounds
+        What is known of the swarm and its plane beforehand.
+    manifold : Manifold
+        Curve on which the desired abstract state lies.
+    start_mode : Mode
+        RUN, or STOP: then the swarm waits for a reset.
+    plane_age_limit : float
+        Age of the plane's state from which on nothing is asked for, s.
+    clock_tolerance : float
+        How far a state of the plane may be from the future, s.
+    """
+
+    schedule: Schedule
+    bounds: Bounds
+    manifold: Manifold
+    start_mode: Mode = Mode.RUN
+    plane_age_limit: float = 0.1
+    clock_tolerance: float = 0.02
+
+
+class RealtimeController:
+    """Answers the plane's state of a step with the desired abstract state of that step.
+
+    It begins when the observer publishes the swarm's abstract state, and then its reference begins, too. Without a
+    fresh state of the plane it publishes nothing, and the robots stop by themselves.
+
+    Parameters
+    ----------
+    config : RealtimeControllerConfig
+        Configuration.
+    make_law : callable
+        Makes the control law, anew after each reset.
+    """
+
+    def __init__(self, config: RealtimeControllerConfig, make_law: Callable[[], ParentController]) -> None:
+        self._config = config
+        self._make_law = make_law
+        self._age = config.schedule.steps(config.plane_age_limit)
+        self._ahead = -(-round(config.clock_tolerance * 1e9) // config.schedule.period_ns)
+        self._refusals = Refusals()
+        self._mode = config.start_mode
+        self._why = "waits for a reset" if config.start_mode is Mode.STOP else ""
+        self._reset_until = 0
+        self._swarm_heard = False
+        self._plane: PlaneState | None = None
+        self._asked: DesiredAbstractState | None = None
+        self._last_published = -1
+        self._blind = False
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._generator = DesiredStateGenerator(
+            self._config.schedule.period_ns, self._config.manifold, self._make_law()
+        )
+        self._first_step: int | None = None
+        self._law_step = -1
+
+    @property
+    def mode(self) -> Mode:
+        """What is asked of the swarm."""
+        return self._mode
+
+    @property
+    def first_step(self) -> int | None:
+        """Step at which the law's time began, None if it has not."""
+        return self._first_step
+
+    def hear(self, message: Message, now: int) -> Messages:
+        """Take a state of the plane or of the swarm; answer the desired abstract state of the step."""
+        if isinstance(message, AbstractState):
+            self._swarm_heard = True
+            return ()
+        step = self._config.schedule.step(now)
+        problem = self._problem(message, step)
+        if problem:
+            return self._refusals.add(problem, step, now)
+        assert isinstance(message, PlaneState)  # noqa: S101 - `_problem` has checked it
+        if self._plane is not None and message.step <= self._plane.step:
+            return ()
+        self._plane, self._blind = message, False
+        return self._answer(message, now)
+
+    def tick(self, now: int) -> Messages:
+        """Repeat STOP and RESET whether or not the plane is heard, and notice when it is not."""
+        step = self._config.schedule.step(now)
+        events = self._end_reset(now)
+        if self._mode is not Mode.RUN and self._last_published < step:
+            return (*events, self._keep_still(now, step))
+        if self._plane is not None and not self._blind and step - self._plane.step > self._age:
+            self._blind = True
+            return (*events, self._event(now, EventKind.STALLED, 0.0, "no fresh state of the plane"))
+        return events
+
+    def stop(self, now: int, why: str = "stop commanded") -> Messages:
+        """Stop the swarm until `reset`; the message goes out at once."""
+        if self._mode is Mode.STOP:
+            return (self._keep_still(now, self._config.schedule.step(now)),)
+        return self._change(Mode.STOP, now, why)
+
+    def reset(self, now: int) -> Messages:
+        """Let the swarm go on after `stop`: law and reference begin anew."""
+        if self._mode is not Mode.STOP:
+            return ()
+        self._reset_until = now + round(RESET_SECONDS * 1e9)
+        self._begin_anew()
+        return self._change(Mode.RESET, now, "reset commanded")
+
+    def halt(self) -> None:
+        """Forget the plane; what is published last stays what the robots judge by its age."""
+        self._plane = None
+        self._begin_anew()
+
+    def health(self, now: int) -> Health:
+        """Return what is asked of the swarm."""
+        asked, plane = self._asked, self._plane
+        values = (
+            ("mode", self._mode.name),
+            ("desired torque, N m", "none" if asked is None else f"{asked.torque:.4f}"),
+            ("desired inertia, kg m^2", "none" if asked is None else f"{asked.inertia:.5f}"),
+            ("angle, rad", "none" if plane is None else f"{plane.angle:.4f}"),
+            ("refused", str(self._refusals.total)),
+            ("last refusal", self._refusals.latest),
+        )
+        if self._mode is not Mode.RUN:
+            return Health(Level.WARN, f"{self._mode.name}: {self._why}", values)
+        if plane is None or self._config.schedule.step(now) - plane.step > self._age:
+            return Health(Level.ERROR, "no fresh state of the plane", values)
+        if not self._swarm_heard:
+            return Health(Level.WARN, "waits for the observer", values)
+        return Health(Level.OK, "runs", values)
+
+    def _problem(self, message: Message, step: int) -> str:
+        if not isinstance(message, PlaneState):
+            return "not a state of the plane"
+        if message.step > step + self._ahead:
+            return "plane/state: from the future; the clocks differ, or it is of another swarm"
+        if message.step < step - self._age:
+            return "plane/state: outdated"
+        problem = self._config.bounds.problem(message)
+        if problem:
+            return f"plane/state: {problem}"
+        known = self._plane
+        if known is not None and message.step == known.step and message != known:
+            return "plane/state: two different ones of a step; a second plane, or an intruder"
+        return ""
+
+    def _answer(self, plane: PlaneState, now: int) -> Messages:
+        if self._mode is not Mode.RUN:
+            return (self._keep_still(now, plane.step),)
+        if not self._swarm_heard:
+            return ()
+        if self._first_step is not None and not 0 < plane.step - self._law_step <= MOST_STEPS:
+            self._begin_anew()
+        if self._first_step is None:
+            self._first_step, self._law_step = plane.step, plane.step - 1
+        events: list[Message] = []
+        period = self._config.schedule.period_ns
+        try:
+            while self._law_step < plane.step:  # a step that was missed has had the plane as it is now
+                self._law_step += 1
+                time = (self._law_step - self._first_step) * period
+                news, desired = self._generator.advance(time, plane)
+                events.extend(event._replace(stamp=now) for event in news)
+        except RunError as error:
+            return self._change(Mode.STOP, now, str(error))
+        self._asked, self._last_published = desired._replace(stamp=now), plane.step
+        return (*events, self._asked)
+
+    def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
+        """Return the wish that robots keep still, of a step."""
+        self._last_published = max(self._last_published, step)
+        asked = self._asked
+        torque, inertia = (0.0, self._config.manifold.offset) if asked is None else (asked.torque, asked.inertia)
+        return DesiredAbstractState(now, max(0, step), self._mode, torque, inertia, *(0.0,) * 6)
+
+    def _change(self, mode: Mode, now: int, why: str) -> Messages:
+        self._mode, self._why = mode, why
+        event = self._event(now, EventKind.MODE_CHANGED, float(mode), why)
+        if mode is Mode.RUN:
+            return (event,)
+        return (event, self._keep_still(now, self._config.schedule.step(now)))
+
+    def _end_reset(self, now: int) -> Messages:
+        if self._mode is Mode.RESET and now >= self._reset_until:
+            return self._change(Mode.RUN, now, "reset is over")
+        return ()
+
+    def _event(self, now: int, kind: EventKind, value: float, detail: str) -> SwarmEvent:
+        step = max(0, self._config.schedule.step(now))
+        return SwarmEvent(now, step, 0, kind, value, detail)

@@ -1,0 +1,94 @@
+"""The last thing between a command and a robot's body: whatever is asked, the robot stays in its lane.
+
+A forged or foreign broadcast can make a robot move, but not beyond its limits and not off the plane.
+"""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+from typing import TYPE_CHECKING
+
+from swarmabs_core.drive import SingleIntegratorDrive
+
+if TYPE_CHECKING:
+    from swarmabs_core.robot_controller import RobotController
+
+LATENCY = 2.0
+"""Periods for which a single integrator's command may be held: the one it is meant for, and one in which it is late."""
+_HALVINGS = 40
+
+
+class LaneEnvelope:
+    """Limits commands so that a robot comes to rest before the end of its lane, -limit to +limit.
+
+    Parameters
+    ----------
+    controller : RobotController
+        The robot's brake and motion.
+    period : float
+        Control period, s.
+    lane_limit : float
+        Largest distance from the axis, m.
+    deceleration : float
+        How hard the base of a single integrator brakes, m/s^2; infinite if it stops at once.
+    """
+
+    def __init__(
+        self, controller: RobotController, period: float, lane_limit: float, deceleration: float = inf
+    ) -> None:
+        self._controller = controller
+        self._period = period
+        self._limit = lane_limit
+        self._deceleration = deceleration
+
+    def apply(self, position: float, velocity: float, command: float) -> float:
+        """Return the command, or the one nearest to it that keeps the robot in its lane.
+
+        Parameters
+        ----------
+        position, velocity : float
+            m and m/s.
+        command : float
+            m/s or N, within the drive's limits.
+        """
+        if isinstance(self._controller.ideal, SingleIntegratorDrive):
+            return min(max(command, -self._fastest(position + self._limit)), self._fastest(self._limit - position))
+        if self._fits(position, velocity, command):
+            return command
+        return self._nearest(position, velocity, command)
+
+    def _fastest(self, room: float) -> float:
+        """Return the greatest speed (m/s) towards an end of the lane that is this far away (m)."""
+        if room <= 0.0:
+            return 0.0
+        # v T LATENCY + v^2 / (2 a) = room
+        delay, a = self._period * LATENCY, self._deceleration
+        return room / delay if a == inf else a * (sqrt(delay * delay + 2.0 * room / a) - delay)
+
+    def _fits(self, position: float, velocity: float, force: float) -> bool:
+        """Tell whether the robot, after a period under this force (N), can still come to rest in its lane."""
+        position, velocity = self._controller.ideal.advance(position, velocity, force)
+        if velocity < 0.0:
+            position, velocity = -position, -velocity
+        return velocity == 0.0 or position + self._braking_distance(velocity) <= self._limit
+
+    def _braking_distance(self, velocity: float) -> float:
+        """Return a bound of the way (m) in which the brake stops the robot, begun one period late."""
+        controller = self._controller
+        mass, tau, force = controller.mass, controller.braking_time, controller.braking_force(velocity)
+        # First the brake's full force, then, below the velocity F tau / m, one that follows the velocity.
+        return velocity * self._period + 0.5 * (mass * velocity * velocity / force + force * tau * tau / mass)
+
+    def _nearest(self, position: float, velocity: float, force: float) -> float:
+        """Return the force nearest to the one asked for that still lets the robot stop in time, else the full brake."""
+        brake = self._controller.brake(velocity)
+        if not self._fits(position, velocity, brake):
+            return brake
+        allowed, refused = brake, force
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (allowed + refused)
+            if self._fits(position, velocity, middle):
+                allowed = middle
+            else:
+                refused = middle
+        return allowed

@@ -1,0 +1,209 @@
+"""The abstraction observer in real time: it sums up what it has heard lately, and says who counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.messages import (
+    NEVER,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    EventKind,
+    Kind,
+    Message,
+    Messages,
+    Status,
+    SwarmEvent,
+)
+from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.realtime.refusals import Refusals
+
+FEWEST = 2
+"""Robots without which a swarm has no spread."""
+
+
+class Role(Enum):
+    """How a robot enters the sums."""
+
+    UNHEARD = "not heard yet"
+    ACTIVE = "active"
+    STOPPED = "in a safe stop"
+    SILENT = "silent"
+    LEFT = "left"
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeObserverConfig:
+    """Configuration of the observer.
+
+    Parameters
+    ----------
+    members : tuple of int
+        Ids of all robots that may ever take part.
+    schedule : Schedule
+        How time becomes steps.
+    bounds : Bounds
+        What is known of the swarm and its plane beforehand.
+    ksd : float
+        Damping that the double integrators' law adds, N s/m.
+    needed : int
+        Robots that must have been heard before anything is published.
+    state_age_limit : float
+        Age of a robot's state from which on it is taken to stand still, s.
+    clock_tolerance : float
+        How far a state may be from the future, s.
+    """
+
+    members: tuple[int, ...]
+    schedule: Schedule
+    bounds: Bounds
+    ksd: float
+    needed: int
+    state_age_limit: float = 0.1
+    clock_tolerance: float = 0.02
+
+
+class RealtimeObserver:
+    """Publishes abstract and auxiliary state once per period, whoever is silent.
+
+    A robot that is heard and follows counts in all sums. The weight of one that has stopped, or is silent, stays in the
+    abstract state: it stands on the plane. One that has left is gone. Nobody has to be restarted for another to return.
+
+    Parameters
+    ----------
+    config : RealtimeObserverConfig
+        Configuration.
+
+    Attributes
+    ----------
+    roles : dict
+        Role of every member.
+    """
+
+    def __init__(self, config: RealtimeObserverConfig) -> None:
+        self._config = config
+        self._age = config.schedule.steps(config.state_age_limit)
+        self._ahead = -(-round(config.clock_tolerance * 1e9) // config.schedule.period_ns)
+        self._states: dict[int, AgentState] = {}
+        self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
+        self._refusals = Refusals()
+        self._last_step: int | None = None
+        self._started = False
+        self._running_since: int | None = None
+
+    def hear(self, message: Message, now: int) -> Messages:
+        """Take a robot's state, if it is a member's, newer than the one known, and can be true."""
+        step = self._config.schedule.step(now)
+        problem = self._problem(message, step)
+        if problem:
+            return self._refusals.add(problem, step, now)
+        assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
+        known = self._states.get(message.agent_id)
+        if known is None or message.step > known.step:
+            self._states[message.agent_id] = message
+        elif message.step == known.step and message != known:
+            return self._refusals.add(f"robot {message.agent_id}: two different states of a step", step, now)
+        return ()
+
+    def tick(self, now: int) -> Messages:
+        """Say whose role has changed, and sum up."""
+        step = self._config.schedule.step(now)
+        if step < 0 or (self._last_step is not None and step <= self._last_step):
+            return ()
+        self._last_step = step
+        events = self._update_roles(step, now)
+        if not self._started and not self._may_start(step):
+            return events
+        self._started = True
+        return (*events, *self._sum_up(step, now))
+
+    def halt(self) -> None:
+        """Forget what was heard: it will be old when ticks go on."""
+        self._states.clear()
+        self.roles = dict.fromkeys(self.roles, Role.UNHEARD)
+        self._started, self._running_since = False, None
+
+    def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
+        """Return how many robots there are in each role."""
+        count = {role: sum(r is role for r in self.roles.values()) for role in Role}
+        ids = {role: [i for i, r in self.roles.items() if r is role][:20] for role in Role}
+        values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
+        values = (*values, ("refused", str(self._refusals.total)), ("last refusal", self._refusals.latest))
+        if not self._started:
+            heard = len(self._states)
+            return Health(Level.WARN, f"waits for robots: {heard} heard, {self._config.needed} needed", values)
+        if not count[Role.ACTIVE]:
+            return Health(Level.ERROR, "no robot follows", values)
+        missing = count[Role.STOPPED] + count[Role.SILENT]
+        text = f"{count[Role.ACTIVE]} of {len(self.roles)} robots follow"
+        return Health(Level.WARN if missing else Level.OK, text, values)
+
+    def _problem(self, message: Message, step: int) -> str:
+        if not isinstance(message, AgentState):
+            return "not a robot's state"
+        if message.agent_id not in self.roles:
+            return f"robot {message.agent_id} is not a member of this swarm"
+        who = f"robot {message.agent_id}"
+        if message.step > step + self._ahead:
+            return f"{who}: a state from the future; the clocks differ, or it is of another swarm"
+        problem = self._config.bounds.problem(message)
+        return f"{who}: {problem}" if problem else ""
+
+    def _may_start(self, step: int) -> bool:
+        """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
+        if len(self._states) >= self._config.needed:
+            return True
+        if self._running_since is None:
+            if any(state.broadcast_step != NEVER for state in self._states.values()):
+                self._running_since = step
+            return False
+        return step - self._running_since > self._age and len(self._states) >= FEWEST
+
+    def _role(self, agent_id: int, step: int) -> Role:
+        state = self._states.get(agent_id)
+        if state is None:
+            return Role.UNHEARD
+        if state.status == Status.LEFT:
+            return Role.LEFT
+        if step - state.step > self._age:
+            return Role.SILENT
+        return Role.ACTIVE if state.status == Status.ACTIVE else Role.STOPPED
+
+    def _update_roles(self, step: int, now: int) -> Messages:
+        events = []
+        for agent_id, before in self.roles.items():
+            role = self._role(agent_id, step)
+            if role is before:
+                continue
+            self.roles[agent_id] = role
+            there, was_there = (r in (Role.ACTIVE, Role.STOPPED) for r in (role, before))
+            if there and was_there:
+                continue  # the robot says so itself
+            kind = {Role.SILENT: EventKind.DEAD, Role.LEFT: EventKind.LEFT}.get(role, EventKind.JOINED)
+            position = self._states[agent_id].position
+            events.append(SwarmEvent(now, step, agent_id, kind, position, "" if there else role.value))
+        return tuple(events)
+
+    def _sum_up(self, step: int, now: int) -> Messages:
+        config = self._config
+        weights, active = [], []
+        for agent_id, role in self.roles.items():
+            if role in (Role.UNHEARD, Role.LEFT):
+                continue
+            state = self._states[agent_id]
+            weights.append(Weight(state.mass, state.position, 0.0 if role is Role.SILENT else state.velocity))
+            if role is Role.ACTIVE:
+                active.append(state)
+        *sums, q = abstraction(weights, config.bounds.gravity)
+        spread = spread_sums((s.mass, s.position) for s in active)
+        damping = damping_sums(
+            ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
+        )
+        return (
+            AbstractState(now, step, len(weights), *sums),
+            AuxiliaryState(now, step, *spread, *damping, q),
+        )
