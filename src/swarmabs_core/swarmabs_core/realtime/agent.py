@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, Status, SwarmEvent
-from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.plausibility import Bounds
@@ -157,7 +157,7 @@ class RealtimeAgent:
         self._inbox = BroadcastInbox(config.schedule, config.broadcast_age_limit, config.clock_tolerance, config.bounds)
         self._refusals = Refusals(config.agent_id)
         self._measurement: Measurement | None = None
-        self._last_step: int | None = None
+        self._counter = StepCounter(config.schedule)
         self._command = 0.0
         self._broadcast_step = NEVER
         self._status = Status.SAFE_STOP
@@ -173,10 +173,12 @@ class RealtimeAgent:
 
     def tick(self, now: int) -> Messages:
         """Measure, publish the state, decide what to do for the next period and let the drive do it."""
-        step = self._config.schedule.step(now)
-        if step < 0 or (self._last_step is not None and step <= self._last_step):
-            return ()  # not begun yet, or the clock was set back: no step is made twice
-        self._last_step = step
+        before = self._counter.last
+        step = self._counter.next(now)
+        if step is None:
+            # What is held would be held for as long as the clock needs to come back.
+            set_back = before is not None and self._counter.last is None
+            return self._doubt(now) if set_back else ()
         measured = self._drive.read(now)
         if measured is not None and isfinite(measured.position) and isfinite(measured.velocity):
             self._measurement = measured
@@ -265,6 +267,11 @@ class RealtimeAgent:
         self._act(decision.command, broadcasts.step, now)
         events = self._active(now, followed=True)
         return (*events, *self._note_limits(now, decision))
+
+    def _doubt(self, now: int) -> Messages:
+        """Stop, and forget what was heard, since its age can no longer be told."""
+        self._inbox.forget()
+        return self._stop(now, "the clock was set back")
 
     def _stop(self, now: int, problem: str) -> Messages:
         """Come to rest, and say why when the robot begins to."""

@@ -73,11 +73,52 @@ class Schedule:
         """Return the time (ns) at which a step begins, or at which this share of it is over."""
         return self.epoch_ns + step * self.period_ns + round(phase * self.period_ns)
 
+    def ahead(self, tolerance: float) -> int:
+        """Return by how many steps a message may be from the future, if the clocks agree within a tolerance (s)."""
+        return -(-round(tolerance * 1e9) // self.period_ns)
+
     def steps(self, seconds: float) -> int:
         """Return how many whole periods a span of time (s) has, one at least."""
         return max(1, round(seconds * 1e9) // self.period_ns)
 
 
+class StepCounter:
+    """Makes each step once, whatever the clock does.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        How time becomes steps.
+
+    Attributes
+    ----------
+    last : int or None
+        The last step made, None before the first and after the clock was set back.
+    """
+
+    def __init__(self, schedule: Schedule) -> None:
+        self._schedule = schedule
+        self.last: int | None = None
+
+    def next(self, now: int) -> int | None:
+        """Return the step of a time (ns) if it is to be made now, else None.
+
+        A clock that was set back a little is waited for. If it is more than `MOST_BACK`, counting begins anew: then
+        `last` is None, and whatever was kept of later steps is worthless.
+        """
+        step = self._schedule.step(now)
+        if self.last is not None and step <= self.last:
+            if self.last - step > MOST_BACK:
+                self.last = None
+            return None
+        if step < 0:
+            return None
+        self.last = step
+        return step
+
+
+MOST_BACK = 2
+"""Steps by which a clock may be set back and is waited for."""
 AGENT_PHASE = 0.0
 PLANE_PHASE = OBSERVER_PHASE = 0.5
 CONTROLLER_PHASE = 0.75

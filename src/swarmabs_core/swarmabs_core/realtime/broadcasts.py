@@ -23,6 +23,9 @@ MOST_STEPS = 16
 """Steps whose sets may be incomplete at the same time; of more, the oldest is given up."""
 
 
+_LONG_AGO = -(2**62)
+
+
 class BroadcastSet(NamedTuple):
     """The three broadcasts of one step."""
 
@@ -59,11 +62,10 @@ class BroadcastInbox:
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float, bounds: Bounds) -> None:
         self._schedule = schedule
         self._age = schedule.steps(age_limit)
-        self._ahead = -(-round(clock_tolerance * 1e9) // schedule.period_ns)
+        self._ahead = schedule.ahead(clock_tolerance)
         self._bounds = bounds
         self._partial: dict[int, dict[Topic, Message]] = {}
-        self._contradicted = -(2**62)
-        self._mode_step = -1
+        self._contradicted = self._mode_step = _LONG_AGO
         self.newest: BroadcastSet | None = None
         self.stopped = False
 
@@ -83,6 +85,12 @@ class BroadcastInbox:
         if problem:
             return f"{topic.name}: {problem}"
         return self._keep(topic, message, step)
+
+    def forget(self) -> None:
+        """Forget all but whether the swarm was stopped."""
+        self._partial.clear()
+        self.newest = None
+        self._contradicted = self._mode_step = _LONG_AGO
 
     def _obey(self, desired: DesiredAbstractState) -> None:
         """Take over STOP and RESET; one that was overtaken by a later one has no effect."""

@@ -115,6 +115,7 @@ def plane_config(scenario: Scenario, clock: Schedule) -> RealtimePlaneConfig:
         end_stop=min(plane.end_stop, STEEPEST),
         sensor=plane.sensor,
         seed=plane.seed,
+        clock_tolerance=scenario.realtime.clock_tolerance,
     )
 
 

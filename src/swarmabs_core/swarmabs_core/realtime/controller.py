@@ -79,7 +79,7 @@ class RealtimeController:
         self._config = config
         self._make_law = make_law
         self._age = config.schedule.steps(config.plane_age_limit)
-        self._ahead = -(-round(config.clock_tolerance * 1e9) // config.schedule.period_ns)
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
         self._refusals = Refusals()
         self._mode = config.start_mode
         self._why = "waits for a reset" if config.start_mode is Mode.STOP else ""
@@ -127,6 +127,8 @@ class RealtimeController:
         """Repeat STOP and RESET whether or not the plane is heard, and notice when it is not."""
         step = self._config.schedule.step(now)
         events = self._end_reset(now)
+        if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
+            self._plane, self._last_published = None, -1
         if self._mode is not Mode.RUN and self._last_published < step:
             return (*events, self._keep_still(now, step))
         if self._plane is not None and not self._blind and step - self._plane.step > self._age:
@@ -141,9 +143,7 @@ class RealtimeController:
         return self._change(Mode.STOP, now, why)
 
     def reset(self, now: int) -> Messages:
-        """Let the swarm go on after `stop`: law and reference begin anew."""
-        if self._mode is not Mode.STOP:
-            return ()
+        """Let the swarm go on after `stop`, or after a stop before this node began: law and reference begin anew."""
         self._reset_until = now + round(RESET_SECONDS * 1e9)
         self._begin_anew()
         return self._change(Mode.RESET, now, "reset commanded")
@@ -189,7 +189,7 @@ class RealtimeController:
 
     def _answer(self, plane: PlaneState, now: int) -> Messages:
         if self._mode is not Mode.RUN:
-            return (self._keep_still(now, plane.step),)
+            return () if plane.step <= self._last_published else (self._keep_still(now, plane.step),)
         if not self._swarm_heard:
             return ()
         if self._first_step is not None and not 0 < plane.step - self._law_step <= MOST_STEPS:

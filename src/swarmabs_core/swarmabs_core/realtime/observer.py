@@ -18,7 +18,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 
@@ -87,11 +87,11 @@ class RealtimeObserver:
     def __init__(self, config: RealtimeObserverConfig) -> None:
         self._config = config
         self._age = config.schedule.steps(config.state_age_limit)
-        self._ahead = -(-round(config.clock_tolerance * 1e9) // config.schedule.period_ns)
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
         self._states: dict[int, AgentState] = {}
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
         self._refusals = Refusals()
-        self._last_step: int | None = None
+        self._counter = StepCounter(config.schedule)
         self._started = False
         self._running_since: int | None = None
 
@@ -111,10 +111,11 @@ class RealtimeObserver:
 
     def tick(self, now: int) -> Messages:
         """Say whose role has changed, and sum up."""
-        step = self._config.schedule.step(now)
-        if step < 0 or (self._last_step is not None and step <= self._last_step):
+        step = self._counter.next(now)
+        if step is None:
+            if self._counter.last is None and self._started:
+                self.halt()
             return ()
-        self._last_step = step
         events = self._update_roles(step, now)
         if not self._started and not self._may_start(step):
             return events

@@ -20,7 +20,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
-from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.sensing import Sensor
@@ -57,6 +57,8 @@ class RealtimePlaneConfig:
         What is published of angle (rad) and angular velocity (rad/s).
     seed : int
         Seed of the sensor's noise.
+    clock_tolerance : float
+        How far a robot's state may be from the future, s.
     """
 
     members: tuple[int, ...]
@@ -71,6 +73,7 @@ class RealtimePlaneConfig:
     end_stop: float = STEEPEST
     sensor: Sensor = field(default_factory=Sensor)
     seed: int = 1
+    clock_tolerance: float = 0.02
 
 
 class _Load(NamedTuple):
@@ -106,8 +109,10 @@ class RealtimePlane:
         )
         self._angle, self._angular_velocity = config.angle, config.angular_velocity
         self._loads: dict[int, _Load] = {}
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
         self._members = frozenset(config.members)
         self._released: int | None = None
+        self._counter = StepCounter(config.schedule)
         self._last_step: int | None = None
         self._refusals = Refusals()
 
@@ -117,6 +122,8 @@ class RealtimePlane:
         if not isinstance(message, AgentState) or message.agent_id not in self._members:
             return self._refusals.add("not a state of a robot of this swarm", step, now)
         problem = self._config.bounds.problem(message)
+        if message.step > step + self._ahead:
+            problem = "a state from the future; the clocks differ, or it is of another swarm"
         if problem:
             return self._refusals.add(f"robot {message.agent_id}: {problem}", step, now)
         known = self._loads.get(message.agent_id)
@@ -134,8 +141,10 @@ class RealtimePlane:
     def tick(self, now: int) -> Messages:
         """Move the plane up to this step and tell its state."""
         config = self._config
-        step = config.schedule.step(now)
-        if step < 0 or (self._last_step is not None and step <= self._last_step):
+        step = self._counter.next(now)
+        if step is None:
+            if self._counter.last is None:
+                self._last_step = None
             return ()
         events: Messages = ()
         if self._released is not None and self._last_step is not None:

@@ -22,10 +22,10 @@ from swarmabs_core.messages import (
     Mode,
 )
 from swarmabs_core.realtime import configure
-from swarmabs_core.realtime.agent import RealtimeAgent, ideal_motion
+from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig, ideal_motion
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE
 from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_core.realtime.drives import SimulatedDrive
+from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
 from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.plane import RealtimePlane
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from swarmabs_core.scenario import Scenario
 
 PLANE, OBSERVER, CONTROLLER = "plane_sim", "abstraction_observer", "parent_controller"
+_ROBOT = "agent_"
 EPOCH = 1_700_000_000_000_000_000
 """A time of the clock, ns since 1970, as large as those of real clocks are."""
 
@@ -55,6 +56,8 @@ class Network:
         Probability of being lost.
     duplication : float
         Probability of arriving twice.
+    fading : float
+        Probability that a robot hears nothing of all that is sent in a period.
     cut : set of str
         Nodes that neither send nor receive, but go on.
     """
@@ -63,11 +66,13 @@ class Network:
     jitter: float = 0.0
     loss: float = 0.0
     duplication: float = 0.0
+    fading: float = 0.0
     cut: set[str] = field(default_factory=set)
 
-    def arrivals(self, sender: str, receiver: str, draw: Random) -> list[int]:
-        """Return after which times (ns) a message arrives; none if it is lost."""
-        lost = draw.random() < self.loss
+    def arrivals(self, sender: str, receiver: str, step: int, draw: Random) -> list[int]:
+        """Return after which times (ns) a message of a step arrives; none if it is lost."""
+        faded = receiver.startswith(_ROBOT) and Random(f"{receiver}:{step}").random() < self.fading  # noqa: S311
+        lost = draw.random() < self.loss or faded
         copies = 2 if draw.random() < self.duplication else 1
         times = [round((self.delay + self.jitter * draw.random()) * 1e9) for _ in range(copies)]
         return [] if lost or sender in self.cut or receiver in self.cut else times
@@ -86,9 +91,22 @@ class _Node:
     life: int = 0
 
 
+class _Body(SimulatedDrive):
+    """A body that moves by the time of the world, whatever the clock of its node says."""
+
+    def __init__(self, fleet: VirtualFleet, name: str, config: RealtimeAgentConfig, start: tuple[float, float]) -> None:
+        super().__init__(ideal_motion(config), config.schedule, *start)
+        self._fleet = fleet
+        self._name = name
+
+    def read(self, now: int) -> Measurement:
+        """Move up to now, and tell where that leads, at the time of the node's clock."""
+        return super().read(EPOCH + round(self._fleet.time * 1e9))._replace(stamp=now)
+
+
 def agent_name(agent_id: int) -> str:
     """Return the name of a robot's node."""
-    return f"agent_{agent_id:03d}"
+    return f"{_ROBOT}{agent_id:03d}"
 
 
 class VirtualFleet:
@@ -167,7 +185,7 @@ class VirtualFleet:
 
     def _add_robots(self, scenario: Scenario) -> None:
         for agent, config in zip(scenario.agents, configure.agent_configs(scenario, self._clock), strict=True):
-            drive = SimulatedDrive(ideal_motion(config), self._clock, agent.position, agent.velocity)
+            drive = _Body(self, agent_name(agent.id), config, (agent.position, agent.velocity))
             self.drives[agent.id] = drive
             self._add(
                 agent_name(agent.id),
@@ -205,8 +223,8 @@ class VirtualFleet:
         node = self._nodes[name]
         node.behaviour = None
         node.life += 1
-        if name.startswith("agent_"):
-            self.drives[int(name.removeprefix("agent_"))].stop()
+        if name.startswith(_ROBOT):
+            self.drives[int(name.removeprefix(_ROBOT))].stop()
 
     def revive(self, name: str) -> None:
         """Start a node, anew if it was there before; one that lives goes on."""
@@ -261,7 +279,7 @@ class VirtualFleet:
             self.published.append((self._now, node.name, message))
             for other in self._nodes.values():
                 if other is not node and TOPIC_OF[type(message)] in other.listens:
-                    for after in self.network.arrivals(node.name, other.name, self._draw):
+                    for after in self.network.arrivals(node.name, other.name, message.step, self._draw):
                         self._at(self._now + after, lambda other=other, message=message: self._hear(other, message))  # type: ignore[misc]
 
     def _hear(self, node: _Node, message: Message) -> None:

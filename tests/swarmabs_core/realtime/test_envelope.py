@@ -1,0 +1,104 @@
+"""Whatever a robot is asked to do, it stays in its lane, and what is harmless is left alone."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from swarmabs_core.law_registry import PAPER, Robot
+from swarmabs_core.messages import Kind
+from swarmabs_core.realtime.envelope import LaneEnvelope
+from swarmabs_core.robot_controller import Limits, RobotController
+from swarmabs_core.swarm_law import SwarmGains
+
+GAINS = SwarmGains((10.0, 10.0), (10.0, 10.0), (5.0, 5.0), 1.0)
+LANE = 0.48
+
+commands = st.lists(
+    st.one_of(st.floats(-1e3, 1e3), st.sampled_from([0.0, 1e300, -1e300, 5.0, -5.0])), min_size=1, max_size=80
+)
+
+
+def envelope(
+    kind: Kind,
+    *,
+    period: float,
+    mass: float = 0.5,
+    damping: float = 0.0,
+    limits: Limits | None = None,
+    deceleration: float = math.inf,
+) -> tuple[RobotController, LaneEnvelope]:
+    robot = Robot(kind, mass, damping, GAINS, 9.81, period)
+    controller = RobotController(robot, PAPER.name, {}, limits or Limits())
+    return controller, LaneEnvelope(controller, period, LANE, deceleration)
+
+
+@given(
+    commands=commands,
+    start=st.floats(-LANE, LANE),
+    mass=st.floats(0.1, 5.0),
+    damping=st.floats(0.0, 3.0),
+    force=st.one_of(st.just(math.inf), st.floats(0.05, 20.0)),
+    velocity=st.one_of(st.just(math.inf), st.floats(0.05, 3.0)),
+    period=st.sampled_from([0.002, 0.01, 0.05, 0.1]),
+)
+@settings(max_examples=300, deadline=None)
+def test_a_double_integrator_never_leaves_its_lane(
+    commands: list[float], start: float, mass: float, damping: float, force: float, velocity: float, period: float
+) -> None:
+    controller, lane = envelope(
+        Kind.DOUBLE_INTEGRATOR, period=period, mass=mass, damping=damping, limits=Limits(velocity, force)
+    )
+    p, v = start, 0.0
+    for command in commands:
+        for _ in range(5):
+            limited = controller.limit(v, command)
+            kept = lane.apply(p, v, limited)
+            assert abs(kept) <= force
+            assert min(limited, controller.brake(v)) <= kept <= max(limited, controller.brake(v))
+            p, v = controller.ideal.advance(p, v, kept)
+            assert abs(p) <= LANE + 1e-9
+
+
+@given(commands=commands, start=st.floats(-LANE, LANE), period=st.sampled_from([0.002, 0.01, 0.1]))
+@settings(max_examples=200, deadline=None)
+def test_a_single_integrator_stays_even_when_each_command_is_held_twice_as_long(
+    commands: list[float], start: float, period: float
+) -> None:
+    _, lane = envelope(Kind.SINGLE_INTEGRATOR, period=period)
+    p = start
+    for command in commands:
+        kept = lane.apply(p, 0.0, command)
+        assert abs(kept) <= abs(command)
+        assert kept * command >= 0.0
+        p += 2.0 * period * kept
+        assert abs(p) <= LANE + 1e-9
+
+
+@given(commands=commands, deceleration=st.floats(0.1, 10.0))
+@settings(max_examples=100, deadline=None)
+def test_a_base_that_brakes_slowly_can_still_stop(commands: list[float], deceleration: float) -> None:
+    period = 0.01
+    _, lane = envelope(Kind.SINGLE_INTEGRATOR, period=period, deceleration=deceleration)
+    p = 0.0
+    for command in commands:
+        speed = lane.apply(p, 0.0, min(max(command, -3.0), 3.0))
+        p += speed * period
+        # The next command is late by one period; then the base brakes as hard as it can.
+        assert abs(p + speed * period + math.copysign(speed * speed / (2.0 * deceleration), speed)) <= LANE + 1e-9
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_a_robot_beyond_its_lane_may_only_come_back(kind: Kind) -> None:
+    controller, lane = envelope(kind, period=0.01)
+    assert lane.apply(0.49, 0.0, 1.0) == controller.brake(0.0) == 0.0
+    assert lane.apply(0.49, 0.0, -0.1) == -0.1
+    assert lane.apply(-0.49, 0.0, 0.1) == 0.1
+
+
+@given(st.floats(-0.1, 0.1), st.floats(-0.2, 0.2), st.floats(-0.5, 0.5))
+def test_far_from_the_ends_nothing_is_changed(position: float, velocity: float, command: float) -> None:
+    for kind in Kind:
+        assert envelope(kind, period=0.01)[1].apply(position, velocity, command) == command
