@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -12,6 +13,10 @@ from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.robot_controller import Limits, RobotController
 from swarmabs_core.swarm_law import SwarmGains
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from random import Random
 
 GAINS = SwarmGains((10.0, 10.0), (10.0, 10.0), (5.0, 5.0), 1.0)
 LANE = 0.48
@@ -35,8 +40,24 @@ def envelope(
     return controller, LaneEnvelope(controller, period, LANE, deceleration)
 
 
+def drive_about(
+    controller: RobotController, lane: LaneEnvelope, start: float, commands: Iterable[tuple[float, int]]
+) -> float:
+    """Return how far from the axis a robot comes that holds each command for one period, or for two."""
+    p, v, farthest = start, 0.0, abs(start)
+    for command, periods in commands:
+        limited = controller.limit(v, command)
+        kept = lane.apply(p, v, limited)
+        assert min(limited, controller.brake(v)) <= kept <= max(limited, controller.brake(v))
+        for _ in range(periods):
+            p, v = controller.ideal.advance(p, v, kept)
+            farthest = max(farthest, abs(p))
+    return farthest
+
+
 @given(
     commands=commands,
+    lateness=st.randoms(use_true_random=False),
     start=st.floats(-LANE, LANE),
     mass=st.floats(0.1, 5.0),
     damping=st.floats(0.0, 3.0),
@@ -46,20 +67,29 @@ def envelope(
 )
 @settings(max_examples=300, deadline=None)
 def test_a_double_integrator_never_leaves_its_lane(
-    commands: list[float], start: float, mass: float, damping: float, force: float, velocity: float, period: float
+    commands: list[float],
+    lateness: Random,
+    start: float,
+    mass: float,
+    damping: float,
+    force: float,
+    velocity: float,
+    period: float,
 ) -> None:
     controller, lane = envelope(
         Kind.DOUBLE_INTEGRATOR, period=period, mass=mass, damping=damping, limits=Limits(velocity, force)
     )
-    p, v = start, 0.0
-    for command in commands:
-        for _ in range(5):
-            limited = controller.limit(v, command)
-            kept = lane.apply(p, v, limited)
-            assert abs(kept) <= force
-            assert min(limited, controller.brake(v)) <= kept <= max(limited, controller.brake(v))
-            p, v = controller.ideal.advance(p, v, kept)
-            assert abs(p) <= LANE + 1e-9
+    held = [(command, lateness.choice((1, 2))) for command in commands for _ in range(5)]
+    assert drive_about(controller, lane, start, held) <= LANE + 1e-9
+
+
+@pytest.mark.parametrize("force", [0.3, 2.0, 40.0])
+@pytest.mark.parametrize("period", [0.002, 0.01, 0.1])
+@pytest.mark.parametrize("held", [1, 2])
+def test_a_robot_pushed_all_the_way_stops_just_before_the_end(force: float, period: float, held: int) -> None:
+    controller, lane = envelope(Kind.DOUBLE_INTEGRATOR, period=period, mass=1.0, limits=Limits(force=force))
+    farthest = drive_about(controller, lane, -LANE, [(1e9, held)] * round(20.0 / period))
+    assert 0.8 * LANE < farthest <= LANE + 1e-9
 
 
 @given(commands=commands, start=st.floats(-LANE, LANE), period=st.sampled_from([0.002, 0.01, 0.1]))

@@ -13,8 +13,8 @@ from swarmabs_core.drive import SingleIntegratorDrive
 if TYPE_CHECKING:
     from swarmabs_core.robot_controller import RobotController
 
-LATENCY = 2.0
-"""Periods for which a single integrator's command may be held: the one it is meant for, and one in which it is late."""
+LATENCY = 2
+"""Periods for which a command may be held: the one it is meant for, and one in which the next is late."""
 _HALVINGS = 40
 
 
@@ -66,18 +66,20 @@ class LaneEnvelope:
         return room / delay if a == inf else a * (sqrt(delay * delay + 2.0 * room / a) - delay)
 
     def _fits(self, position: float, velocity: float, force: float) -> bool:
-        """Tell whether the robot, after a period under this force (N), can still come to rest in its lane."""
-        position, velocity = self._controller.ideal.advance(position, velocity, force)
-        if velocity < 0.0:
-            position, velocity = -position, -velocity
-        return velocity == 0.0 or position + self._braking_distance(velocity) <= self._limit
+        """Tell whether the robot can still come to rest in its lane, however long it was under this force (N)."""
+        for _ in range(LATENCY):
+            position, velocity = self._controller.ideal.advance(position, velocity, force)
+            ahead = position if velocity > 0.0 else -position
+            if velocity and ahead + self._braking_distance(abs(velocity)) > self._limit:
+                return False
+        return True
 
     def _braking_distance(self, velocity: float) -> float:
-        """Return a bound of the way (m) in which the brake stops the robot, begun one period late."""
+        """Return a bound of the way (m) in which the brake stops the robot."""
         controller = self._controller
         mass, tau, force = controller.mass, controller.braking_time, controller.braking_force(velocity)
         # First the brake's full force, then, below the velocity F tau / m, one that follows the velocity.
-        return velocity * self._period + 0.5 * (mass * velocity * velocity / force + force * tau * tau / mass)
+        return 0.5 * (mass * velocity * velocity / force + force * tau * tau / mass)
 
     def _nearest(self, position: float, velocity: float, force: float) -> float:
         """Return the force nearest to the one asked for that still lets the robot stop in time, else the full brake."""
