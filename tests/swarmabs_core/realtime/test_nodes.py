@@ -208,6 +208,20 @@ def test_deactivation_leaves_the_body_safe() -> None:
     assert node.health(at(0)).text == "safe stop: deactivated"
 
 
+def test_a_reset_that_was_overtaken_by_a_stop_does_not_count() -> None:
+    body = Body()
+    node = robot(body)
+    for step, mode in ((10, Mode.RESET), (12, Mode.STOP), (11, Mode.RESET), (12, Mode.RESET)):
+        tell(node, broadcasts(step, mode)[2:], 12.6)
+    tell(node, broadcasts(13), 13.6)
+    node.tick(at(14))
+    assert body.commands == [0.0]
+    tell(node, broadcasts(14, Mode.RESET)[2:], 14.6)
+    tell(node, broadcasts(15), 15.6)
+    node.tick(at(16))
+    assert body.commands[-1] != 0.0
+
+
 def test_a_law_without_a_finite_command_stops_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     body = Body()
     node = robot(body)
