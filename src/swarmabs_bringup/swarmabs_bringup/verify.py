@@ -96,6 +96,8 @@ class BagToVerify:
     ----------
     path : Path
         A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to verify if the bag holds several.
 
     Raises
     ------
@@ -105,8 +107,8 @@ class BagToVerify:
         If nothing of it can be read.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._bag = open_bag(path, damaged=True)
+    def __init__(self, path: Path, *, namespace: str | None = None) -> None:
+        self._bag = open_bag(path, namespace=namespace, damaged=True)
         missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
         if missing and not self._bag.problem:
             raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
@@ -190,8 +192,8 @@ class BagToVerify:
         return tuple(notes)
 
 
-def open_to_verify(path: Path) -> BagToVerify | Verdict:
-    """Open a bag; a file so damaged that nothing can be compared is a verdict already.
+def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify | Verdict:
+    """Open a bag; a file so damaged that nothing can be compared is a verdict already. Parameters as of `BagToVerify`.
 
     Raises
     ------
@@ -199,7 +201,7 @@ def open_to_verify(path: Path) -> BagToVerify | Verdict:
         As of `BagToVerify`.
     """
     try:
-        return BagToVerify(path)
+        return BagToVerify(path, namespace=namespace)
     except DamagedBagError as error:
         return Verdict(str(path), None, None, str(error))
 

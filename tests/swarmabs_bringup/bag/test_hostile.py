@@ -132,7 +132,7 @@ def test_names_of_topics_cannot_break_the_line_of_an_error(file: Path) -> None:
         with pytest.raises(NotABagError) as caught:
             open_bag(file, namespace=namespace)
         assert str(caught.value).isprintable()
-        assert "/a\\n\\x1b[2J/" in str(caught.value)
+        assert "/a\\n\\x1b[2J, " in str(caught.value)
         assert str(caught.value).endswith(", 17 more")
         assert len(str(caught.value)) < 1000
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -127,6 +127,19 @@ def test_files_that_do_not_belong_together_are_not_read_as_one(files: list[Path]
     files[1].rename(files[1].with_name("other_1.mcap"))
     with pytest.raises(NotABagError, match=r"holds 5 \.mcap files: name one of them"):
         find_bag(files[0].parent)
+
+
+def test_a_swarm_need_not_be_in_every_file(tmp_path: Path, run: list[Message], write_bag: Callable[..., Path]) -> None:
+    """A recorder that writes down what it hears names a topic first in the file in which it is first heard."""
+    (tmp_path / "both").mkdir()
+    for number, name in enumerate(("east", "west")):
+        write_bag(tmp_path / name, namespace=f"/{name}")
+        (tmp_path / name / "bag_0.mcap").rename(tmp_path / "both" / f"bag_{number}.mcap")
+    for name in ("east", "west"):
+        assert len(list(open_bag(tmp_path / "both", namespace=name).messages())) == len(run)
+    for namespace, text in ((None, "several swarms: choose one with --namespace: /east, /west"), ("/", "in /east")):
+        with pytest.raises(NotABagError, match=text):
+            open_bag(tmp_path / "both", namespace=namespace)
 
 
 def test_a_file_that_is_missing_is_named(files: list[Path], run: list[Message]) -> None:

@@ -12,13 +12,16 @@ from std_msgs.msg import String
 from swarmabs_bringup.bag import BagReader, message_schema, open_bag
 from swarmabs_bringup.replay.playback import USUAL_QOS, choose_topics
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import PLANE_STATE
 
 TEXT = message_schema("std_msgs/msg/String")
 LATCHED = "- {history: keep_last, depth: 3, reliability: reliable, durability: transient_local}\n"
 WEAK = "- {history: keep_last, depth: 3, reliability: best_effort, durability: volatile}\n"
 
 
-def foreign_bag(folder: Path, *channels: tuple[str, str, str, dict[str, str]]) -> BagReader:
+def foreign_bag(
+    folder: Path, *channels: tuple[str, str, str, dict[str, str]], namespace: str | None = None
+) -> BagReader:
     """Return a bag of another robot: topic, type, encoding and metadata of each channel."""
     path = folder / "foreign.mcap"
     with path.open("wb") as stream:
@@ -29,7 +32,7 @@ def foreign_bag(folder: Path, *channels: tuple[str, str, str, dict[str, str]]) -
             channel = writer.register_channel(topic, encoding, schema, metadata)
             writer.add_message(channel, 10**9, b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00", 10**9)
         writer.finish()
-    return open_bag(path)
+    return open_bag(path, namespace=namespace, several=True)
 
 
 def test_topics_of_other_robots_are_played_with_their_recorded_qos(tmp_path: Path) -> None:
@@ -74,3 +77,18 @@ def test_a_bag_with_nothing_to_play_is_refused(tmp_path: Path) -> None:
     bag = foreign_bag(tmp_path, ("/scan", "their_msgs/msg/Scan", "cdr", {}))
     with pytest.raises(InputError, match=r"has no topic that can be played; /scan is left out"):
         choose_topics(bag)
+
+
+def test_of_several_swarms_all_topics_are_played_or_those_of_one(tmp_path: Path) -> None:
+    names = ("/plane/state", "/camera", "/west/plane/state", "/west/camera", "/west/low/plane/state")
+    channels = [(n, PLANE_STATE.ros_type if "plane" in n else TEXT.name, "cdr", {}) for n in names]
+
+    def chosen(namespace: str | None) -> list[str]:
+        bag = foreign_bag(tmp_path, *channels, namespace=namespace)
+        return [topic.channel.name for topic in choose_topics(bag, one_swarm=namespace is not None)[0]]
+
+    assert chosen(None) == list(names)
+    assert chosen("/") == ["/plane/state", "/camera"]
+    assert chosen("/west") == ["/west/plane/state", "/west/camera"]
+    with pytest.raises(InputError, match=r"--topics: .* has no topic /camera; it has /west/camera, /west/plane/state"):
+        choose_topics(foreign_bag(tmp_path, *channels, namespace="/west"), ["/camera"], one_swarm=True)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def attached_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario:
-    """Return the scenario that a bag holds.
+    """Return the scenario that a bag holds, of several swarms in it that of all.
 
     Parameters
     ----------
@@ -30,13 +30,15 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario
     Raises
     ------
     InputError
-        If there is none, or it is not valid.
+        If there is none, it is not valid, or there are several swarms with different ones.
     DamagedBagError
         If its bytes are damaged.
     """
     text = bag.attachment(SCENARIO_FILE)
     if text is None:
         raise InputError(f"{bag.path} holds no scenario, so it is not known what it is a run of")
+    if len(bag.swarms) > 1 and len(set(bag.attachments(SCENARIO_FILE))) > 1:
+        raise InputError(f"{bag.path} holds several scenarios and does not say which of its swarms each is of")
     source = f"{bag.path}:{SCENARIO_FILE}"
     try:
         return parse_scenario(text.decode(), source=source, overrides=overrides)

@@ -14,6 +14,7 @@ from rich.table import Table
 from swarmabs_bringup.bag.errors import DamagedBagError
 from swarmabs_bringup.bag.metadata import ABORTED_KEY, REPAIRED_KEY
 from swarmabs_bringup.bag.reader import BagReader, load_yaml, open_bag
+from swarmabs_bringup.bag.swarms import named_swarms
 from swarmabs_core.scenario import ScenarioError, parse_scenario
 from swarmabs_core.scenario.errors import shorten, show
 
@@ -73,7 +74,9 @@ class BagInfo:
     topics : tuple of TopicInfo
         All topics of the file.
     namespace : str or None
-        Namespace of the swarm, None if the bag has no topic of a swarm.
+        Namespace of the swarm, None if the bag has no topic of a swarm, or of several.
+    swarms : tuple of str
+        Namespaces of all swarms.
     chunks : int
         Number of chunks.
     compression : str
@@ -107,6 +110,7 @@ class BagInfo:
     message_count: int
     topics: tuple[TopicInfo, ...]
     namespace: str | None
+    swarms: tuple[str, ...]
     chunks: int
     compression: str
     uncompressed_size: int
@@ -141,7 +145,7 @@ def bag_info(path: Path | str) -> BagInfo:
     DamagedBagError
         If the file is so damaged that nothing can be said of it.
     """
-    bag = open_bag(path, damaged=True)
+    bag = open_bag(path, damaged=True, several=True)
     problem = bag.problem
     if problem is None:
         try:
@@ -169,6 +173,7 @@ def bag_info(path: Path | str) -> BagInfo:
             for channel in bag.channels
         ),
         namespace=bag.namespace,
+        swarms=bag.swarms,
         chunks=len(bag.index.chunks),
         compression=", ".join(sorted({chunk.compression or "none" for chunk in bag.index.chunks})),
         uncompressed_size=sum(chunk.uncompressed_size for chunk in bag.index.chunks),
@@ -211,6 +216,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes without)",
         "time": f"{info.start:.9g} s to {info.start + info.duration:.9g} s",
         "messages": f"{info.message_count:,}",
+        "swarms in": named_swarms(info.swarms) if len(info.swarms) > 1 else "",
         "written by": info.library,
         "versions": ", ".join(f"{name} {value}" for name, value in info.versions.items()),
         "fingerprint": info.fingerprint or "",

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Metadata as MetadataRecord, Statistics
+from mcap.records import DataEnd, Metadata as MetadataRecord, Statistics
 
 from swarmabs_bringup.bag.definitions import check_definitions
 from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
@@ -34,21 +34,20 @@ from swarmabs_bringup.bag.records import (
     read_records,
     uncompress,
 )
+from swarmabs_bringup.bag.swarms import chosen_swarm, named_swarms, ros_type, swarm_topics
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import TOPICS
-from swarmabs_core.scenario.errors import ScenarioError, printable, shorten, show
+from swarmabs_core.scenario.errors import ScenarioError, show
 from swarmabs_core.scenario.yaml_tree import read_tree
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterator, Mapping
     from typing import BinaryIO
 
     from swarmabs_core.messages import Message, Topic
 
 _SUFFIX = ".mcap"
 _LONGEST_YAML = 2**20
-_MOST_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,15 +96,19 @@ class BagReader:
         What the file says it holds.
     channels : tuple of BagChannel
         Its topics in the order of their ids.
+    swarms : tuple of str
+        Namespaces of all swarms in it, with their last slash.
     namespace : str or None
-        Namespace of the swarm in the bag, None if there is no topic of a swarm.
+        Namespace of the swarm that is read, None if there is no topic of one, or none of several was chosen.
     """
 
     def __init__(self, path: Path, size: int, index: FileIndex, namespace: str | None) -> None:
         self.path = path
         self.size = size
         self.index = index
-        self._channels = _describe(path, index, namespace)
+        topics = swarm_topics(index)
+        self.swarms = tuple(sorted({swarm for swarm, _ in topics.values()}))
+        self._channels = _describe(index, topics, chosen_swarm(path, self.swarms, namespace))
         self.channels = tuple(self._channels.values())
         self.namespace = next(
             (channel.name.removesuffix(channel.topic.name) for channel in self.channels if channel.topic),
@@ -188,12 +191,16 @@ class BagReader:
         return tuple(attachment.name for attachment in self.index.attachments)
 
     def attachment(self, name: str) -> bytes | None:
-        """Return the content of the first attachment of a name, None if there is none.
+        """Return the content of the first attachment of a name, None if there is none; errors as of `attachments`."""
+        return next(self.attachments(name), None)
+
+    def attachments(self, name: str) -> Iterator[bytes]:
+        """Yield the contents of all attachments of a name, in file order.
 
         Raises
         ------
         DamagedBagError
-            If it is not where the bag says, or its CRC does not match.
+            If one is not where the bag says, or its CRC does not match.
         """
         for entry in self.index.attachments:
             if entry.name == name:
@@ -201,8 +208,7 @@ class BagReader:
                     attachment = read_attachment(read_record(stream, entry.offset, self.size))
                     if attachment.name != name:
                         raise RecordError(entry.offset, f"the attachment here is not {show(name)}, as the summary says")
-                    return attachment.data
-        return None
+                yield attachment.data
 
     def rosbag2_metadata(self) -> dict[str, Any]:
         """Return rosbag2's description of the bag from within the file, empty if it has none.
@@ -282,7 +288,9 @@ class BagReader:
             raise DamagedBagError(_miscounted(self.path, "message_count", self.message_count, counted))
 
 
-def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = False) -> BagReader:
+def open_bag(
+    path: Path | str, *, namespace: str | None = None, damaged: bool = False, several: bool = False
+) -> BagReader:
     """Open a bag.
 
     Parameters
@@ -293,11 +301,13 @@ def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = 
         Which swarm to read if the bag holds several.
     damaged : bool
         Whether a bag without its end is opened too, to be read as far as its records are whole.
+    several : bool
+        Whether a bag of several swarms is opened too if none of them is named; no topic is then that of a swarm.
 
     Raises
     ------
     NotABagError
-        If there is nothing, or something that is no bag.
+        If there is nothing, or something that is no bag, or it has no swarm of that name, or several.
     DamagedBagError
         If the bag has lost its end; the text says what can still be read.
     """
@@ -305,7 +315,15 @@ def open_bag(path: Path | str, *, namespace: str | None = None, damaged: bool = 
 
     file = find_bag(Path(path))
     if file.is_dir() and (files := split_files(file.glob(f"*{_SUFFIX}"))) is not None:
-        return open_split(file, files, namespace=namespace, damaged=damaged)
+        bag: BagReader = open_split(file, files, namespace=namespace, damaged=damaged)
+    else:
+        bag = _open_file(file, namespace, damaged=damaged)
+    if namespace is None and len(bag.swarms) > 1 and not several:
+        raise NotABagError(f"{bag.path} holds several swarms: choose one with --namespace: {named_swarms(bag.swarms)}")
+    return bag
+
+
+def _open_file(file: Path, namespace: str | None, *, damaged: bool) -> BagReader:
     try:
         with file.open("rb") as stream:
             size = stream.seek(0, 2)
@@ -435,47 +453,17 @@ def _stored_messages(stream: BinaryIO, index: FileIndex) -> Iterator[StoredMessa
             return
 
 
-def _describe(path: Path, index: FileIndex, namespace: str | None) -> dict[int, BagChannel]:
-    prefixes = {number: _prefix(channel, index) for number, channel in index.channels.items()}
-    swarms = sorted({prefix for prefix, _ in filter(None, prefixes.values())})
-    if namespace is not None:
-        chosen: str | None = f"{namespace.rstrip('/')}/"
-        if chosen not in swarms:
-            raise NotABagError(f"{path} holds no swarm in the namespace {namespace}, but in {_named(swarms) or 'none'}")
-    elif len(swarms) > 1:
-        raise NotABagError(f"{path} holds several swarms: name one of the namespaces {_named(swarms)}")
-    else:
-        chosen = swarms[0] if swarms else None
+def _describe(index: FileIndex, topics: Mapping[int, tuple[str, Topic]], chosen: str | None) -> dict[int, BagChannel]:
     counts = index.statistics.channel_message_counts
     return {
         number: BagChannel(
             name=channel.topic,
-            ros_type=_type_of(channel, index),
+            ros_type=ros_type(channel, index),
             type_hash=channel.metadata.get("topic_type_hash", ""),
             qos_profiles=channel.metadata.get("offered_qos_profiles", ""),
             encoding=channel.message_encoding,
             message_count=counts.get(number, 0),
-            topic=found[1] if (found := prefixes[number]) is not None and found[0] == chosen else None,
+            topic=topics[number][1] if number in topics and topics[number][0] == chosen else None,
         )
         for number, channel in sorted(index.channels.items())
     }
-
-
-def _named(namespaces: list[str]) -> str:
-    more = [f"{len(namespaces) - _MOST_NAMED} more"] if len(namespaces) > _MOST_NAMED else []
-    return ", ".join([*(printable(shorten(name)) for name in namespaces[:_MOST_NAMED]), *more])
-
-
-def _prefix(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None:
-    """Return the namespace with its last slash and the swarm's topic, None if it is none of the swarm's."""
-    for topic in TOPICS:
-        if channel.topic.endswith(f"/{topic.name}") and channel.message_encoding == "cdr":
-            return (
-                (channel.topic.removesuffix(topic.name), topic) if _type_of(channel, index) == topic.ros_type else None
-            )
-    return None
-
-
-def _type_of(channel: Channel, index: FileIndex) -> str:
-    schema = index.schemas.get(channel.schema_id)
-    return schema.name if schema is not None else ""

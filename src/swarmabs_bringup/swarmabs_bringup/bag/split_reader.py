@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
+from swarmabs_bringup.bag.errors import DamagedBagError
 from swarmabs_bringup.bag.index import FileIndex
 from swarmabs_bringup.bag.reader import BagReader, open_bag
 
@@ -35,10 +35,10 @@ class SplitBagReader(BagReader):
         index.problem = problem
         super().__init__(folder, sum(part.size for part in parts), index, namespace)
 
-    def attachment(self, name: str) -> bytes | None:
-        """Return the content of the first attachment of a name in any file, None if there is none."""
-        found = (part.attachment(name) for part in self.parts)
-        return next((content for content in found if content is not None), None)
+    def attachments(self, name: str) -> Iterator[bytes]:
+        """Yield the contents of all attachments of a name, file by file."""
+        for part in self.parts:
+            yield from part.attachments(name)
 
     def rosbag2_metadata(self) -> dict[str, Any]:
         """Return rosbag2's description of the last file, which says how the run ended."""
@@ -79,7 +79,7 @@ def open_split(folder: Path, files: dict[int, Path], *, namespace: str | None, d
     parts = []
     for file in files.values():
         try:
-            part = _open_part(file, namespace, damaged=damaged)
+            part = open_bag(file, damaged=damaged, several=True)
         except DamagedBagError as error:
             if not damaged:
                 raise
@@ -91,16 +91,6 @@ def open_split(folder: Path, files: dict[int, Path], *, namespace: str | None, d
     if not parts:
         raise DamagedBagError(problems[0])
     return SplitBagReader(folder, parts, "; ".join(problems) or None, namespace)
-
-
-def _open_part(file: Path, namespace: str | None, *, damaged: bool) -> BagReader:
-    try:
-        return open_bag(file, namespace=namespace, damaged=damaged)
-    except NotABagError:
-        part = open_bag(file, damaged=damaged)
-        if part.channels:
-            raise
-        return part  # its writer was killed before anything was in it
 
 
 def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int]]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_bringup.cli.output import json_option, print_json
+from swarmabs_bringup.cli.output import json_option, print_json, print_tables
 
 
 @click.command()
@@ -14,16 +14,12 @@ from swarmabs_bringup.cli.output import json_option, print_json
 @json_option
 def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
     """Say what bags hold; a BAG is a run's folder, its bag folder, or an .mcap file."""
-    from rich.console import Console  # noqa: PLC0415 - slow, not for --help
-
-    from swarmabs_bringup.bag import bag_info, render  # noqa: PLC0415
+    from swarmabs_bringup.bag import bag_info, render  # noqa: PLC0415 - slow, not for --help
 
     found = [bag_info(path) for path in bags]
     if as_json:
         documents = [one.to_dict() for one in found]
         print_json(documents[0] if len(documents) == 1 else documents)
     else:
-        console = Console(highlight=False)
-        for one in found:
-            console.print(render(one))
+        print_tables(*map(render, found))
     return 0 if all(one.complete for one in found) else 1

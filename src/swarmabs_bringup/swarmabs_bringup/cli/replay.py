@@ -10,6 +10,7 @@ import click
 
 from swarmabs_bringup.cli.display import shown_progress
 from swarmabs_bringup.cli.interrupts import no_more_interrupts
+from swarmabs_bringup.cli.namespace import namespace_option
 from swarmabs_bringup.cli.output import json_option, print_json
 from swarmabs_bringup.cli.run import RUNS, since_start
 from swarmabs_core.errors import InputError, RunError
@@ -41,6 +42,7 @@ _WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 @click.option("--topics", metavar="NAME,NAME", help="Without --node: what to play.  [default: all]")
 @click.option("--wait", is_flag=True, help="Without --node: begin when every topic has a reader.")
 @click.option("--network", is_flag=True, help="Without --node: play to other machines too, not to this one alone.")
+@namespace_option
 @json_option
 def replay(bag: Path, nodes: tuple[str, ...], *, as_json: bool, **options: Any) -> int:
     """Replay a bag: to nodes under test, or, without --node, to whoever listens.
@@ -67,6 +69,7 @@ def _replay(
     duration: float | None,
     in_process: bool,
     expect_same: bool,
+    namespace: str | None,
     as_json: bool,
     **_: object,
 ) -> int:
@@ -78,7 +81,7 @@ def _replay(
     from swarmabs_core.behaviours.player import NodeName  # noqa: PLC0415
 
     nodes = tuple(dict.fromkeys(NodeName.parse(name) for name in names))
-    source = open_source(bag)
+    source = open_source(bag, namespace=namespace)
     if duration is not None:
         overrides = (*overrides, f"duration={duration!r}")
     made = ReplayRun(source, nodes, overrides, source.scenario(nodes, overrides))
@@ -128,6 +131,7 @@ def _play(
     topics: str | None,
     wait: bool,
     network: bool,
+    namespace: str | None,
     as_json: bool,
     **_: object,
 ) -> int:
@@ -138,13 +142,14 @@ def _play(
     from swarmabs_bringup.replay.pace import Pace  # noqa: PLC0415
 
     pace = Pace(1.0 if rate is None else rate, start or 0.0, duration, loop)
-    bag = open_bag(path)
+    bag = open_bag(path, namespace=namespace, several=True)
     if not network:  # who has set a range has decided already, such as the environment of a run
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with tracing_files_removed():
         from swarmabs_bringup.replay.playback import choose_topics, play  # noqa: PLC0415 - needs the whole of ROS
 
-        playable, warnings = choose_topics(bag, topics.split(",") if topics else ())
+        wanted = topics.split(",") if topics else ()
+        playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)
         for warning in warnings:
             click.echo(f"warning: {warning}", err=True)
         names = [topic.channel.name for topic in playable]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from swarmabs_bringup.cli.namespace import namespace_option
 from swarmabs_bringup.cli.output import json_option, print_json
 
 
@@ -20,8 +21,11 @@ from swarmabs_bringup.cli.output import json_option, print_json
     metavar="DIR",
     help="Folder of report.html and report.png.  [default: that of the run]",
 )
+@namespace_option
 @json_option
-def report(bag: Path, html: Path | None, png: Path | None, output: Path | None, *, as_json: bool) -> int:
+def report(
+    bag: Path, html: Path | None, png: Path | None, output: Path | None, namespace: str | None, *, as_json: bool
+) -> int:
     """Show a recorded run: one HTML page that needs nothing else, and an overview as PNG.
 
     BAG is a run's folder, its bag folder, or an .mcap file. Both files are written as report.html and report.png into
@@ -38,7 +42,7 @@ def report(bag: Path, html: Path | None, png: Path | None, output: Path | None, 
         raise click.UsageError(f"--html and --png both name {html}.")
     for path in targets:
         check_target(path)
-    made = make_report(bag)
+    made = make_report(bag, namespace=namespace)
     written = []
     for target, content in ((html, made.html.encode()), (png, made.png)):
         if target is not None:

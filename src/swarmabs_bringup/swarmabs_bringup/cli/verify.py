@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from swarmabs_bringup.cli.namespace import namespace_option
 from swarmabs_bringup.cli.output import json_option, print_json
 
 if TYPE_CHECKING:
@@ -27,8 +28,9 @@ _LINE_INTERVAL = 2.0
     metavar="T",
     help="Let a number differ from the recomputed b by T (1 + |b|).  [default: 0, every bit counts]",
 )
+@namespace_option
 @json_option
-def verify(bags: tuple[Path, ...], *, tolerance: float, as_json: bool) -> int:
+def verify(bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, as_json: bool) -> int:
     """Recompute every message of a bag from its scenario and the messages before it, and compare bit for bit.
 
     BAG is a run's folder, its bag folder, or an .mcap file. The first difference is named by topic, step, robot and
@@ -36,7 +38,8 @@ def verify(bags: tuple[Path, ...], *, tolerance: float, as_json: bool) -> int:
     """
     from swarmabs_bringup.verify import Verdict, open_to_verify  # noqa: PLC0415 - slow, not for --help
 
-    opened = [open_to_verify(path) for path in bags]  # what is refused is refused before anything is started
+    # What is refused is refused before anything is started.
+    opened = [open_to_verify(path, namespace=namespace) for path in bags]
     verdicts = [
         bag if isinstance(bag, Verdict) else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
         for bag in opened

@@ -122,7 +122,9 @@ class Comparison:
         return plain
 
 
-def compare_bags(a: Path | str, b: Path | str) -> Comparison:
+def compare_bags(
+    a: Path | str, b: Path | str, *, namespaces: tuple[str | None, str | None] = (None, None)
+) -> Comparison:
     """Compare two bags message by message, in bounded memory.
 
     What both have of a step is compared; what only one has is counted as missing in the other. Damage does not
@@ -132,6 +134,8 @@ def compare_bags(a: Path | str, b: Path | str) -> Comparison:
     ----------
     a, b : Path or str
         A run folder, its ``bag/``, or an MCAP file.
+    namespaces : tuple of (str or None)
+        Which swarm to read of each if it holds several.
 
     Raises
     ------
@@ -140,7 +144,10 @@ def compare_bags(a: Path | str, b: Path | str) -> Comparison:
     DamagedBagError
         If nothing can be said of one of them.
     """
-    left, right = _Side(open_bag(a, damaged=True)), _Side(open_bag(b, damaged=True))
+    left, right = (
+        _Side(open_bag(path, namespace=namespace, damaged=True))
+        for path, namespace in zip((a, b), namespaces, strict=True)
+    )
     messages = compare_steps(left.steps(), right.steps())
     return Comparison(
         a=left.summary(),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def export_arrays(path: Path | str, file: Path) -> Path:
+def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
     """Write the arrays of a bag (`load_arrays`) into a new ``.npz`` file, whole or not at all, and return it.
 
     Names are those of `RunArrays` joined by underscores, such as ``agents_position`` of shape (n+1, N); ``units`` is a
@@ -31,6 +31,8 @@ def export_arrays(path: Path | str, file: Path) -> Path:
         A run folder, its ``bag/``, or an MCAP file.
     file : Path
         The file, which must not exist.
+    namespace : str, optional
+        Which swarm to export if the bag holds several.
 
     Raises
     ------
@@ -43,7 +45,7 @@ def export_arrays(path: Path | str, file: Path) -> Path:
         raise InputError(f"{file} does not end in .npz; name a file such as {file.with_suffix('.npz')} with -o")
     if file.exists():
         raise InputError(f"{file} is there already; name another with -o, or remove it")
-    arrays: dict[str, NDArray[Any]] = dict(_named(load_arrays(path), ""))
+    arrays: dict[str, NDArray[Any]] = dict(_named(load_arrays(path, namespace=namespace), ""))
     units = {name: unit for name, unit in _units().items() if name in arrays}
     part = file.with_name(f".{file.name}.part")
     try:

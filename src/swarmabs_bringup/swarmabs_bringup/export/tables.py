@@ -31,7 +31,9 @@ class Sink(Protocol):
         ...
 
 
-def export_tables(path: Path | str, folder: Path, table_format: TableFormat) -> tuple[Path, ...]:
+def export_tables(
+    path: Path | str, folder: Path, table_format: TableFormat, *, namespace: str | None = None
+) -> tuple[Path, ...]:
     """Write the tables of a bag into a new folder, whole or not at all, and return the files.
 
     Parameters
@@ -42,6 +44,8 @@ def export_tables(path: Path | str, folder: Path, table_format: TableFormat) -> 
         What must not exist, or be empty.
     table_format : {"csv", "parquet"}
         Kind of the files. Numbers in CSV have the digits that lead back to the same float64.
+    namespace : str, optional
+        Which swarm to export if the bag holds several.
 
     Raises
     ------
@@ -50,7 +54,7 @@ def export_tables(path: Path | str, folder: Path, table_format: TableFormat) -> 
     RunError
         If the bag is damaged or the disk fails.
     """
-    bag = open_bag(path)
+    bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
     opened = _parquet() if table_format == "parquet" else _csv

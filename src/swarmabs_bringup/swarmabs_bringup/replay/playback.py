@@ -54,7 +54,9 @@ class Playable:
     qos: QoSProfile | int
 
 
-def choose_topics(bag: BagReader, wanted: Collection[str] = ()) -> tuple[list[Playable], list[str]]:
+def choose_topics(
+    bag: BagReader, wanted: Collection[str] = (), *, one_swarm: bool = False
+) -> tuple[list[Playable], list[str]]:
     """Return the topics of a bag that can be played, and warnings about those that cannot.
 
     Parameters
@@ -63,18 +65,21 @@ def choose_topics(bag: BagReader, wanted: Collection[str] = ()) -> tuple[list[Pl
         The bag.
     wanted : collection of str
         Names of the topics to play; by default all.
+    one_swarm : bool
+        Whether to choose among the topics in the namespace of the swarm that is read, and not among all.
 
     Raises
     ------
     InputError
         If the bag does not have a topic that is wanted, it cannot be played, or there is nothing to play.
     """
-    names = [channel.name for channel in bag.channels]
+    channels = [channel for channel in bag.channels if not one_swarm or _of_swarm(bag, channel.name)]
+    names = [channel.name for channel in channels]
     chosen = {f"/{name.lstrip('/')}" for name in wanted}
     for name in sorted(chosen - set(names)):
         raise InputError(f"--topics: {bag.path} has no topic {name}; it has {', '.join(sorted(names))}")
     playable, warnings = [], []
-    for channel in bag.channels:
+    for channel in channels:
         if chosen and channel.name not in chosen:
             continue
         try:
@@ -89,6 +94,12 @@ def choose_topics(bag: BagReader, wanted: Collection[str] = ()) -> tuple[list[Pl
     if not playable:
         raise InputError(f"{bag.path} has no topic that can be played" + "".join(f"; {text}" for text in warnings))
     return playable, warnings
+
+
+def _of_swarm(bag: BagReader, name: str) -> bool:
+    """Say whether a topic is in the namespace of the swarm that is read, and in no deeper one of another swarm."""
+    inmost = max((swarm for swarm in bag.swarms if name.startswith(swarm)), key=len, default=None)
+    return inmost is not None and inmost == bag.namespace
 
 
 def _playable(channel: BagChannel) -> tuple[Playable, list[str]]:

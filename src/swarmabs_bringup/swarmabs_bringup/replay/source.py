@@ -93,8 +93,15 @@ class Source:
         return _shortened(changed, min(self.last_step, changed.steps))
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path, *, namespace: str | None = None) -> Source:
     """Open a bag and read it once, to learn which steps are complete and who ended unplanned.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to replay if the bag holds several.
 
     Raises
     ------
@@ -103,7 +110,7 @@ def open_source(path: Path) -> Source:
     DamagedBagError
         If the bag has lost its end.
     """
-    bag = open_bag(path)
+    bag = open_bag(path, namespace=namespace)
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing:
         raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")

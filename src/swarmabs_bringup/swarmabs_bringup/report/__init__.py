@@ -42,17 +42,17 @@ class Report:
     numbers: dict[str, Any]
 
 
-def make_report(path: Path) -> Report:
-    """Make the report of a bag: a run's folder, its ``bag/``, or an MCAP file.
+def make_report(path: Path, *, namespace: str | None = None) -> Report:
+    """Make the report of a bag: a run's folder, its ``bag/``, or an MCAP file; of several swarms in it, of one.
 
     Raises
     ------
-    NotABagError
-        If it is no bag of a swarm.
+    InputError
+        If it is no bag of a swarm, or holds no valid scenario.
     DamagedBagError
         If it cannot be read.
     """
-    recorded = read_recorded(path)
+    recorded = read_recorded(path, namespace=namespace)
     on_plane = weights(recorded)
     margin = margins(recorded, on_plane)
     drawn = list(panels(recorded, on_plane, margin)) if recorded.drawable else []

@@ -10,20 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from swarmabs_bringup.bag import (
-    PROVENANCE_FILE,
-    SCENARIO_FILE,
-    DamagedBagError,
-    NotABagError,
-    load_tables,
-    open_bag,
-)
+from swarmabs_bringup.bag import DamagedBagError, load_tables, open_bag
+from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.figures.runs import RecordedRun
 from swarmabs_core import configure
 from swarmabs_core.arrays import run_arrays
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, PLANE_STATE, Kind, PlaneState, SwarmEvent
 from swarmabs_core.recording import Metrics, Record, RecordedStep, digest_head
-from swarmabs_core.scenario import parse_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -125,25 +118,18 @@ class Recorded:
         return any((*sensor.noise, *sensor.resolution))
 
 
-def read_recorded(path: Path) -> Recorded:
+def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
     """Read a bag for a report; one that has lost its end too, as far as it goes.
 
     Raises
     ------
-    NotABagError
-        If it is no bag of a swarm, or holds no scenario.
+    InputError
+        If it is no bag of a swarm, or holds no valid scenario.
     DamagedBagError
         If it cannot be read, or holds a robot of an unknown kind.
     """
-    bag = open_bag(path, damaged=True)
-    attached = bag.attachment(SCENARIO_FILE)
-    if attached is None:
-        raise NotABagError(f"{bag.path} holds no scenario, so it is not known what it is a run of")
-    try:
-        text = attached.decode()
-    except UnicodeDecodeError as error:
-        raise DamagedBagError(f"{bag.path}: its {SCENARIO_FILE} is no text: {error}") from error
-    scenario = parse_scenario(text, source=f"{bag.path}:{SCENARIO_FILE}")
+    bag = open_bag(path, namespace=namespace, damaged=True)
+    scenario = attached_scenario(bag)
     tables = load_tables(bag)
     _check_kinds(bag, tables)
     arrays = run_arrays(tables)
@@ -160,7 +146,7 @@ def read_recorded(path: Path) -> Recorded:
         counts={topic.name: len(tables[topic]) for topic in MAIN_TOPICS} | {EVENTS.name: len(events)},
         status=status,
         reason=reason,
-        provenance=_mapping(bag.attachment(PROVENANCE_FILE) or b""),
+        provenance=attached_provenance(bag),
         summary=summary,
         summary_note=note,
     )
