@@ -18,7 +18,7 @@ from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
 from swarmabs_core.recording import Digest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from swarmabs_bringup.bag import BagReader
     from swarmabs_bringup.orchestration.progress import Outcome
@@ -37,6 +37,8 @@ class RecordedRun:
     ----------
     bag : Path
         The bag.
+    scenario : Scenario
+        The scenario in it, with the changes for the new run.
     digest : str or None
         Digest of its messages, None if there are none.
     last_step : int
@@ -48,6 +50,7 @@ class RecordedRun:
     """
 
     bag: Path
+    scenario: Scenario
     digest: str | None
     last_step: int
     complete: bool
@@ -105,28 +108,33 @@ class RecordedRun:
         return True
 
 
-def recorded_run(path: Path | str) -> RecordedRun:
+def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun:
     """Find out what a bag holds of a run that shall be repeated.
 
     Parameters
     ----------
     path : Path or str
         A run folder, its ``bag/``, or an MCAP file.
+    overrides : sequence of str
+        What is changed for the new run, ``a.b=value`` each.
 
     Raises
     ------
     NotABagError
         If it is no bag.
     InputError
-        If its run cannot be repeated; the text says why.
+        If its run cannot be repeated; the text says why. Also if a change is not valid.
     DamagedBagError
         If it has lost its end.
     """
-    bag = open_bag(path)
-    scenario = attached_scenario(bag)
+    bag = open_bag(path, several=True)
+    if len(bag.swarms) > 1:
+        raise InputError(f"{bag.path} holds several swarms, and a run is of one; {_REMEDY}")
+    recorded = attached_scenario(bag)
+    scenario = attached_scenario(bag, overrides) if overrides else recorded
     provenance = attached_provenance(bag)
     _check_repeatable(bag, provenance)
-    differences = [*_differences(provenance, scenario)]
+    differences = [*_differences(provenance, recorded)]
     digest, last_step, steps = Digest(), -1, 0
     try:
         for step in recorded_steps(bag.decoded(), str(bag.path)):
@@ -140,9 +148,10 @@ def recorded_run(path: Path | str) -> RecordedRun:
         differences.append(f"only a part of the bag can be compared: {error}")
     return RecordedRun(
         Path(path),
+        scenario,
         digest.hexdigest() if last_step >= 0 else None,
         last_step,
-        last_step == scenario.steps == steps - 1,
+        last_step == recorded.steps == steps - 1,
         tuple(differences),
     )
 

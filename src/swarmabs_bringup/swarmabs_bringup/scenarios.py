@@ -72,4 +72,4 @@ def _scenario_of_bag(path: Path, overrides: Sequence[str]) -> Scenario:
     from swarmabs_bringup.bag import open_bag  # noqa: PLC0415 - only needed for bags
     from swarmabs_bringup.bag.attached import attached_scenario  # noqa: PLC0415
 
-    return attached_scenario(open_bag(path), overrides)
+    return attached_scenario(open_bag(path, several=True), overrides)

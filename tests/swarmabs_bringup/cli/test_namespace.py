@@ -166,3 +166,11 @@ def test_of_different_scenarios_none_is_taken_for_that_of_a_swarm(
     capfd.readouterr()
     assert main(["verify", str(two), "--namespace", "/east"]) == 2
     assert "holds several scenarios and does not say which of its swarms each is of" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "simulate"])
+def test_a_run_is_of_one_swarm(capfd: pytest.CaptureFixture[str], bag: str, here: Path, command: str) -> None:
+    assert main([command, bag]) == 2
+    assert "holds several swarms, and a run is of one; run the scenario.yaml" in capfd.readouterr().err
+    assert not list(here.iterdir())
+    assert document(capfd, "scenario", "show", bag)["name"] == "pd_het_4"

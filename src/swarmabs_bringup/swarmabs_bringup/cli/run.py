@@ -139,8 +139,8 @@ def _carry_out(
 
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
-    loaded = find_scenario(scenario, overrides)
-    recorded = recorded_run(scenario) if names_bag(scenario) else None
+    recorded = recorded_run(scenario, overrides) if names_bag(scenario) else None
+    loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
     differences = recorded.differences if recorded is not None else ()
     for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded)), *differences):
