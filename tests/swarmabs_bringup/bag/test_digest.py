@@ -7,9 +7,13 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
-from swarmabs_core.messages import Message
+from swarmabs_bringup.bag import digest_of, load_tables, open_bag
+from swarmabs_bringup.comparison import compare_bags
+from swarmabs_core.messages import PLANE_STATE, Message
 
 MAIN = {
     "plane/state",
@@ -17,6 +21,13 @@ MAIN = {
     "swarm/abstract_state",
     "swarm/auxiliary_state",
     "swarm/desired_abstract_state",
+}
+PADDING = {
+    "plane/state": [(22, 28)],
+    "swarm/agent_state": [(22, 28), (48, 52)],
+    "swarm/abstract_state": [(22, 28), (38, 44)],
+    "swarm/auxiliary_state": [(22, 28)],
+    "swarm/desired_abstract_state": [(22, 28), (37, 44)],
 }
 STEP = 28
 AGENT_ID = 44
@@ -48,16 +59,38 @@ def test_digest_depends_on_the_run_only(
     assert digest(write_bag(tmp_path / "less", run[:-1]) / "bag_0.mcap") != expected
 
 
+def test_digest_of_loaded_messages_in_any_order(bag: Path) -> None:
+    tables = load_tables(open_bag(bag))
+    expected = digest(bag / "bag_0.mcap")
+    assert digest_of(tables) == expected
+    draw = np.random.default_rng(3)
+    assert digest_of({topic: draw.permutation(rows) for topic, rows in tables.items()}) == expected
+    assert digest_of({**tables, PLANE_STATE: tables[PLANE_STATE][:-1]}) != expected
+
+
+def test_digest_of_loaded_messages_is_that_of_compare_whatever_the_padding(bag: Path, tmp_path: Path) -> None:
+    """ROS leaves padding undefined, and so do the bags of other recorders."""
+    padded = tmp_path / "padded.mcap"
+    with (bag / "bag_0.mcap").open("rb") as source, padded.open("wb") as sink:
+        writer = Writer(sink)
+        writer.start(profile="ros2", library="another")
+        for schema, channel, message in make_reader(source).iter_messages(log_time_order=False):
+            assert schema is not None
+            data = bytearray(message.data)
+            for begin, end in PADDING.get(channel.topic.removeprefix("/"), []):
+                data[begin:end] = b"\xa5" * (end - begin)
+            made = writer.register_schema(schema.name, schema.encoding, schema.data)
+            number = writer.register_channel(channel.topic, "cdr", made)
+            writer.add_message(number, message.log_time, bytes(data), message.publish_time)
+        writer.finish()
+    found = compare_bags(bag, padded)
+    assert found.equal
+    assert digest(padded) != digest_of(load_tables(open_bag(padded))) == found.b.digest == digest(bag / "bag_0.mcap")
+
+
 def test_every_padding_byte_in_the_bag_is_zero(bag: Path) -> None:
-    padding = {
-        "plane/state": [(22, 28)],
-        "swarm/agent_state": [(22, 28), (48, 52)],
-        "swarm/abstract_state": [(22, 28), (38, 44)],
-        "swarm/auxiliary_state": [(22, 28)],
-        "swarm/desired_abstract_state": [(22, 28), (37, 44)],
-    }
     with (bag / "bag_0.mcap").open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages():
             assert message.data[:4] == b"\0\1\0\0"
-            for begin, end in padding.get(channel.topic.removeprefix("/"), []):
+            for begin, end in PADDING.get(channel.topic.removeprefix("/"), []):
                 assert not any(message.data[begin:end])

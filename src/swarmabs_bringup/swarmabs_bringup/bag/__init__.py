@@ -1,6 +1,7 @@
 """Bags: the MCAP file of a run, written so that ROS tools open it, and read with nothing taken on trust."""
 
 from swarmabs_bringup.bag.arrays import load_arrays, load_tables
+from swarmabs_bringup.bag.digest import digest_of
 from swarmabs_bringup.bag.errors import (
     BagFolderError,
     BagTooLargeError,
@@ -42,6 +43,7 @@ __all__ = [
     "TopicInfo",
     "UnknownTypeError",
     "bag_info",
+    "digest_of",
     "find_bag",
     "load_arrays",
     "load_tables",

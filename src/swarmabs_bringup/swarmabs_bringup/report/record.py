@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from swarmabs_bringup.bag import DamagedBagError, load_tables, open_bag
+from swarmabs_bringup.bag import DamagedBagError, digest_of, load_tables, open_bag
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.figures.runs import RecordedRun
 from swarmabs_core import configure
 from swarmabs_core.arrays import run_arrays
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, PLANE_STATE, Kind, PlaneState, SwarmEvent
-from swarmabs_core.recording import Metrics, Record, RecordedStep, digest_head
+from swarmabs_core.recording import Metrics, Record, RecordedStep
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -150,27 +149,6 @@ def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
         summary=summary,
         summary_note=note,
     )
-
-
-def digest_of(tables: Tables) -> str:
-    """Return the digest (docs/design.md, Digest) of a run whose messages are given in any order."""
-    found = sha256()
-    topics = sorted(MAIN_TOPICS, key=lambda topic: topic.name)
-    steps = np.unique(np.concatenate([tables[topic]["step"] for topic in topics]))
-    parts = []
-    for topic in topics:
-        rows = tables[topic]
-        keys = (rows["agent_id"], rows["step"]) if topic is AGENT_STATE else (rows["step"],)
-        rows = rows[np.lexsort(keys)]
-        head = np.frombuffer(digest_head(topic, rows.dtype.itemsize), dtype=np.uint8)
-        texts = np.empty((len(rows), len(head) + rows.dtype.itemsize), dtype=np.uint8)
-        texts[:, : len(head)] = head
-        texts[:, len(head) :] = np.frombuffer(rows.tobytes(), dtype=np.uint8).reshape(len(rows), -1)
-        parts.append((texts, [*np.searchsorted(rows["step"], steps).tolist(), len(rows)]))
-    for number in range(len(steps)):
-        for texts, begins in parts:
-            found.update(texts[begins[number] : begins[number + 1]].tobytes())
-    return found.hexdigest()
 
 
 def _check_kinds(bag: BagReader, tables: Tables) -> None:
