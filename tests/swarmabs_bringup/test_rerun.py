@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.swarmabs_bringup.comparison.runs import write_bag
+from tests.swarmabs_bringup.sample_run import write_bag
 
 from swarmabs_bringup.bag import open_bag
 from swarmabs_bringup.cli import main

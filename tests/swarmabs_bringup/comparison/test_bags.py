@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.swarmabs_bringup.comparison.runs import AGENTS, changed, make_run, write_bag
+from tests.swarmabs_bringup.sample_run import AGENTS, changed, make_run, write_bag
 
 from swarmabs_bringup.bag import NotABagError, load_arrays
 from swarmabs_bringup.cli import main
@@ -154,4 +154,4 @@ def test_the_command_gives_exit_codes_and_one_document(
     assert document["equal"] is False
     assert document["first_difference"]["b"] == "nan"
     assert main(["compare", *bags]) == 1
-    assert "first /plane/state step 0: angle is 0.05 in A, nan in B" in capfd.readouterr().out
+    assert "first /plane/state step 0: angle is 1.4142135623730951 in A, nan in B" in capfd.readouterr().out

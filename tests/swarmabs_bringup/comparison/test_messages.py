@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import pytest
-from tests.swarmabs_bringup.comparison.runs import AGENTS, changed, make_run, make_step, of_bag
+from tests.swarmabs_bringup.sample_run import AGENTS, changed, make_run, make_step
 
 from swarmabs_bringup.bag import DamagedBagError
 from swarmabs_bringup.comparison import (
@@ -19,7 +19,12 @@ from swarmabs_bringup.comparison import (
     compare_steps,
     recorded_steps,
 )
-from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
+from swarmabs_core.messages import TOPIC_OF, AgentState, EventKind, Message, PlaneState, SwarmEvent, Topic
+
+
+def of_bag(run: Iterable[Message]) -> Iterator[tuple[Topic, int, Message]]:
+    """Return what `BagReader.decoded` yields of a bag of the run."""
+    return ((TOPIC_OF[type(message)], message.stamp, message) for message in run)
 
 
 def compare(a: Iterable[Message], b: Iterable[Message]) -> MessageComparison:
@@ -139,10 +144,11 @@ def test_a_missing_message_in_the_middle_is_named() -> None:
 
 def test_events_are_brought_together_wherever_they_stand() -> None:
     run = make_run()
-    assert compare([run[-1], *run[:-1]], run).equal
-    event = run[-1]
+    event = next(message for message in run if isinstance(message, SwarmEvent))
+    rest = [message for message in run if message != event]
+    assert compare([event, *rest], [*rest, event]).equal
     found = compare(run, changed(run, event, value=0.5))
-    assert found.first == Difference("swarm/events", 3, 7, "value", 0.25, 0.5)
+    assert found.first == Difference("swarm/events", 3, 7, "value", 1 / 3, 0.5)
     second = SwarmEvent(50_000_000, 5, 1, EventKind.JOINED, 0.0, "")
     found = compare(run, [*run, second])
     assert found.first == Difference("swarm/events", 5, 1, missing="A")

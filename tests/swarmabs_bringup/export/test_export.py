@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from tests.swarmabs_bringup.comparison.runs import changed, make_run, make_step, write_bag
+from tests.swarmabs_bringup.sample_run import changed, make_run, make_step, write_bag
 from tests.swarmabs_msgs.definitions import DEFINITIONS
 
 from swarmabs_bringup.bag import DamagedBagError, load_arrays

@@ -7,13 +7,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from tests.swarmabs_bringup.bag.conftest import make_run
 from tests.swarmabs_bringup.figures.conftest import record
+from tests.swarmabs_bringup.sample_run import make_run, write_bag
 
-from swarmabs_bringup.bag import BagWriter
 from swarmabs_bringup.report import Report, make_report
-from swarmabs_core.cdr import encode
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
+from swarmabs_core.messages import Message
 
 SCENARIO = """schema: 1
 name: sample
@@ -76,19 +74,8 @@ def write(
     folder: Path, messages: Sequence[Message], *, scenario: str = SCENARIO, provenance: bytes = b"{}", aborted: str = ""
 ) -> Path:
     """Write a bag of these messages."""
-    with BagWriter(
-        folder,
-        topics=(*MAIN_TOPICS, EVENTS),
-        attachments={"scenario.yaml": scenario.encode(), "provenance.json": provenance},
-        chunk_bytes=4000,
-    ) as writer:
-        for message in messages:
-            writer.write(TOPIC_OF[type(message)], message.stamp, encode(message))
-        if aborted:
-            writer.abort(aborted)
-        else:
-            writer.close()
-    return folder
+    attached = {"scenario.yaml": scenario.encode(), "provenance.json": provenance}
+    return write_bag(folder, messages, attached, aborted=aborted)
 
 
 def messages(steps: int) -> list[Message]:
