@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from swarmabs_bringup.bag import BagWriter, NotABagError, ScenarioInfo, bag_info, render
+from swarmabs_bringup.cli import main
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, Message, PlaneState
 
@@ -156,3 +157,13 @@ def test_channel_without_qos_has_none(tmp_path: Path) -> None:
     assert info.complete
     assert [topic.qos for topic in info.topics] == ["", "", ""]
     assert info.scenario is None
+
+
+def test_in_a_pipe_each_topic_has_a_line(
+    bag: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    assert main(["info", str(bag)]) == 0
+    words = [line.split() for line in capfd.readouterr().out.splitlines()]
+    (plane,) = [line for line in words if line[:1] == ["/plane/state"]]
+    assert (plane[1], plane[2:4], plane[-1]) == ("swarmabs_msgs/msg/PlaneState", ["reliable", "volatile"], "41")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,9 @@ def test_another_digest_is_a_failure_only_if_the_same_is_expected(capfd: pytest.
     text = capfd.readouterr().out
     assert "step 0, swarm/desired_abstract_state, torque is 2.0, was 0.3162" in text
     assert "open loop" in text
+    assert re.search(r"^swarm/desired_abstract_state\s*$", text, re.MULTILINE)
+    assert re.search(r"^  mean_inertia_rate +\d+ +[\d.e-]+ +\d+ +-$", text, re.MULTILINE)
+    assert "…" not in text
 
 
 def test_a_part_may_be_the_same_although_the_digest_of_the_whole_is_another(

@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-_WIDEST = 10_000
+_WIDEST = 1000
 """Of what is printed into a file or pipe, characters."""
 
 

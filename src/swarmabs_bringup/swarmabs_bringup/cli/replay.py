@@ -11,7 +11,7 @@ import click
 from swarmabs_bringup.cli.display import shown_progress
 from swarmabs_bringup.cli.interrupts import no_more_interrupts
 from swarmabs_bringup.cli.namespace import namespace_option
-from swarmabs_bringup.cli.output import json_option, print_json
+from swarmabs_bringup.cli.output import json_option, print_json, print_tables
 from swarmabs_bringup.cli.run import RUNS, since_start
 from swarmabs_core.errors import InputError, RunError
 
@@ -109,12 +109,13 @@ def _replay(
     if as_json:
         print_json(summary)
     else:
-        from rich.console import Console, Group  # noqa: PLC0415 - slow to import
+        from rich.console import Console  # noqa: PLC0415 - slow to import
 
         from swarmabs_bringup.replay.table import result_parts  # noqa: PLC0415
 
-        shown = summary_table(summary, folder)
-        Console(soft_wrap=True, highlight=False).print(shown if result is None else Group(shown, *result_parts(result)))
+        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
+        if result is not None:
+            print_tables(*result_parts(result))
     if outcome.reason is not None:
         click.echo(f"error: {outcome.reason}", err=True)
     failed = outcome.status != "ok" or (expect_same and result is not None and not result["same"])

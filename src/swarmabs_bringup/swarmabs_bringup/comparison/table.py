@@ -10,6 +10,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
+from swarmabs_bringup.fitting_table import FittingTable
 from swarmabs_core.scenario.errors import printable, shorten
 
 if TYPE_CHECKING:
@@ -76,10 +77,10 @@ def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
     yield "not compared", ", ".join(a.not_compared), ", ".join(b.not_compared)
 
 
-def _topics(topics: Sequence[TopicComparison]) -> Table:
-    table = Table(box=box.SIMPLE, pad_edge=False)
+def _topics(topics: Sequence[TopicComparison]) -> FittingTable:
+    table = FittingTable(box=box.SIMPLE, pad_edge=False)
     table.add_column("topic", no_wrap=True)
-    for heading in ("in both", "different", "missing in A", "missing in B"):
+    for heading in ("in both", "differ", "not in A", "not in B"):
         table.add_column(heading, justify="right")
     for topic in topics:
         counts = (topic.compared, topic.differing, topic.missing_in_a, topic.missing_in_b)
@@ -87,23 +88,25 @@ def _topics(topics: Sequence[TopicComparison]) -> Table:
     return table
 
 
-def _fields(topics: Sequence[TopicComparison]) -> Table | str:
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    table.add_column("topic", no_wrap=True)
+def _fields(topics: Sequence[TopicComparison]) -> FittingTable | str:
+    """Return a table by topic and field, narrow enough for 80 characters unless something is not finite."""
+    undefined = any(field.undefined for topic in topics for field in topic.fields)
+    table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("field", no_wrap=True)
-    for heading in ("different", "largest", "at step", "agent", "rms", "not finite"):
+    for heading in ("differ", "largest", "at step", "agent", "rms", *(["not finite"] if undefined else [])):
         table.add_column(heading, justify="right")
     for topic in topics:
+        if topic.fields:
+            table.add_row(topic.topic)
         for field in topic.fields:
             table.add_row(
-                topic.topic,
-                field.field,
+                f"  {field.field}",
                 f"{field.differing:,}",
                 _number(field.largest),
                 "-" if field.step is None else str(field.step),
                 str(field.agent) if field.agent else "-",
                 _number(field.rms),
-                f"{field.undefined:,}",
+                *([f"{field.undefined:,}"] if undefined else []),
             )
     return table if table.row_count else ""
 

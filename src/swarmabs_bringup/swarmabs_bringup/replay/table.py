@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
 from rich.text import Text
+
+from swarmabs_bringup.fitting_table import FittingTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,13 +28,16 @@ def result_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
         f"{first['replayed']!r}, was {first['recorded']!r}\n"
         "open loop: this is what the nodes would have said to what was recorded; nothing else has reacted"
     )
-    table = Table(box=None, pad_edge=False)
-    for name in ("topic", "field"):
-        table.add_column(name, no_wrap=True)
-    for name in ("messages that differ", "largest deviation", "at step", "robot"):
+    table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("field", no_wrap=True)
+    for name in ("differ", "largest", "at step", "robot"):
         table.add_column(name, justify="right")
+    topic = None
     for row in result["deviations"]:
-        largest = "-" if row["largest"] is None else f"{row['largest']:.4g}"
+        if row["topic"] != topic:
+            topic = row["topic"]
+            table.add_row(topic)
+        largest = "-" if row["largest"] is None else f"{row['largest']:.6g}"
         step = "-" if row["step"] is None else str(row["step"])
-        table.add_row(row["topic"], row["field"], str(row["differing"]), largest, step, str(row["agent"] or "-"))
+        table.add_row(f"  {row['field']}", f"{row['differing']:,}", largest, step, str(row["agent"] or "-"))
     return Text(text), table
