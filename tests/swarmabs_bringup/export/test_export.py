@@ -17,7 +17,7 @@ import pytest
 from tests.swarmabs_bringup.sample_run import changed, make_run, make_step, write_bag
 from tests.swarmabs_msgs.definitions import DEFINITIONS
 
-from swarmabs_bringup.bag import DamagedBagError, load_arrays
+from swarmabs_bringup.bag import BagTooLargeError, DamagedBagError, load_arrays
 from swarmabs_bringup.cli import main
 from swarmabs_bringup.export import TABLES, export_arrays, export_tables
 from swarmabs_core.errors import InputError, RunError
@@ -93,6 +93,36 @@ def test_numpy_has_every_array_of_the_run(bag: Path, tmp_path: Path) -> None:
         ):
             assert read[name].tobytes() == array.tobytes()
             assert read[name].shape == array.shape
+
+
+def test_numpy_has_the_events_without_pickle(bag: Path, tmp_path: Path) -> None:
+    events = [m for m in RUN if isinstance(m, SwarmEvent)]
+    assert len({len(event.detail) for event in events}) == len(events) > 1
+    with np.load(export_arrays(bag, tmp_path / "run.npz"), allow_pickle=False) as read:
+        assert all(read[name].dtype.kind in "ifU" for name in read.files)
+        for name in ("step", "agent_id", "kind", "value", "detail"):
+            found = read[f"events_{name}"].tolist()
+            assert [bits(value) for value in found] == [bits(getattr(event, name)) for event in events]
+        assert read["events_time"].tolist() == [event.stamp / 1e9 for event in events]
+
+
+def test_numpy_without_events_has_empty_columns(tmp_path: Path) -> None:
+    quiet = write_bag(tmp_path / "bag", [m for m in RUN if not isinstance(m, SwarmEvent)])
+    with np.load(export_arrays(quiet, tmp_path / "run.npz"), allow_pickle=False) as read:
+        shapes = {name: read[name].shape for name in read.files if name.startswith("events_")}
+    assert set(shapes.values()) == {(0,)}
+    assert len(shapes) == 6
+
+
+def test_texts_that_would_not_fit_into_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One long text makes all of them as wide."""
+    event = SwarmEvent(0, 0, 1, EventKind.LIMIT_HIT, 0.0, "short")
+    run = [*make_run(1), *[event._replace(value=float(n)) for n in range(2000)], event._replace(detail="x" * 10**6)]
+    long = write_bag(tmp_path / "bag", run)
+    monkeypatch.setattr("swarmabs_bringup.export.arrays.available_memory", lambda: 7 * 10**9)
+    with pytest.raises(BagTooLargeError, match="its events take about 8004 MB as arrays, but 7000 MB are free; export"):
+        export_arrays(long, tmp_path / "run.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
 def test_units_are_those_of_the_message_definitions() -> None:

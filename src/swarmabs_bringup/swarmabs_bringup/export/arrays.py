@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bringup.bag import load_arrays
+from swarmabs_bringup.bag import BagTooLargeError, load_tables, open_bag
+from swarmabs_bringup.bag.memory import available_memory
 from swarmabs_bringup.export.columns import TABLES
+from swarmabs_core.arrays import run_arrays
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,12 +21,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from swarmabs_bringup.bag import BagReader
+
+_EVENT_BYTES = 500
+"""Memory that a decoded event takes, without a long text."""
+
 
 def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
-    """Write the arrays of a bag (`load_arrays`) into a new ``.npz`` file, whole or not at all, and return it.
+    """Write the arrays of a bag (`load_arrays`) and its events into a new ``.npz`` file, whole or not at all.
 
-    Names are those of `RunArrays` joined by underscores, such as ``agents_position`` of shape (n+1, N); ``units`` is a
-    JSON text of their units. Nothing in it is pickled.
+    Names are those of `RunArrays` joined by underscores, such as ``agents_position`` of shape (n+1, N); the fields of
+    the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape (E,), texts as
+    fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled. The file is returned.
 
     Parameters
     ----------
@@ -37,15 +46,16 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     Raises
     ------
     InputError
-        If it is no bag of a swarm, or the file is there already or cannot be made.
+        If it is no bag of a swarm, its arrays do not fit into memory, or the file is there already.
     RunError
-        If the bag is damaged or the disk fails.
+        If the bag is damaged, or the file cannot be written.
     """
     if file.suffix != ".npz":
         raise InputError(f"{file} does not end in .npz; name a file such as {file.with_suffix('.npz')} with -o")
     if file.exists():
         raise InputError(f"{file} is there already; name another with -o, or remove it")
-    arrays: dict[str, NDArray[Any]] = dict(_named(load_arrays(path, namespace=namespace), ""))
+    bag = open_bag(path, namespace=namespace)
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(run_arrays(load_tables(bag)), "")), **_events(bag)}
     units = {name: unit for name, unit in _units().items() if name in arrays}
     part = file.with_name(f".{file.name}.part")
     try:
@@ -70,12 +80,37 @@ def _named(group: Any, prefix: str) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, value
 
 
+def _events(bag: BagReader) -> dict[str, NDArray[Any]]:
+    """Return the events' fields, each of shape (E,); a bag without the topic has none."""
+    count = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
+    _check_memory(bag, count * _EVENT_BYTES)
+    events: list[Any] = [message for _, _, message in bag.decoded((EVENTS,))]
+    widest = max((len(event.detail) for event in events), default=0)
+    _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
+    return {
+        "events_step": np.array([event.step for event in events], dtype=np.int64),
+        "events_time": np.array([event.stamp / 1e9 for event in events], dtype=np.float64),
+        "events_agent_id": np.array([event.agent_id for event in events], dtype=np.int64),
+        "events_kind": np.array([event.kind for event in events], dtype=np.int64),
+        "events_value": np.array([event.value for event in events], dtype=np.float64),
+        "events_detail": np.array([event.detail for event in events], dtype=f"U{max(widest, 1)}"),
+    }
+
+
+def _check_memory(bag: BagReader, needed: int) -> None:
+    available = available_memory()
+    if needed > available:
+        raise BagTooLargeError(
+            f"{bag.path}: its events take about {needed / 1e6:.0f} MB as arrays, but {available / 1e6:.0f} MB are free;"
+            " export it with --format csv or parquet"
+        )
+
+
 def _units() -> dict[str, str]:
     """Return the units by the names of arrays: those of the plane have no prefix."""
-    return {
-        (
-            column.name if table.name == "plane" or column.name in {"step", "time"} else f"{table.name}_{column.name}"
-        ): column.unit
-        for table in TABLES
-        for column in table.columns
-    } | {"agents_ids": "1"}
+    units = {"agents_ids": "1"}
+    for table in TABLES:
+        for column in table.columns:
+            plain = table.name == "plane" or (column.name in {"step", "time"} and table.topic is not EVENTS)
+            units[column.name if plain else f"{table.name}_{column.name}"] = column.unit
+    return units
