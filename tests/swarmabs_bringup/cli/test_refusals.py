@@ -125,6 +125,19 @@ def test_a_bad_scenario_file(case: str, command: str, here: Path, capfd: pytest.
         (["good.yaml", "--duration", "-1"], ("duration",)),
         (["good.yaml", "--duration", "0.015"], ("duration", "step")),
         (["good.yaml", "--duration", "soon"], ("duration", "soon")),
+        *(
+            (
+                ["good.yaml", "--max-bag-duration", text],
+                (
+                    "--max-bag-duration",
+                    f"a whole number of seconds from 1 to 1000000000, or 0 for a bag in one file, and not '{text}'",
+                    "no fractions",
+                ),
+            )
+            for text in ("0.5", "-1", "1000000001", "soon", "nan")
+        ),
+        (["good.yaml", "--max-bag-size", "1e6"], ("--max-bag-size", "whole number of bytes", "'1e6'")),
+        (["good.yaml", "--max-bag-size", str(2**63)], ("--max-bag-size", f"1 to {2**63 - 1}")),
         (["used"], ("used",)),
         (["used/precious.mcap"], ("precious.mcap",)),
         (["good.yaml", "--durations", "1"], ("--durations",)),

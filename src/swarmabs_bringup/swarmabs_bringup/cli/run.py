@@ -27,6 +27,24 @@ if TYPE_CHECKING:
 RUNS = Path("runs")
 
 
+def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
+    """Return what reads a whole number from 0 on, as the options of the same name of ``ros2 bag record`` take it."""
+
+    def read(_context: click.Context, _option: click.Parameter, text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            number = -1
+        if not 0 <= number <= largest:
+            raise click.BadParameter(
+                f"give a whole number of {unit} from 1 to {largest}, or 0 for a bag in one file, and not {text!r}: "
+                "like the same option of ros2 bag record it takes no fractions."
+            )
+        return number
+
+    return read
+
+
 def _options(function: Callable[..., Any]) -> Callable[..., Any]:
     decorators = (
         click.argument("scenario", default="pd_het_4", metavar="[SCENARIO|FILE.yaml|BAG]"),
@@ -40,15 +58,15 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--no-bag", is_flag=True, help="Write no bag; digest and figures are computed all the same."),
         click.option(
             "--max-bag-size",
-            type=click.IntRange(0),
-            default=0,
+            default="0",
+            callback=_whole("bytes", 2**63 - 1),
             metavar="BYTES",
             help="Size after which the bag goes on in a new file.  [default: never]",
         ),
         click.option(
             "--max-bag-duration",
-            type=click.IntRange(0, 10**9),
-            default=0,
+            default="0",
+            callback=_whole("seconds", 10**9),
             metavar="SECONDS",
             help="Simulated time after which the bag goes on in a new file.  [default: never]",
         ),
