@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from tests.system.helpers import (
     swarm,
     until_stepping,
 )
+from tests.system.playback import TOPICS, assert_heard, listening
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -108,37 +107,18 @@ def test_a_replay_that_is_interrupted_leaves_a_readable_bag(recorded: Path, fold
     assert len(bag_messages(folder)) > 0
 
 
-LISTENER = Path(__file__).with_name("listener.py")
-
-
 def test_playback_reaches_a_stock_node_in_order_with_the_recorded_qos(
     recorded: Path, tmp_path: Path, ros_network: dict[str, str]
 ) -> None:
-    """No topic has more messages than its depth of 100: a reliable reader, however slow, loses none."""
-    environment = {**os.environ, **ros_network}
-    topics = ("/plane/state", "/swarm/desired_abstract_state", "/swarm/events")
-    out = tmp_path / "heard.json"
-    words = [sys.executable, str(LISTENER), str(out), "80", *topics]
-    listener = subprocess.Popen(words, env={**environment, "ROS_LOG_DIR": str(tmp_path)})
-    try:
-        part = ("--rate", 100, "--duration", 0.9, "--topics", ",".join(topics))
+    with listening(tmp_path / "heard.json", ros_network) as listener:
+        part = ("--rate", 100, "--duration", 0.9, "--topics", ",".join(TOPICS))
+        environment = {**os.environ, **ros_network}
         with started_swarm("replay", recorded, "--wait", *part, "--json", env=environment) as command:
             done = command.wait()
         assert done.code == 0, done.err
         assert listener.wait(60) == 0
-    finally:
-        listener.kill()
-        listener.wait()
-    heard = json.loads(out.read_text())
-    messages = [m for m in bag_messages(recorded) if m.step <= 90]
-    for topic in topics:
-        sent = [m.payload for m in messages if f"/{m.topic}" == topic]
-        received = [bytes.fromhex(text) for text in heard[topic]["messages"]]
-        assert [data[: len(wanted)] for data, wanted in zip(received, sent, strict=True)] == sent, topic
-        assert {len(data) - len(wanted) for data, wanted in zip(received, sent, strict=True)} <= {0, 1, 2, 3}  # padding
-    assert done.summary()["messages"] == sum(len(heard[topic]["messages"]) for topic in topics)
-    assert heard["/plane/state"]["qos"] == ["RELIABLE", "VOLATILE"]
-    assert heard["/swarm/events"]["qos"] == ["RELIABLE", "TRANSIENT_LOCAL"]
+    heard = assert_heard(tmp_path / "heard.json", [m for m in bag_messages(recorded) if m.step <= 90])
+    assert done.summary()["messages"] == heard
 
 
 def test_playback_in_a_loop_ends_with_ctrl_c(recorded: Path, ros_network: dict[str, str]) -> None:

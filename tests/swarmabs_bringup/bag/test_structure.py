@@ -247,14 +247,6 @@ def test_mcap_doctor_has_no_complaint(file: Path) -> None:
     assert found.returncode == 0, found.stderr
 
 
-@pytest.mark.skipif(shutil.which("ros2") is None, reason="the command-line tools of ROS 2 are not installed")
-def test_ros2_bag_info_lists_every_topic(bag: Path) -> None:
-    found = subprocess.run(["ros2", "bag", "info", str(bag)], capture_output=True, text=True, check=False, timeout=15)
-    assert found.returncode == 0, found.stderr
-    for topic in (*MAIN_TOPICS, EVENTS):
-        assert f"/{topic.name} | Type: {topic.ros_type} | Count: " in found.stdout
-
-
 def test_offered_qos_of_agents_and_plane_differ_as_the_table_says(file: Path) -> None:
     profiles = {
         channel.topic: yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]
