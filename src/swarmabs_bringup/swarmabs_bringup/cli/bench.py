@@ -99,7 +99,7 @@ def bench(
     busy: bool,
     as_json: bool,
 ) -> None:
-    """Measure speed, start, memory and recording; the speed beside what DDS and ZeroMQ reach at best.
+    """Measure speed, start, memory, recording and reading, beside what DDS, ZeroMQ and the mcap library reach.
 
     The result is a folder with bench.json, bench.md and a chart; docs/performance.md says how to read it.
     """
