@@ -396,7 +396,9 @@ def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileInd
         found.problem = found.problem or str(error)
         if damaged:
             return found
-        raise DamagedBagError(f"{file} is incomplete: {found.problem}{_readable(found)}") from error
+        raise DamagedBagError(
+            f"{file} is incomplete: {found.problem}{_readable(found)}; repair saves what can be saved"
+        ) from error
 
 
 def _miscounted(path: Path, name: str, said: int, counted: str) -> str:
