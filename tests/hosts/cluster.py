@@ -129,7 +129,6 @@ class Host:
             Of `subprocess.Popen`.
         """
         assert self.alive, f"{self.name} is dead"
-        self._started = [process for process in self._started if process.poll() is None]
         entering = ["nsenter", f"--target={self.pid}", "--net", "--mount", "--uts", "--ipc", "--"]
         # A new mount namespace begins in the root folder.
         entering += ["env", f"--chdir={cwd}", *map(str, words)]
@@ -160,6 +159,17 @@ def finish(process: subprocess.Popen[Any]) -> str:
     out, err = process.communicate(timeout=LONGEST)
     assert process.returncode == 0, f"{process.args!r} ended with {process.returncode}: {err or out!r}"
     return str(out)
+
+
+def until_ready(process: subprocess.Popen[Any]) -> str:
+    """Wait until a process prints the line "ready"; return what it has printed before."""
+    before = ""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line == "ready\n":
+            return before
+        before += line
+    raise AssertionError(f"{process.args!r} is not ready: {before} {process.stderr and process.stderr.read()}")
 
 
 class Hosts(tuple[Host, ...]):

@@ -13,8 +13,13 @@ from pathlib import Path
 
 from tests.hosts.namespaces import IPC, MOUNT, NET, PID, UTS, die_with, say, unshare
 
-_MOUNTS = (("--make-rprivate", "/"), ("-t", "proc", "proc", "/proc"), ("-t", "tmpfs", "tmpfs", "/dev/shm"))
-"""Memory is shared within a host only, and is gone when the host is."""
+_MOUNTS = (
+    ("--make-rprivate", "/"),
+    ("-t", "proc", "proc", "/proc"),
+    ("-t", "tmpfs", "tmpfs", "/dev/shm"),
+    ("-t", "tmpfs", "tmpfs", "/run"),
+)
+"""Memory is shared within a host only, and what its processes leave there is gone when the host is."""
 
 
 def _power_on(name: str) -> None:

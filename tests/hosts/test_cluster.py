@@ -5,7 +5,6 @@ Times are lower bounds only; what is lost is counted, within five standard devia
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -19,7 +18,8 @@ from typing import Literal
 
 import psutil
 import pytest
-from tests.hosts.cluster import Host, Hosts, finish, hosts
+from tests.hosts.cluster import Hosts, hosts
+from tests.hosts.datagrams import Receiver
 from tests.hosts.impairment import Impairment
 from tests.hosts.sockets import Bound, bound_sockets
 from tests.hosts.switches import netem
@@ -28,35 +28,14 @@ from tests.processes import ROOT, SEARCH_PATH, marked_processes, until
 pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
 
 Kind = Literal["software", "kernel"]
-DATAGRAMS = "tests.hosts.datagrams"
-PORT = 5000
 COUNT = 2000
-PERIOD = 2e-4
 both = pytest.mark.parametrize("switch", ["software", "kernel"])
 
 
-class Receiver:
-    """What a host receives."""
-
-    def __init__(self, host: Host) -> None:
-        self.host = host
-        self._process = host.python(DATAGRAMS, "receive", PORT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        assert self._process.stdout is not None and self._process.stdout.readline() == "ready\n"
-
-    def hear(self, sender: Host, first: int = 0, count: int = COUNT, size: int = 100, period: float = PERIOD) -> None:
-        """Let another host send it datagrams."""
-        finish(sender.python(DATAGRAMS, "send", self.host.address, PORT, first, count, size, period))
-
-    def heard(self, sender: Host) -> list[tuple[int, float]]:
-        """End it; return number and delay of what has come, in order."""
-        finish(sender.python(DATAGRAMS, "end", self.host.address, PORT))
-        return [(number, delay) for number, delay in json.loads(finish(self._process))]
-
-
-def exchange(pair: Hosts, count: int = COUNT, size: int = 100) -> list[tuple[int, float]]:
+def exchange(pair: Hosts, count: int = COUNT) -> list[tuple[int, float]]:
     receiver = Receiver(pair[1])
     pair[0].know(pair[1])
-    receiver.hear(pair[0], 0, count, size)
+    receiver.hear(pair[0], 0, count)
     return receiver.heard(pair[0])
 
 
@@ -75,11 +54,13 @@ def impaired(switch: Kind, how: Impairment, request: pytest.FixtureRequest) -> I
 
 
 @both
-@pytest.mark.parametrize("size", [100, 1400, 20_000])
-def test_hosts_reach_each_other(switch: Kind, size: int) -> None:
+def test_hosts_reach_each_other_with_datagrams_of_any_size(switch: Kind) -> None:
     with hosts(2, switch=switch) as pair:
-        heard = exchange(pair, 200, size)
-    assert [number for number, _ in heard] == list(range(200))
+        receiver = Receiver(pair[1])
+        for first, size in ((0, 100), (100, 1400), (200, 20_000)):
+            receiver.hear(pair[0], first, 100, size=size, period=1e-3)
+        heard = receiver.heard(pair[0])
+    assert [number for number, _ in heard] == list(range(300))
 
 
 @both
