@@ -25,7 +25,7 @@ from tests.hosts.sockets import Bound, bound_sockets
 from tests.hosts.switches import netem
 from tests.processes import ROOT, SEARCH_PATH, marked_processes, until
 
-pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
 
 Kind = Literal["software", "kernel"]
 COUNT = 2000

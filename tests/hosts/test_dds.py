@@ -24,7 +24,7 @@ from tests.hosts.impairment import Impairment
 from tests.hosts.sockets import bound_sockets, groups_joined
 from tests.processes import ROOT
 
-pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
 
 CHATTER = "tests.hosts.chatter"
 GROUP = "239.255.0.1"
@@ -114,7 +114,6 @@ def in_a_row(listener: subprocess.Popen[Any], beyond: int = 0) -> int:
 
 
 @pytest.mark.full
-@pytest.mark.timeout(100)
 def test_reliable_topics_survive_bad_networks_partitions_and_reboots(tmp_path: Path) -> None:
     """What does not come ends the test by its time limit."""
     with hosts(3) as three:

@@ -14,7 +14,7 @@ from tests.hosts.sockets import Bound, bound_sockets
 from tests.hosts.test_dds import fence, talking
 from tests.hosts.wireguard import PORT, Keys, start_tunnel, why_no_tunnel
 
-pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible", "tunnels")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible", "tunnels")]
 
 _why_no_tunnel = cache(why_no_tunnel)
 INNER = ("10.84.0.1", "10.84.0.2")
