@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "abstraction_observer = abstraction_observer.node:main",
+            "abstraction_observer_realtime = abstraction_observer.realtime:main",
         ],
     },
 )

@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "agent_node = agent_node.node:main",
+            "agent_node_realtime = agent_node.realtime:main",
         ],
     },
 )

@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "parent_controller = parent_controller.node:main",
+            "parent_controller_realtime = parent_controller.realtime:main",
         ],
     },
 )

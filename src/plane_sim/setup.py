@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "plane_sim = plane_sim.node:main",
+            "plane_sim_realtime = plane_sim.realtime:main",
         ],
     },
 )

@@ -67,12 +67,37 @@ PARAMETERS = (
 )
 
 
-def table(node: Node) -> tuple[Parameter, ...]:
-    """Return the node's parameters, among them those of the law that is asked for."""
+def with_law(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Return a node's parameters, among them those of the law that is asked for."""
     law = law_type(str(given_values(node).get(LAW.name, LAW.default)))
     chosen = replace(LAW, choices=tuple(dict.fromkeys((*LAWS, law.name))))
-    own = (chosen if parameter is LAW else parameter for parameter in PARAMETERS)
+    own = (chosen if parameter is LAW else parameter for parameter in parameters)
     return (*own, *(replace(setting, name=f"law.{setting.name}") for setting in law.settings))
+
+
+def table(node: Node) -> tuple[Parameter, ...]:
+    """Return the node's parameters."""
+    return with_law(node, PARAMETERS)
+
+
+def kind_of(settings: Settings) -> Kind:
+    """Return the robot's dynamics.
+
+    Raises
+    ------
+    InputError
+        If parameters contradict it.
+    """
+    kind = KINDS[settings.text("kind")]
+    if kind is Kind.SINGLE_INTEGRATOR and (settings.number("damping") or settings.number("velocity")):
+        raise InputError("parameters damping and velocity: a single integrator has neither; leave them out")
+    return kind
+
+
+def gains_of(settings: Settings) -> SwarmGains:
+    """Return the gains of the swarm's law."""
+    k, kp, kd = (settings.pair(f"gains.{name}") for name in ("k", "kp", "kd"))
+    return SwarmGains(k, kp, kd, settings.number("gains.ksd"))
 
 
 def config(settings: Settings) -> AgentConfig:
@@ -83,25 +108,15 @@ def config(settings: Settings) -> AgentConfig:
     InputError
         If parameters contradict each other.
     """
-    kind = KINDS[settings.text("kind")]
-    if kind is Kind.SINGLE_INTEGRATOR and (settings.number("damping") or settings.number("velocity")):
-        raise InputError("parameters damping and velocity: a single integrator has neither; leave them out")
-    pairs = {name: settings.numbers(f"gains.{name}") for name in ("k", "kp", "kd")}
-    gains = SwarmGains(
-        (pairs["k"][0], pairs["k"][1]),
-        (pairs["kp"][0], pairs["kp"][1]),
-        (pairs["kd"][0], pairs["kd"][1]),
-        settings.number("gains.ksd"),
-    )
     end = settings.text("end")
     law = settings.within("law.")
     return AgentConfig(
         agent_id=settings.integer("agent_id"),
-        kind=kind,
+        kind=kind_of(settings),
         mass=settings.number("mass"),
         position=settings.number("position"),
         velocity=settings.number("velocity"),
-        gains=gains,
+        gains=gains_of(settings),
         period_ns=settings.integer("period_ns"),
         gravity=settings.number("gravity"),
         plane_length=settings.number("plane_length"),

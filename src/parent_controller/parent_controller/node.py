@@ -28,6 +28,8 @@ from swarmabs_ros.status import StatusChannel
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from swarmabs_core.controllers import ParentController
+
 LAW = Parameter("controller.type", "pd", "control law of the plane", choices=tuple(CONTROLLERS))
 PARAMETERS = (
     Parameter("plane.inertia", 0.5, "moment of inertia of the plane alone, kg m^2", above=0.0),
@@ -46,29 +48,44 @@ PARAMETERS = (
 )
 
 
-def table(node: Node) -> tuple[Parameter, ...]:
-    """Return the node's parameters, among them those of the law that is asked for."""
+def with_law(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Return a node's parameters with those of the law that is asked for."""
     law = controller_type(str(given_values(node).get(LAW.name, LAW.default)))
     chosen = replace(LAW, choices=tuple(dict.fromkeys((*CONTROLLERS, law.name))))
-    return (chosen, *PARAMETERS, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
+    return (chosen, *parameters, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
 
 
-def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints."""
-    manifold = Manifold(
+def table(node: Node) -> tuple[Parameter, ...]:
+    """Return the node's parameters."""
+    return with_law(node, PARAMETERS)
+
+
+def manifold_of(settings: Settings) -> Manifold:
+    """Return the curve on which the desired abstract state lies."""
+    return Manifold(
         settings.number("manifold.curvature"),
         settings.number("manifold.offset"),
         settings.number("manifold.torque_max"),
     )
-    period_ns, window = settings.integer("period_ns"), settings.integer("recording_window")
+
+
+def law_of(settings: Settings) -> ParentController:
+    """Return the control law of the plane, at its beginning."""
     friction = Friction(*settings.numbers("plane.friction"))
-    context = ParentContext(period_ns / 1e9, settings.number("plane.inertia"), friction, manifold)
+    period = settings.integer("period_ns") / 1e9
+    context = ParentContext(period, settings.number("plane.inertia"), friction, manifold_of(settings))
     law_settings = settings.within("controller.")
-    law = make_controller(str(law_settings.pop("type")), law_settings, context)
+    return make_controller(str(law_settings.pop("type")), law_settings, context)
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints."""
+    window = settings.integer("recording_window")
     subscriptions = {PLANE_STATE: requested(PLANE_STATE, depth=10)}
     if window:
         subscriptions[RECORDING_PROGRESS] = requested(RECORDING_PROGRESS, depth=1)
-    controller = Controller(ControllerConfig(period_ns, manifold, window, settings.last_step()), law)
+    config = ControllerConfig(settings.integer("period_ns"), manifold_of(settings), window, settings.last_step())
+    controller = Controller(config, law_of(settings))
     if not settings.flag(PACKED.name):
         return NodeSpec(controller, (EVENTS, DESIRED_ABSTRACT_STATE), subscriptions)
     subscriptions |= {topic: requested(topic, depth=10) for topic in (ABSTRACT_STATE, AUXILIARY_STATE)}

@@ -11,9 +11,17 @@ import importlib
 from collections import deque
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSLivelinessPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
 
 from swarmabs_ros.qos import OFFERED, Qos
 
@@ -40,17 +48,21 @@ def ros_type(topic: Topic) -> Any:
 
 def profile(qos: Qos) -> QoSProfile:
     """Return rclpy's form of a quality of service."""
-    return QoSProfile(
+    found = QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=qos.depth,
         reliability=_RELIABILITY[qos.reliability],
         durability=_DURABILITY[qos.durability],
     )
+    if qos.lease:
+        found.liveliness = QoSLivelinessPolicy.MANUAL_BY_TOPIC
+        found.liveliness_lease_duration = Duration(seconds=qos.lease)
+    return found
 
 
-def advertise(node: Node, topic: Topic) -> Publisher:
+def advertise(node: Node, topic: Topic, offers: Mapping[Topic, Qos] = OFFERED) -> Publisher:
     """Create the publisher of a topic, which takes serialised messages."""
-    return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[topic]))
+    return node.create_publisher(ros_type(topic), topic.name, profile(offers[topic]))
 
 
 class Receiver(Protocol):
@@ -78,6 +90,8 @@ class WaitSetReceiver:
         Node to which the subscriptions belong.
     subscriptions : mapping
         Requested quality of service by topic.
+    group : CallbackGroup, optional
+        Group of the subscriptions; where an executor runs for the same node, one that keeps it off them.
 
     Raises
     ------
@@ -85,11 +99,13 @@ class WaitSetReceiver:
         If this rclpy has no such interface; the text names the alternative.
     """
 
-    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
+    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], group: CallbackGroup | None = None) -> None:
         self._context = node.context.handle
         self._types = {topic: ros_type(topic) for topic in subscriptions}
         self._subscriptions: dict[Topic, Any] = {
-            topic: node.create_subscription(self._types[topic], topic.name, _never, profile(qos), raw=True)
+            topic: node.create_subscription(
+                self._types[topic], topic.name, _never, profile(qos), callback_group=group, raw=True
+            )
             for topic, qos in subscriptions.items()
         }
         self._wait_sets: dict[tuple[Topic, ...], Any] = {}
@@ -121,6 +137,21 @@ class WaitSetReceiver:
     def publisher_count(self, topic: Topic) -> int:
         """Return the number of matched publishers of a topic."""
         return int(self._subscriptions[topic].get_publisher_count())
+
+
+class LoopGroup(CallbackGroup):
+    """Group of what a loop waits for by itself: no executor ever takes anything of it."""
+
+    def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - the interface of rclpy
+        """Refuse."""
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:  # noqa: ARG002 - the interface of rclpy
+        """Refuse."""
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        """Do nothing, as nothing has begun."""
 
 
 class ExecutorReceiver:

@@ -198,15 +198,16 @@ def run_node(
         spec = make(settings, status)
         return _run(node, settings, spec, status)
     except InputError as error:
-        return _fail(status, error, 2)
+        return fail(status, error, 2)
     except RunError as error:
-        return _fail(status, error, 1)
+        return fail(status, error, 1)
     finally:
         node.destroy_node()  # type: ignore[no-untyped-call]
         rclpy.try_shutdown()
 
 
-def _fail(status: StatusChannel, error: Exception, code: int) -> int:
+def fail(status: StatusChannel, error: Exception, code: int) -> int:
+    """Say why a node ends, to whoever started it and to people, and return its exit code."""
     status.send("failed", reason=str(error)[:2000])
     sys.stderr.write(f"error: {error}\n")
     return code

@@ -45,6 +45,9 @@ _ROBOTS, _CONTROLLER, _GATHERERS = "239.255.83.1", "239.255.83.2", "239.255.83.3
 CONTROLLER_PARTICIPANT = 2
 """Participant id of the parent controller, the one coordinator that does not hear the robots."""
 
+REALTIME_LEASE = 5
+"""Silence, s, after which a participant in real time is forgotten: it may have been restarted as another one."""
+
 _BUFFER = 4 * 2**20
 _MOST_SAMPLES = 100_000
 """Messages that may wait for a reader; by itself Fast DDS stops at 5,000, whatever depth a reader asks for."""
@@ -80,14 +83,14 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
         <builtin>
           <discovery_config>
             <discoveryProtocol>SIMPLE</discoveryProtocol>
-            <leaseDuration><sec>3600</sec></leaseDuration>
-            <leaseAnnouncement><sec>2</sec></leaseAnnouncement>
+            <leaseDuration><sec>{lease}</sec></leaseDuration>
+            <leaseAnnouncement><sec>{announcement}</sec></leaseAnnouncement>
             <initialAnnouncements>
               <count>10</count>
               <period><sec>0</sec><nanosec>200000000</nanosec></period>
             </initialAnnouncements>
           </discovery_config>
-          <use_WriterLivelinessProtocol>false</use_WriterLivelinessProtocol>
+          <use_WriterLivelinessProtocol>{liveliness}</use_WriterLivelinessProtocol>
           <metatrafficUnicastLocatorList>
             <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
           </metatrafficUnicastLocatorList>
@@ -151,6 +154,7 @@ def profile_xml(
     peers: Iterable[int] = range(COORDINATORS),
     participant: str = FROM_ENVIRONMENT,
     multicast: bool = False,
+    realtime: bool = False,
 ) -> str:
     """Return the profile.
 
@@ -165,6 +169,9 @@ def profile_xml(
         How the participant id is found: `FROM_ENVIRONMENT` or `FIRST_FREE`.
     multicast : bool
         Whether to listen to the group whose address is in the environment variable `GROUP_VARIABLE`.
+    realtime : bool
+        Whether participants that fall silent are forgotten soon, and writers assert that they live. Nodes in real time
+        need it: Fast DDS crashes when a writer without this protocol asserts anything.
     """
     locators = "\n".join(
         f"            <locator><udpv4><address>127.0.0.1</address><port>{metatraffic_port(domain, peer)}</port>"
@@ -182,6 +189,9 @@ def profile_xml(
         metatraffic_offset=METATRAFFIC_OFFSET,
         data_offset=DATA_OFFSET,
         peers=locators,
+        lease=REALTIME_LEASE if realtime else 3600,
+        announcement=1 if realtime else 2,
+        liveliness="true" if realtime else "false",
     )
 
 

@@ -1,0 +1,68 @@
+"""Node ``plane_sim`` in real time, for demonstrations and tests: a plane that is simulated by the clock."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from plane_sim.node import PARAMETERS as LOCKSTEP
+from swarmabs_core.desired_state import STEEPEST
+from swarmabs_core.friction import Friction
+from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.plant import Disturbance
+from swarmabs_core.realtime.base import PLANE_PHASE
+from swarmabs_core.realtime.plane import RealtimePlane, RealtimePlaneConfig
+from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.sensing import Sensor
+from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
+from swarmabs_ros.qos import REALTIME, requested
+from swarmabs_ros.realtime_runner import choose, run_realtime, schedule_of
+
+if TYPE_CHECKING:
+    from swarmabs_ros.runner import Settings
+
+PARAMETERS = (
+    *choose(LOCKSTEP, "members", "gravity", "inertia", "length", "friction", "substep", "angle", "angular_velocity"),
+    *choose(LOCKSTEP, "disturbance.amplitude", "disturbance.angular_frequency", "end_stop"),
+    *choose(LOCKSTEP, "sensor.noise", "sensor.resolution", "seed"),
+)
+
+
+def config(settings: Settings) -> RealtimePlaneConfig:
+    """Return the behaviour's configuration."""
+    return RealtimePlaneConfig(
+        members=settings.integers("members"),
+        schedule=schedule_of(settings),
+        bounds=Bounds(settings.number("gravity"), settings.number("length")),
+        inertia=settings.number("inertia"),
+        friction=Friction(*settings.numbers("friction")),
+        substep=settings.number("substep"),
+        angle=settings.number("angle"),
+        angular_velocity=settings.number("angular_velocity"),
+        disturbance=Disturbance(
+            settings.number("disturbance.amplitude"), settings.number("disturbance.angular_frequency")
+        ),
+        end_stop=settings.number("end_stop") or STEEPEST,
+        sensor=Sensor(settings.pair("sensor.noise"), settings.pair("sensor.resolution")),
+        seed=settings.integer("seed"),
+    )
+
+
+def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
+    """Return behaviour and endpoints."""
+    depth = max(100, 4 * len(settings.integers("members")))
+    return RealtimeSpec(
+        RealtimePlane(config(settings)),
+        PLANE_PHASE,
+        (EVENTS, PLANE_STATE),
+        {AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME)},
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_realtime("plane_sim", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,281 @@
+"""A node in real time as ROS manages it: lifecycle, parameters, an operator's services, diagnostics.
+
+The thread that starts the node makes the steps. A second one serves ROS: it may be late without harm, and what it
+wants of the behaviour it hands to the first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
+
+from swarmabs_core.errors import SwarmabsError
+from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_ros import diagnostics
+from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
+from swarmabs_ros.qos import REALTIME
+from swarmabs_ros.realtime import Engine, RealtimeLoop, read_clocks, timing_report
+from swarmabs_ros.systemd import notify
+from swarmabs_ros.timing import StepClock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.executors import Executor
+    from rclpy.impl.rcutils_logger import RcutilsLogger
+    from rclpy.lifecycle import LifecycleState
+
+    from swarmabs_core.messages import Messages, Topic
+    from swarmabs_core.realtime.base import RealtimeBehaviour
+    from swarmabs_ros.qos import Qos
+    from swarmabs_ros.status import StatusChannel
+
+SUCCESS, FAILURE, ERROR = (
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+    TransitionCallbackReturn.ERROR,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeSpec:
+    """What a node in real time is made of.
+
+    Parameters
+    ----------
+    behaviour : RealtimeBehaviour
+        Its state machine.
+    phase : float
+        Share of the period that is over when its step is due.
+    publications : tuple of Topic
+        What it publishes.
+    subscriptions : mapping
+        What it listens to, with the requested quality of service.
+    wakes : tuple of Topic
+        Topics that are answered at once.
+    services : mapping
+        An operator's commands (``std_srvs/Trigger``) by name: what the behaviour does at a time, ns since 1970.
+    """
+
+    behaviour: RealtimeBehaviour
+    phase: float
+    publications: tuple[Topic, ...]
+    subscriptions: Mapping[Topic, Qos]
+    wakes: tuple[Topic, ...] = ()
+    services: Mapping[str, Callable[[int], Messages]] = field(default_factory=dict)
+
+
+class RealtimeNode(LifecycleNode):
+    """A lifecycle node around a `RealtimeLoop`.
+
+    Parameters
+    ----------
+    name : str
+        Its name, where none is remapped.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self.notes: RcutilsLogger = self.get_logger()  # type: ignore[no-untyped-call]
+        # rclpy lets a request that does not fit the state end the executor.
+        self._service_change_state.callback = self._guarded(self._service_change_state.callback)
+        self.failure: Exception | None = None
+        """Why it is not as it should be."""
+        self.loop_group = LoopGroup()
+        """For subscriptions that the loop takes from by itself, such as those of a drive."""
+        self._loop: RealtimeLoop
+        self._make: Callable[[], RealtimeSpec]
+        self._schedule: Schedule
+        self._status: StatusChannel
+        self._executor: Executor
+        self._clock_of_steps: StepClock | None = None
+        self._before: tuple[Any, ...] | None = None
+        self._diagnostics = self.create_publisher(DiagnosticArray, diagnostics.TOPIC, 10)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(diagnostics.PERIOD, self._diagnose, clock=steady)
+
+    def prepare(
+        self,
+        make: Callable[[], RealtimeSpec],
+        schedule: Schedule,
+        loop: RealtimeLoop,
+        executor: Executor,
+        status: StatusChannel,
+    ) -> None:
+        """Say what configuring makes, and who does what; before the executor runs."""
+        self._make, self._schedule, self._loop, self._executor, self._status = make, schedule, loop, executor, status
+
+    # Transitions
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make behaviour and endpoints; what was opened is closed again if that fails."""
+        self.failure = None
+        try:
+            self._configure()
+        except Exception as error:  # noqa: BLE001 - rclpy would swallow it
+            return self._refuse("configure", error)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to make steps."""
+        self.failure = None
+        try:
+            self._loop.activate()
+        except Exception as error:  # noqa: BLE001 - rclpy would swallow it
+            return self._refuse("activate", error)
+        self.notes.info("active")
+        self._status.send("ready")
+        notify("READY=1\nSTATUS=active")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Halt and be silent; an error if that is because of one."""
+        try:
+            self._loop.deactivate()
+        except Exception as error:  # noqa: BLE001 - rclpy would swallow it
+            self._refuse("halt", error)
+        self.notes.info("deactivated: halted and silent")
+        notify("STATUS=inactive")
+        return ERROR if self.failure is not None else super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take back behaviour and endpoints."""
+        return super().on_cleanup(state) if self._release() else ERROR
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Halt, and take back behaviour and endpoints."""
+        return super().on_shutdown(state) if self._release() else ERROR
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take back behaviour and endpoints, so that it can be configured again."""
+        return super().on_error(state) if self._release() else FAILURE
+
+    # From the loop's thread
+
+    def failed(self, error: Exception) -> None:
+        """Note an error of the active behaviour, which is halted, and leave the active state."""
+        self.failure = error
+        text = one_line(error)
+        self.notes.error(f"halted after an error: {text}")
+        self._status.send("failed", reason=text)
+        self._executor.create_task(self._leave_active)
+
+    # From the executor's thread
+
+    def bring_up(self) -> bool:
+        """Configure and activate; tell whether that was successful."""
+        transitions = (self.trigger_configure, self.trigger_activate)
+        return all(trigger() == SUCCESS for trigger in transitions)  # type: ignore[no-untyped-call]
+
+    def end(self) -> None:
+        """Shut down, wherever in its life the node is; from the loop's thread, once nothing else runs."""
+        if self.state in {"unconfigured", "inactive", "active"}:
+            self.trigger_shutdown()  # type: ignore[no-untyped-call]
+
+    def _leave_active(self) -> None:
+        if self.failure is not None and self.state == "active":
+            self.trigger_deactivate()  # type: ignore[no-untyped-call]
+
+    @property
+    def state(self) -> str:
+        """State of the lifecycle: unconfigured, inactive, active, finalized, or a transition's."""
+        return str(self._state_machine.current_state[1])
+
+    def _entities(self) -> tuple[Any, ...]:
+        return (*self.services, *self.subscriptions, *self.publishers)
+
+    def _configure(self) -> None:
+        self._before = self._entities()
+        spec = self._make()
+        publishers = {topic: advertise(self, topic, REALTIME) for topic in spec.publications}
+        receiver = WaitSetReceiver(self, spec.subscriptions, self.loop_group)
+        depths = {topic: qos.depth for topic, qos in spec.subscriptions.items()}
+        self._clock_of_steps = StepClock(self._schedule, spec.phase)
+        self._loop.attach(Engine(spec.behaviour, self._clock_of_steps, receiver, depths, publishers, spec.wakes))
+        for name, command in spec.services.items():
+            self.create_service(Trigger, name, self._operating(command))
+
+    def _release(self) -> bool:
+        """Take back whatever configuring made on this node, a drive's endpoints too; tell whether that went well."""
+        try:
+            self._loop.attach(None)
+        except Exception as error:  # noqa: BLE001 - rclpy would swallow it
+            self._refuse("halt", error)
+            return False
+        if self._clock_of_steps is not None:
+            self._status.send("timing", **timing_report(self._clock_of_steps))
+            self._clock_of_steps = None
+        before, self._before = self._before, None
+        for entity in self._entities():
+            if before is None or entity in before:
+                continue
+            if isinstance(entity, Service):
+                self.destroy_service(entity)
+            elif isinstance(entity, Subscription):
+                self.destroy_subscription(entity)
+            else:
+                self.destroy_publisher(entity)
+        return True
+
+    def _refuse(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        self.failure = error
+        self.notes.error(f"cannot {what}: {one_line(error)}")
+        if what == "configure":
+            self._release()
+        return FAILURE
+
+    def _operating(self, command: Callable[[int], Messages]) -> Callable[[Any, Any], Any]:
+        """Return the callback of an operator's service."""
+
+        def operate(_: Any, response: Any) -> Any:
+            try:
+                self._loop.command(command)
+                response.success = True
+            except Exception as error:  # noqa: BLE001 - it is told to whoever asked
+                response.message = f"{self.get_name()}: {one_line(error)}"
+            return response
+
+        return operate
+
+    def _guarded(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Return a callback that answers no instead of raising an error."""
+
+        def guarded(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:  # noqa: BLE001 - of rclpy's own, not public class
+                self.notes.warning(f"transition refused in state {self.state}: {one_line(error)}")
+                response.success = False
+                return response
+
+        return guarded
+
+    def _diagnose(self) -> None:
+        self._diagnostics.publish(diagnostics.diagnostic_array(self.get_name(), self.health(), read_clocks().system))
+
+    def health(self) -> Health:
+        """Return how the node is, whatever its state."""
+        try:
+            level, text, values = self._loop.health(diagnostics.PERIOD / 2.0)
+        except Exception as error:  # noqa: BLE001 - that is how it is
+            level, text, values = Level.ERROR, one_line(error), ()
+        state = self.state
+        if self.failure is not None:
+            level, text = Level.ERROR, f"{state} after an error: {one_line(self.failure)}"
+        elif state != "active":
+            level, text = max(level, Level.WARN), f"{state}: {text}"
+        return Health(level, text, (("state", state), *values))
+
+
+def one_line(error: Exception) -> str:
+    """Return an error in one line, with its class where the text is not meant for people."""
+    text = " ".join(str(error).split())[:2000]
+    return text if isinstance(error, SwarmabsError) else f"{type(error).__name__}: {text}"

@@ -1,0 +1,195 @@
+"""The frame of ``main`` of every node in real time: parameters, the two threads, autostart, exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_ros import scheduling
+from swarmabs_ros.managed import RealtimeNode, one_line
+from swarmabs_ros.parameters import declare
+from swarmabs_ros.realtime import RealtimeLoop
+from swarmabs_ros.runner import COMMON as LOCKSTEP, Settings, fail
+from swarmabs_ros.status import StatusChannel
+from swarmabs_ros.systemd import notify, watchdog_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_ros.managed import RealtimeSpec
+
+COMMON = (
+    *(parameter for parameter in LOCKSTEP if parameter.name == "period_ns"),
+    Parameter("epoch_ns", 0, "time at which step 0 begins, ns since 1970", minimum=0),
+    Parameter("clock_tolerance", 0.02, "how far a message may come from the future by this clock, s", minimum=0.0),
+    Parameter("autostart", default=True, description="whether to configure and activate the node at once"),
+    *scheduling.PARAMETERS,
+)
+"""Parameters that every node in real time has."""
+
+SWITCH_INTERVAL = 0.0005
+"""Longest time, s, for which the thread that serves ROS keeps the interpreter when a step is due."""
+_ENDS_WITHIN = 5.0
+
+Table = tuple[Parameter, ...]
+
+
+def choose(table: Table, *names: str) -> Table:
+    """Return parameters of a table by name: those of a lockstep node that mean the same here."""
+    known = {parameter.name: parameter for parameter in table}
+    return tuple(known[name] for name in names)
+
+
+def schedule_of(settings: Settings) -> Schedule:
+    """Return how time becomes steps."""
+    return Schedule(settings.integer("period_ns"), settings.integer("epoch_ns"))
+
+
+def run_realtime(
+    name: str,
+    table: Callable[[RealtimeNode], Table] | Table,
+    make: Callable[[Settings, RealtimeNode], RealtimeSpec],
+    args: list[str] | None = None,
+) -> int:
+    """Run a node in real time until it is told to stop (SIGINT, SIGTERM).
+
+    Parameters
+    ----------
+    name : str
+        Its name, where none is remapped.
+    table : tuple of Parameter, or callable
+        Its parameters beyond the common ones; callable if they depend on a value given.
+    make : callable
+        Makes behaviour and endpoints from the parameters, each time the node is configured.
+    args : list of str, optional
+        Command line without the program's name.
+
+    Returns
+    -------
+    int
+        Exit code: 0 fine, 1 something failed, 2 a parameter was refused.
+    """
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
+        sys.stderr.write(f"error: command line of {name}: {' '.join(str(error).split())}\n")
+        return 2
+    node = RealtimeNode(name)
+    status = StatusChannel(node.get_name())
+    try:
+        settings = _settings(node, table(node) if callable(table) else table)
+        _run(node, settings, lambda: make(settings, node), status)
+    except InputError as error:
+        return fail(status, error, 2)
+    except RunError as error:
+        return fail(status, error, 1)
+    finally:
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        rclpy.try_shutdown()
+    return 0
+
+
+def _settings(node: RealtimeNode, own: Table) -> Settings:
+    if node.get_parameter("use_sim_time").value:
+        raise InputError("parameter use_sim_time: in real time the system's clock makes the steps; leave it out")
+    return Settings(declare(node, (*COMMON, *own)), node.get_namespace())
+
+
+def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel) -> None:
+    executor = SingleThreadedExecutor(context=node.context)
+    loop = RealtimeLoop(node.failed, _watchdog())
+    node.prepare(make, schedule_of(settings), loop, executor, status)
+    executor.add_node(node)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: loop.stop())
+    autostart = settings.flag("autostart")
+    refused: list[Exception] = []
+
+    def start() -> None:
+        if not node.bring_up():
+            refused.append(node.failure or RunError("the node does not start"))
+            loop.stop()
+
+    if autostart:
+        executor.create_task(start)
+    else:
+        notify("READY=1\nSTATUS=waits to be configured")
+    server = Server(node, executor)
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    server.start()
+    try:
+        # After the other threads have begun, which would inherit it.
+        scheduling.schedule_this_thread(settings.text(scheduling.SCHEDULING.name), settings.integer("priority"))
+        if settings.flag(scheduling.LOCK_MEMORY.name):
+            scheduling.lock_memory()
+        loop.run()
+    finally:
+        notify("STOPPING=1")
+        server.end()
+        node.end()
+        executor.shutdown()
+    problem = refused[0] if refused else node.failure
+    if problem is not None:
+        raise problem if isinstance(problem, (InputError, RunError)) else RunError(one_line(problem))
+
+
+def _watchdog() -> Callable[[int], None]:
+    """Return what tells systemd, given the steady time in ns, that the loop goes round."""
+    interval = watchdog_interval()
+    due = 0
+
+    def beat(now: int) -> None:
+        nonlocal due
+        if interval and now >= due:
+            due = now + interval
+            notify("WATCHDOG=1")
+
+    return beat
+
+
+class Server(threading.Thread):
+    """The thread that serves ROS; an error of one callback does not end it.
+
+    Parameters
+    ----------
+    node : RealtimeNode
+        Whose callbacks; it logs their errors.
+    executor : SingleThreadedExecutor
+        Runs them.
+    """
+
+    def __init__(self, node: RealtimeNode, executor: SingleThreadedExecutor) -> None:
+        super().__init__(name="ros", daemon=True)
+        self._node, self._executor = node, executor
+        self._ending = False
+
+    def run(self) -> None:
+        """Serve until `end`."""
+        while not self._ending:
+            try:
+                self._executor.spin_once()
+            except Exception as error:  # noqa: BLE001 - the next request may be served well
+                self._node.notes.error(f"a request failed: {one_line(error)}")
+
+    def end(self) -> None:
+        """Serve no more, once what is being served is done.
+
+        Raises
+        ------
+        RunError
+            If it does not end.
+        """
+        self._ending = True
+        self._executor.wake()
+        self.join(_ENDS_WITHIN)
+        if self.is_alive():
+            raise RunError("a request that is being served does not end")

@@ -1,0 +1,138 @@
+"""When a node's steps are due, how late they come, and what the system's clock does; no clock is read here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from swarmabs_core.realtime.base import Schedule
+
+JUMP = 1_000_000
+"""Change of the system clock against the steady one, ns, that is a jump; the kernel slews by 0.5 us per ms at most."""
+BINS = 32
+"""Bins of a histogram: the last one begins at 2^30 us, some 18 minutes."""
+
+
+class Reading(NamedTuple):
+    """Two clocks at one time: the system's (ns since 1970) and a steady one (ns since any time)."""
+
+    system: int
+    steady: int
+
+
+class Lateness:
+    """Histogram with a bin for every power of two: bin 0 is below 1 us, bin n from 2^(n-1) us to below 2^n us.
+
+    Attributes
+    ----------
+    count : int
+        Number of values.
+    longest : int
+        Largest value, ns.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.longest = 0
+        self._bins = [0] * BINS
+
+    def add(self, nanoseconds: int) -> None:
+        """Add a value, ns; a negative one counts as 0."""
+        late = max(0, nanoseconds)
+        self._bins[min((late // 1000).bit_length(), BINS - 1)] += 1
+        self.count += 1
+        self.longest = max(self.longest, late)
+
+    def below(self, share: float) -> int:
+        """Return an upper bound, us, of this share of the values: a bin's edge, or the longest; 0 without values."""
+        seen = 0
+        for number, inside in enumerate(self._bins):
+            seen += inside
+            if inside and seen >= share * self.count:
+                return min(1 << number, -(-self.longest // 1000))
+        return 0
+
+    def bins(self) -> dict[int, int]:
+        """Return the number of values by the upper edge of their bin, us, without empty bins."""
+        return {1 << number: inside for number, inside in enumerate(self._bins) if inside}
+
+
+class StepClock:
+    """Tells which step is due, each once, however the system's clock is set.
+
+    A clock that is set forward makes steps fall out, which are not made later. After a clock was set back, no step
+    is due until it has passed the newest step again: nobody may make a step twice.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        How time becomes steps.
+    phase : float
+        Share of the period that is over when a step is due.
+
+    Attributes
+    ----------
+    lateness : Lateness
+        How late steps were made.
+    missed : int
+        Periods in which no step was made, those left out that a jump of the clock skipped.
+    jumps : int
+        How often the system's clock was set.
+    largest_jump : int
+        The largest change of these by size, ns.
+    """
+
+    def __init__(self, schedule: Schedule, phase: float) -> None:
+        self._schedule = schedule
+        self._phase = phase
+        self._shift = schedule.begin(0, phase) - schedule.begin(0)
+        self._made = -1
+        self._next = 0
+        self._offset: int | None = None
+        self.lateness = Lateness()
+        self.missed = 0
+        self.jumps = 0
+        self.largest_jump = 0
+
+    def start(self, now: Reading) -> None:
+        """Begin with the first step that is still to come; steps that were made before stay made."""
+        self._notice(now)
+        self._next = max(self._made, self._current(now)) + 1
+
+    def due(self, now: Reading) -> int | None:
+        """Return the step to make now, None if none is due; it is taken as made."""
+        self._notice(now)
+        late = now.system - self._schedule.begin(self._next, self._phase)
+        if late < 0:
+            return None
+        missed = late // self._schedule.period_ns
+        self._made = self._next + missed
+        self._next = self._made + 1
+        self.missed += missed
+        self.lateness.add(late)
+        return self._made
+
+    def wait(self, now: Reading) -> int:
+        """Return the time until the next step is due, ns."""
+        return max(0, self._schedule.begin(self._next, self._phase) - now.system)
+
+    def is_behind(self, now: Reading) -> bool:
+        """Tell whether the system's clock was set back so far that more than one period will have no step."""
+        return self._made >= 0 and self.wait(now) > 2 * self._schedule.period_ns
+
+    def _current(self, now: Reading) -> int:
+        return self._schedule.step(now.system - self._shift)
+
+    def _notice(self, now: Reading) -> None:
+        """Look whether the system's clock was set since the last reading."""
+        offset = now.system - now.steady
+        jump = 0 if self._offset is None else offset - self._offset
+        self._offset = offset
+        if abs(jump) <= JUMP:
+            return
+        self.jumps += 1
+        self.largest_jump = max(self.largest_jump, jump, key=abs)
+        if jump > 0:
+            self._next = max(self._next, self._current(now))
+        else:
+            self._next = max(self._made, self._current(now)) + 1
