@@ -32,6 +32,8 @@ SLICE = 0.1
 """Longest time, s, for which the loop does not look for jobs, or whether it shall stop."""
 ANSWER_WITHIN = 2.0
 """Time, s, after which whoever waits for a job takes the loop to hang."""
+TOLERATED = 0.01
+"""Share of periods that may be missed from one report of health to the next without a warning."""
 _PAIRED = 100_000
 """Longest time between the readings of two clocks, ns, that are one reading."""
 
@@ -109,7 +111,7 @@ class RealtimeLoop:
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._thread: int | None = None
         self._stopping = False
-        self._reported = 0
+        self._reported = (0, 0)
         self.refused = 0
         self.refusal = ""
 
@@ -237,6 +239,7 @@ class RealtimeLoop:
     def _attach(self, engine: Engine | None) -> None:
         self._deactivate()
         self._engine = engine
+        self._reported, self.refused, self.refusal = (0, 0), 0, ""
 
     def _activate(self) -> None:
         if self._engine is None:
@@ -278,9 +281,10 @@ class RealtimeLoop:
             return Health(Level.WARN, "nothing is configured")
         now, clock = self._read(), self._engine.clock
         level, text, values = self._engine.behaviour.health(now.system)
-        missed, self._reported = clock.missed - self._reported, clock.missed
+        missed, made = clock.missed - self._reported[0], clock.lateness.count - self._reported[1]
+        self._reported = clock.missed, clock.lateness.count
         concerns = [text]
-        if missed:
+        if missed > TOLERATED * (missed + made):
             level = max(level, Level.WARN)
             concerns.append(f"{missed} periods missed")
         if clock.is_behind(now):
