@@ -14,10 +14,14 @@ from typing import TYPE_CHECKING, get_args, get_type_hints
 from pydantic import BaseModel
 
 import abstraction_observer.node
+import abstraction_observer.realtime
 import agent_node.group
 import agent_node.node
+import agent_node.realtime
 import parent_controller.node
+import parent_controller.realtime
 import plane_sim.node
+import plane_sim.realtime
 from swarmabs_bringup.orchestration.plan import plan
 from swarmabs_bringup.recorder import node as recorder
 from swarmabs_bringup.replay import node as replay_player
@@ -32,7 +36,8 @@ from swarmabs_core.scenario import (
     TRAJECTORY_CONFIGS,
     Scenario,
 )
-from swarmabs_ros.qos import OFFERED
+from swarmabs_ros.qos import OFFERED, REALTIME
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 
 if TYPE_CHECKING:
@@ -129,6 +134,21 @@ def topics() -> str:
     )
 
 
+def realtime_qos() -> str:
+    """Return the table of what is offered in real time."""
+    return table(
+        ("topic", "QoS offered", "lease"),
+        (
+            (
+                code(topic.name),
+                f"{qos.reliability}, {qos.durability}, {qos.depth}",
+                f"{qos.lease:g} s, by topic" if qos.lease else "none",
+            )
+            for topic, qos in REALTIME.items()
+        ),
+    )
+
+
 def message_fields() -> str:
     """Return the table of the fields of all messages, from the comments of their definitions."""
     rows = []
@@ -215,6 +235,14 @@ def all_tables() -> dict[str, str]:
         "agent_group": parameters(agent_node.group.PARAMETERS),
         "recorder": parameters(recorder.PARAMETERS),
         "replay_player": parameters(replay_player.PARAMETERS),
+        "realtime common": parameters(REALTIME_COMMON),
+        "realtime plane_sim": parameters(plane_sim.realtime.PARAMETERS),
+        "realtime abstraction_observer": parameters(abstraction_observer.realtime.PARAMETERS),
+        "realtime parent_controller": parameters(
+            (parent_controller.node.LAW, *parent_controller.realtime.PARAMETERS)
+        ),
+        "realtime agent_node": parameters(agent_node.realtime.PARAMETERS),
+        "realtime qos": realtime_qos(),
     }
 
 

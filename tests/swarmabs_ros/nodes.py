@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import rclpy
 
 from swarmabs_core.parameters import Parameter, Value, resolve
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings, SwarmNode
 
 
@@ -30,5 +31,14 @@ def given(**values: str) -> list[str]:
 
 def settings_from(table: tuple[Parameter, ...], **values: Value) -> Settings:
     """Return settings as a node would have them that was given these parameters; double underscores stand for dots."""
+    return _settings((*COMMON, *table), values)
+
+
+def realtime_settings_from(table: tuple[Parameter, ...], **values: Value) -> Settings:
+    """Return the same of a node in real time."""
+    return _settings((*REALTIME_COMMON, *table), values)
+
+
+def _settings(table: tuple[Parameter, ...], values: dict[str, Value]) -> Settings:
     named = {name.replace("__", "."): value for name, value in values.items()}
-    return Settings(resolve((*COMMON, *table), named, owner="the node"))
+    return Settings(resolve(table, named, owner="the node"))

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from tests.swarmabs_ros.nodes import started_node
 
@@ -13,6 +14,7 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPICS, EventKind, PlaneState, SwarmEvent, Topic
 from swarmabs_ros.endpoints import (
     ExecutorReceiver,
+    LoopGroup,
     Receiver,
     WaitSetReceiver,
     advertise,
@@ -107,6 +109,22 @@ def test_a_wait_ends_when_something_is_there(node: SwarmNode, inbox: Receiver) -
     while not inbox.wait(BOTH, 5.0):
         assert time.monotonic() < deadline
     assert inbox.take(EVENTS) is not None
+
+
+def test_an_executor_leaves_alone_what_a_loop_takes(node: SwarmNode) -> None:
+    publisher = advertise(node, PLANE_STATE)
+    inbox = WaitSetReceiver(node, {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}, LoopGroup())
+    matched({PLANE_STATE: publisher}, inbox)
+    served = []
+    node.create_timer(0.01, lambda: served.append(1))
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    for data in MESSAGES:
+        publisher.publish(data)
+        executor.spin_once(timeout_sec=1.0)
+    assert len(served) == len(MESSAGES), "it serves the timer, and nothing else is ready for it"
+    assert receive(inbox, PLANE_STATE, len(MESSAGES)) == MESSAGES
+    executor.shutdown()
 
 
 def test_an_rclpy_that_has_changed_is_named_with_the_way_out(node: SwarmNode, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, qos_check_compatible
+from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, QoSLivelinessPolicy, qos_check_compatible
 
-from swarmabs_core.messages import BROADCASTS, EVENTS, PLANE_STATE, TOPICS, Topic
+from swarmabs_core.messages import BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPICS, Topic
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.scenario.model import Realtime
 from swarmabs_ros.endpoints import profile
-from swarmabs_ros.qos import OFFERED, Qos, requested
+from swarmabs_ros.qos import LEASE, OFFERED, REALTIME, Qos, requested
 
 topics = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 
@@ -46,3 +48,21 @@ def test_a_reader_never_asks_for_more_than_is_offered(topic: Topic, reliable: bo
 def test_reliable_is_asked_for_only_where_it_is_wanted(topic: Topic) -> None:
     assert requested(topic, depth=1).reliability == "best_effort"
     assert requested(topic, depth=1, reliable=True).reliability == OFFERED[topic].reliability
+
+
+@pytest.mark.parametrize("topic", REALTIME, ids=lambda topic: topic.name)
+def test_in_real_time_whoever_publishes_every_period_asserts_that_it_lives(topic: Topic) -> None:
+    offered = profile(REALTIME[topic])
+    asserts = offered.liveliness is QoSLivelinessPolicy.MANUAL_BY_TOPIC
+    assert asserts == (topic in MAIN_TOPICS)
+    assert offered.liveliness_lease_duration.nanoseconds == (500_000_000 if asserts else 0)
+    assert offered.deadline.nanoseconds == 0
+    wanted = requested(topic, depth=7, offers=REALTIME)
+    assert (wanted.reliability, wanted.lease) == ("best_effort", 0.0)
+    assert qos_check_compatible(offered, profile(wanted))[0] != QoSCompatibility.ERROR
+
+
+def test_ages_decide_before_the_middleware_does() -> None:
+    limits = Realtime()
+    assert max(limits.broadcast_age_limit, limits.state_age_limit, limits.plane_age_limit) < LEASE
+    assert Schedule(10_000_000).steps(LEASE) > 10, "a lost message or two is no death"

@@ -6,15 +6,23 @@ import re
 
 import pytest
 
-from abstraction_observer import node as observer
-from agent_node import node as agent
-from parent_controller import node as controller
-from plane_sim import node as plane
+from abstraction_observer import node as observer, realtime as realtime_observer
+from agent_node import node as agent, realtime as realtime_agent
+from parent_controller import node as controller, realtime as realtime_controller
+from plane_sim import node as plane, realtime as realtime_plane
 from swarmabs_bringup.recorder import node as recorder
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.parameters import Parameter
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 
+REALTIME = {
+    "realtime common": REALTIME_COMMON,
+    "realtime plane_sim": realtime_plane.PARAMETERS,
+    "realtime abstraction_observer": realtime_observer.PARAMETERS,
+    "realtime parent_controller": (controller.LAW, *realtime_controller.PARAMETERS),
+    "realtime agent_node": realtime_agent.PARAMETERS,
+}
 TABLES = {
     "common": COMMON,
     "plane_sim": plane.PARAMETERS,
@@ -23,6 +31,7 @@ TABLES = {
     "agent_node": agent.PARAMETERS,
     "recorder": recorder.PARAMETERS,
     **{f"controller {name}": entry.settings for name, entry in CONTROLLERS.items()},
+    **REALTIME,
 }
 UNIT = re.compile(r"\b(ns|s|m|kg|rad|N|steps)\b|1/|0 to 1|probability|smoothing|gain|weight|friction", re.IGNORECASE)
 
@@ -38,10 +47,11 @@ def test_names_are_unique(table: tuple[Parameter, ...]) -> None:
     assert len(set(names)) == len(names)
 
 
-@tables
-def test_no_node_redefines_a_common_parameter(table: tuple[Parameter, ...]) -> None:
-    if table is not COMMON:
-        assert not {p.name for p in table} & {p.name for p in COMMON}
+@pytest.mark.parametrize("name", TABLES)
+def test_no_node_redefines_a_common_parameter(name: str) -> None:
+    common = REALTIME_COMMON if name in REALTIME else COMMON
+    if TABLES[name] is not common:
+        assert not {p.name for p in TABLES[name]} & {p.name for p in common}
 
 
 @parameters

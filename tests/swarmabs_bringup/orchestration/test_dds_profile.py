@@ -116,6 +116,21 @@ def test_the_environment_puts_a_process_into_the_domain_and_no_transport_beside_
     assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
 
 
+def test_in_real_time_writers_assert_that_they_live_and_silent_participants_are_forgotten() -> None:
+    def settings(**options: object) -> tuple[str | None, int, int]:
+        root = parsed(**options)
+        asserted = root.findtext(".//d:use_WriterLivelinessProtocol", namespaces=NAMESPACE)
+        seconds = [
+            root.findtext(f".//d:{name}/d:sec", namespaces=NAMESPACE) for name in ("leaseDuration", "leaseAnnouncement")
+        ]
+        return asserted, int(seconds[0] or ""), int(seconds[1] or "")
+
+    assert settings() == ("false", 3600, 2)
+    asserted, lease, announcement = settings(realtime=True)
+    assert asserted == "true"
+    assert 3 * announcement <= lease <= 10
+
+
 def test_a_profile_without_multicast_names_no_group() -> None:
     root = parsed()
     assert root.find(".//d:defaultMulticastLocatorList", NAMESPACE) is None

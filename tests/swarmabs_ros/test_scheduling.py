@@ -1,0 +1,62 @@
+"""What a process asks of the kernel, and what it says when that is refused."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from swarmabs_core.errors import InputError
+from swarmabs_ros import scheduling
+
+LOCKS = "from swarmabs_ros.scheduling import lock_memory; lock_memory(); print(open('/proc/self/status').read())"
+
+
+def test_nothing_is_asked_for_unless_it_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("nobody wants that"))
+    scheduling.schedule_this_thread("other", 50)
+
+
+@pytest.mark.parametrize(("name", "policy"), [("fifo", os.SCHED_FIFO), ("rr", os.SCHED_RR)])
+def test_a_class_is_asked_for_with_its_priority_for_this_thread(
+    name: str, policy: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, p, param: asked.append((pid, p, param.sched_priority)))
+    scheduling.schedule_this_thread(name, 42)
+    assert asked == [(0, policy, 42)]
+
+
+def test_a_refused_class_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with pytest.raises(InputError, match=r"parameter scheduling: .*fifo priority 42.*LimitRTPRIO=42.*'other'"):
+        scheduling.schedule_this_thread("fifo", 42)
+
+
+def test_refused_locking_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Libc:
+        @staticmethod
+        def mlockall(_: int) -> int:
+            ctypes.set_errno(12)
+            return -1
+
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Libc)
+    with pytest.raises(InputError, match=r"parameter lock_memory: .*Cannot allocate memory.*LimitMEMLOCK=infinity"):
+        scheduling.lock_memory()
+
+
+def test_locked_memory_is_locked() -> None:
+    _, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if os.geteuid() and hard != resource.RLIM_INFINITY:
+        pytest.skip("this user may not lock memory: RLIMIT_MEMLOCK is limited")
+    done = subprocess.run([sys.executable, "-c", LOCKS], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 0, done.stderr
+    (locked,) = (int(line.split()[1]) for line in done.stdout.splitlines() if line.startswith("VmLck:"))
+    assert locked > 1000, "kB"
