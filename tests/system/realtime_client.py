@@ -155,6 +155,9 @@ class Client:
             "alive": self.alive,
         }
 
+    def nodes(self) -> list[str]:
+        return sorted(self.node.get_node_names())
+
     def graph(self, node: str) -> dict[str, list[str]]:
         names = (
             ("hears", self.node.get_subscriber_names_and_types_by_node),

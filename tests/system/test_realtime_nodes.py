@@ -174,6 +174,7 @@ def test_a_node_that_stands_still_does_not_stop_the_others_and_comes_back(networ
         PATIENCE,
     )
     assert state_of(client, 2)["step"] == steps[2]
+    until(lambda: "agent_002" not in client.nodes(), "the middleware forgets the node", PATIENCE)
 
     os.kill(nodes["agent_002"].pid, signal.SIGCONT)
     until(lambda: follows(client, 2) and state_of(client, 2)["step"] > steps[2] + 100, "it comes back", PATIENCE)
