@@ -7,6 +7,7 @@ import os
 import resource
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -18,17 +19,38 @@ LOCKS = "from swarmabs_ros.scheduling import lock_memory; lock_memory(); print(o
 
 def test_nothing_is_asked_for_unless_it_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("nobody wants that"))
-    scheduling.schedule_this_thread("other", 50)
+    scheduling.schedule_threads("other", 50)
 
 
 @pytest.mark.parametrize(("name", "policy"), [("fifo", os.SCHED_FIFO), ("rr", os.SCHED_RR)])
-def test_a_class_is_asked_for_with_its_priority_for_this_thread(
+def test_all_threads_get_the_class_and_this_one_comes_first(
     name: str, policy: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[tuple[int, int, int]] = []
-    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, p, param: asked.append((pid, p, param.sched_priority)))
-    scheduling.schedule_this_thread(name, 42)
-    assert asked == [(0, policy, 42)]
+    asked: dict[int, tuple[int, int]] = {}
+    gone: list[int] = []
+
+    def note(thread: int, its_policy: int, parameters: os.sched_param) -> None:
+        if thread in gone:
+            raise ProcessLookupError(3, "No such process")
+        asked[thread] = (its_policy, parameters.sched_priority)
+
+    monkeypatch.setattr(os, "sched_setscheduler", note)
+    ending, begun = threading.Event(), threading.Event()
+    others = [threading.Thread(target=lambda: (begun.set(), ending.wait(10.0))) for _ in range(2)]
+    for other in others:
+        other.start()
+    assert begun.wait(10.0)
+    ids = [other.native_id for other in others]
+    gone += [ids[0] or 0]
+    try:
+        scheduling.schedule_threads(name, 42)
+    finally:
+        ending.set()
+        for other in others:
+            other.join()
+    assert asked[threading.get_native_id()] == (policy, 42)
+    assert asked[ids[1] or 0] == (policy, 41)
+    assert ids[0] not in asked
 
 
 def test_a_refused_class_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,7 +59,7 @@ def test_a_refused_class_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with pytest.raises(InputError, match=r"parameter scheduling: .*fifo priority 42.*LimitRTPRIO=42.*'other'"):
-        scheduling.schedule_this_thread("fifo", 42)
+        scheduling.schedule_threads("fifo", 42)
 
 
 def test_refused_locking_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,8 +127,7 @@ def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec
     sys.setswitchinterval(SWITCH_INTERVAL)
     server.start()
     try:
-        # After the other threads have begun, which would inherit it.
-        scheduling.schedule_this_thread(settings.text(scheduling.SCHEDULING.name), settings.integer("priority"))
+        scheduling.schedule_threads(settings.text(scheduling.SCHEDULING.name), settings.integer("priority"))
         if settings.flag(scheduling.LOCK_MEMORY.name):
             scheduling.lock_memory()
         loop.run()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
+from contextlib import suppress
+from pathlib import Path
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter
@@ -11,10 +14,16 @@ from swarmabs_core.parameters import Parameter
 SCHEDULING = Parameter(
     "scheduling",
     "other",
-    "scheduling of the thread that makes the steps: other, or a real-time class",
+    "scheduling of the node's threads: other, or a real-time class",
     choices=("other", "fifo", "rr"),
 )
-PRIORITY = Parameter("priority", 50, "priority within a real-time class, 1 to 99", minimum=1, maximum=99)
+PRIORITY = Parameter(
+    "priority",
+    50,
+    "priority within a real-time class of the thread that makes the steps; all others have one less",
+    minimum=2,
+    maximum=99,
+)
 LOCK_MEMORY = Parameter("lock_memory", default=False, description="whether to keep all memory from being paged out")
 PARAMETERS = (SCHEDULING, PRIORITY, LOCK_MEMORY)
 
@@ -22,8 +31,10 @@ _CLASSES = {"fifo": os.SCHED_FIFO, "rr": os.SCHED_RR}
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h on Linux, x86-64 and ARM
 
 
-def schedule_this_thread(name: str, priority: int) -> None:
-    """Give the calling thread a scheduling class; `other` leaves it as it is.
+def schedule_threads(name: str, priority: int) -> None:
+    """Give all threads of this process a scheduling class, the calling one a higher priority; `other` changes nothing.
+
+    The others matter: they bring the messages, and one that has the interpreter keeps the calling thread waiting.
 
     Raises
     ------
@@ -32,8 +43,12 @@ def schedule_this_thread(name: str, priority: int) -> None:
     """
     if name not in _CLASSES:
         return
+    own = threading.get_native_id()
     try:
-        os.sched_setscheduler(0, _CLASSES[name], os.sched_param(priority))
+        for entry in Path("/proc/self/task").iterdir():
+            thread = int(entry.name)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setscheduler(thread, _CLASSES[name], os.sched_param(priority - (thread != own)))
     except OSError as error:
         raise InputError(
             f"parameter {SCHEDULING.name}: this process may not have {name} priority {priority} ({error.strerror}); "
