@@ -107,7 +107,6 @@ class RealtimeLoop:
         self._sleep = sleep
         self._engine: Engine | None = None
         self._active = False
-        self._halted = False
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._thread: int | None = None
         self._stopping = False
@@ -202,16 +201,11 @@ class RealtimeLoop:
         engine = cast("Engine", self._engine)
         now = self._read()
         if engine.clock.due(now) is not None:
-            self._halted = False
             self._hear(engine, now.system)
             self._publish(engine, engine.behaviour.tick(now.system))
             return
-        behind = engine.clock.is_behind(now)
-        if behind and not self._halted:
-            self._halted = True
-            engine.behaviour.halt()
         rest = min(SLICE, engine.clock.wait(now) / 1e9)
-        if behind or not engine.wakes:
+        if not engine.wakes:
             self._sleep(rest)
         elif engine.receiver.wait(engine.wakes, rest):
             self._hear(engine, self._read().system)
@@ -252,7 +246,7 @@ class RealtimeLoop:
         # What is there now stays: the collector need not go through it again while steps are made.
         gc.collect()
         gc.freeze()
-        self._active, self._halted = True, False
+        self._active = True
 
     def _deactivate(self) -> None:
         if self._active:
@@ -287,11 +281,6 @@ class RealtimeLoop:
         if missed > TOLERATED * (missed + made):
             level = max(level, Level.WARN)
             concerns.append(f"{missed} periods missed")
-        if clock.is_behind(now):
-            level = Level.ERROR
-            concerns.append(
-                f"the system clock was set back; silent for {clock.wait(now) / 1e9:.3g} s, or until configured again"
-            )
         return Health(level, "; ".join(concerns), (*values, *timing_values(clock), *self._refusals()))
 
     def _refusals(self) -> tuple[tuple[str, str], ...]:

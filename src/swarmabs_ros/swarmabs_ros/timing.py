@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.realtime.base import MOST_BACK
+
 if TYPE_CHECKING:
     from swarmabs_core.realtime.base import Schedule
 
@@ -60,8 +62,9 @@ class Lateness:
 class StepClock:
     """Tells which step is due, each once, however the system's clock is set.
 
-    A clock that is set forward makes steps fall out, which are not made later. After a clock was set back, no step
-    is due until it has passed the newest step again: nobody may make a step twice.
+    A clock that is set forward makes steps fall out, which are not made later. One that is set back a little is waited
+    for: nobody may make a step twice. One that is set back by more than `MOST_BACK` steps was wrong before; then a step
+    is due at once, so that the behaviour notices and is safe, and counting goes on from there.
 
     Parameters
     ----------
@@ -107,7 +110,7 @@ class StepClock:
             return None
         missed = late // self._schedule.period_ns
         self._made = self._next + missed
-        self._next = self._made + 1
+        self._next = max(0, self._made + 1)
         self.missed += missed
         self.lateness.add(late)
         return self._made
@@ -115,10 +118,6 @@ class StepClock:
     def wait(self, now: Reading) -> int:
         """Return the time until the next step is due, ns."""
         return max(0, self._schedule.begin(self._next, self._phase) - now.system)
-
-    def is_behind(self, now: Reading) -> bool:
-        """Tell whether the system's clock was set back so far that more than one period will have no step."""
-        return self._made >= 0 and self.wait(now) > 2 * self._schedule.period_ns
 
     def _current(self, now: Reading) -> int:
         return self._schedule.step(now.system - self._shift)
@@ -132,7 +131,10 @@ class StepClock:
             return
         self.jumps += 1
         self.largest_jump = max(self.largest_jump, jump, key=abs)
+        current = self._current(now)
         if jump > 0:
-            self._next = max(self._next, self._current(now))
+            self._next = max(self._next, current)
+        elif self._made - current > MOST_BACK:
+            self._next = current
         else:
-            self._next = max(self._made, self._current(now)) + 1
+            self._next = max(self._made, current) + 1
