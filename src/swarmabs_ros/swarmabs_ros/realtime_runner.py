@@ -173,7 +173,7 @@ class Server(threading.Thread):
 
     def run(self) -> None:
         """Serve until `end`."""
-        while not self._ending:
+        while not self._ending and self._node.context.ok():
             try:
                 self._executor.spin_once()
             except Exception as error:  # noqa: BLE001 - the next request may be served well
