@@ -19,7 +19,13 @@ from _setup.report import UNSUITABLE, SetupError, Stage
 STAGE_VERSION = 1
 LOCKS = ("run.lock", "build.lock")
 # Commands that need more packages than the others, which their first start installs.
-EXTRA_LOCKS = {"bench": "bench.lock", "export": "sweep.lock", "sweep": "sweep.lock", "test": "test.lock"}
+EXTRA_LOCKS = {
+    "bench": "bench.lock",
+    "deploy": "deploy.lock",
+    "export": "sweep.lock",
+    "sweep": "sweep.lock",
+    "test": "test.lock",
+}
 NEEDED_BYTES = 1_200_000_000
 MANY = 4  # packages, up to which the message names them
 PIP_INSTALL = (

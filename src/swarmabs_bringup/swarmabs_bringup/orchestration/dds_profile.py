@@ -14,15 +14,8 @@ from __future__ import annotations
 import socket
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.orchestration.domain import (
-    DATA_OFFSET,
-    DOMAIN_GAIN,
-    METATRAFFIC_OFFSET,
-    PARTICIPANT_GAIN,
-    PORT_BASE,
-    metatraffic_port,
-    multicast_port,
-)
+from swarmabs_bringup.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
+from swarmabs_bringup.orchestration.domain import multicast_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -48,70 +41,7 @@ CONTROLLER_PARTICIPANT = 2
 REALTIME_LEASE = 5
 """Silence, s, after which a participant in real time is forgotten: it may have been restarted as another one."""
 
-_BUFFER = 4 * 2**20
-_MOST_SAMPLES = 100_000
-"""Messages that may wait for a reader; by itself Fast DDS stops at 5,000, whatever depth a reader asks for."""
-
-_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <profiles>
-    <transport_descriptors>
-      <transport_descriptor>
-        <transport_id>loopback</transport_id>
-        <type>UDPv4</type>
-        <sendBufferSize>{buffer}</sendBufferSize>
-        <receiveBufferSize>{buffer}</receiveBufferSize>
-        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
-        <maxInitialPeersRange>400</maxInitialPeersRange>
-      </transport_descriptor>
-    </transport_descriptors>
-    <participant profile_name="swarmabs" is_default_profile="true">
-      <rtps>
-        {participant}
-        <port>
-          <portBase>{port_base}</portBase>
-          <domainIDGain>{domain_gain}</domainIDGain>
-          <participantIDGain>{participant_gain}</participantIDGain>
-          <offsetd0>0</offsetd0>
-          <offsetd1>{metatraffic_offset}</offsetd1>
-          <offsetd2>1</offsetd2>
-          <offsetd3>{data_offset}</offsetd3>
-        </port>
-        {multicast}
-        <userTransports><transport_id>loopback</transport_id></userTransports>
-        <useBuiltinTransports>false</useBuiltinTransports>
-        <builtin>
-          <discovery_config>
-            <discoveryProtocol>SIMPLE</discoveryProtocol>
-            <leaseDuration><sec>{lease}</sec></leaseDuration>
-            <leaseAnnouncement><sec>{announcement}</sec></leaseAnnouncement>
-            <initialAnnouncements>
-              <count>10</count>
-              <period><sec>0</sec><nanosec>200000000</nanosec></period>
-            </initialAnnouncements>
-          </discovery_config>
-          <use_WriterLivelinessProtocol>{liveliness}</use_WriterLivelinessProtocol>
-          <metatrafficUnicastLocatorList>
-            <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
-          </metatrafficUnicastLocatorList>
-          <initialPeersList>
-{peers}
-          </initialPeersList>
-          <mutation_tries>1000</mutation_tries>
-        </builtin>
-      </rtps>
-    </participant>
-    <data_reader profile_name="reader" is_default_profile="true">
-      <topic>
-        <resourceLimitsQos>
-          <max_samples>{most_samples}</max_samples>
-          <max_samples_per_instance>{most_samples}</max_samples_per_instance>
-        </resourceLimitsQos>
-      </topic>
-    </data_reader>
-  </profiles>
-</dds>
-"""
+_LOOPBACK = "127.0.0.1"
 
 # Unicast must be listed too: naming a group would otherwise replace it.
 _MULTICAST = """<defaultUnicastLocatorList>
@@ -173,25 +103,14 @@ def profile_xml(
         Whether participants that fall silent are forgotten soon, and writers assert that they live. Nodes in real time
         need it: Fast DDS crashes when a writer without this protocol asserts anything.
     """
-    locators = "\n".join(
-        f"            <locator><udpv4><address>127.0.0.1</address><port>{metatraffic_port(domain, peer)}</port>"
-        "</udpv4></locator>"
-        for peer in peers
-    )
-    return _PROFILE.format(
-        buffer=_BUFFER,
-        most_samples=_MOST_SAMPLES,
+    locators = unicast_locators(_LOOPBACK, domain, ((_LOOPBACK, peer) for peer in peers))
+    lease, announcement = (REALTIME_LEASE, 1) if realtime else (3600, 2)
+    return render(
+        transport="loopback",
+        address=_LOOPBACK,
         participant=participant,
+        discovery=Discovery(SIMPLE, locators, lease, announcement, liveliness=realtime),
         multicast=_MULTICAST.format(group=GROUP_VARIABLE, port=multicast_port(domain)) if multicast else "",
-        port_base=PORT_BASE,
-        domain_gain=DOMAIN_GAIN,
-        participant_gain=PARTICIPANT_GAIN,
-        metatraffic_offset=METATRAFFIC_OFFSET,
-        data_offset=DATA_OFFSET,
-        peers=locators,
-        lease=REALTIME_LEASE if realtime else 3600,
-        announcement=1 if realtime else 2,
-        liveliness="true" if realtime else "false",
     )
 
 
