@@ -7,6 +7,7 @@ import click
 from swarmabs_bringup.cli.bench import bench
 from swarmabs_bringup.cli.check import check
 from swarmabs_bringup.cli.compare import compare
+from swarmabs_bringup.cli.deploy import deploy
 from swarmabs_bringup.cli.environment import doctor, env
 from swarmabs_bringup.cli.export import export
 from swarmabs_bringup.cli.figures import figures
@@ -48,6 +49,7 @@ for command in (
     bench,
     sweep,
     figures,
+    deploy,
     test,
 ):
     swarm.add_command(command)

@@ -118,9 +118,9 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     sweep = validated(Sweep, data, root)
     settings = [as_override(name, value) for name, value in sweep.settings.items()]
     try:
-        scenario = find_scenario(_named(sweep.scenario, path.parent), (*settings, *overrides))
+        scenario = find_scenario(named_scenario(sweep.scenario, path.parent), (*settings, *overrides))
     except ScenarioError as error:
-        raise _at_parameter(error, root, {"set": sweep.settings}) from error
+        raise at_parameter(error, root, {"set": sweep.settings}) from error
     study = Study(sweep, _scenario_text(scenario))
     _refuse_invalid(study, root)
     return study
@@ -131,8 +131,8 @@ def as_override(path: str, value: object) -> str:
     return f"{path}={json.dumps(value, ensure_ascii=False)}"
 
 
-def _named(scenario: str, folder: Path) -> str:
-    """Return what a sweep file in a folder means by a scenario: files are relative to it."""
+def named_scenario(scenario: str, folder: Path) -> str:
+    """Return what a file in a folder means by a scenario that it names: files are relative to it."""
     if scenario in builtin_scenarios() or not (os.sep in scenario or Path(scenario).suffix):
         return scenario
     return str(folder / scenario)
@@ -149,7 +149,7 @@ def _refuse_invalid(study: Study, root: Node) -> None:
     first = _invalidity(study, 0)
     probed = range(0, study.sweep.count, max(1, study.sweep.count // PROBED))
     if first is not None and all(_invalidity(study, index) for index in probed):
-        raise _at_parameter(first, root, {"grid": study.sweep.grid, "random": study.sweep.random}) from first
+        raise at_parameter(first, root, {"grid": study.sweep.grid, "random": study.sweep.random}) from first
 
 
 def _invalidity(study: Study, index: int) -> ScenarioError | None:
@@ -161,8 +161,8 @@ def _invalidity(study: Study, index: int) -> ScenarioError | None:
     return None
 
 
-def _at_parameter(error: ScenarioError, root: Node, parts: Mapping[str, Iterable[str]]) -> ScenarioError:
-    """Return the error of an override with the line of the sweep file that the override comes from."""
+def at_parameter(error: ScenarioError, root: Node, parts: Mapping[str, Iterable[str]]) -> ScenarioError:
+    """Return the error of an override with the line of the file that the override comes from."""
     for part, paths in parts.items():
         for path in paths:
             if error.source.startswith(f"--set {path}="):

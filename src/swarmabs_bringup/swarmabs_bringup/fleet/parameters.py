@@ -1,0 +1,182 @@
+"""The ROS parameters of every node of a fleet: the one place that knows what the realtime nodes are told."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER
+from swarmabs_bringup.fleet.robots import PluginDrive, SimulatedDrive, TopicDrive
+from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, RECORDER
+from swarmabs_core import configure
+from swarmabs_core.scenario.dump import dump_tree
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import TypeAlias
+
+    from swarmabs_bringup.fleet.model import Fleet
+    from swarmabs_bringup.fleet.participants import NodePlan
+    from swarmabs_bringup.fleet.robots import Robot
+    from swarmabs_core.scenario import Scenario
+    from swarmabs_core.scenario.yaml_tree import Plain
+
+    Parameters: TypeAlias = dict[str, object]
+
+
+def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: str, state: str) -> Parameters:
+    """Return the parameters of a node by name.
+
+    Parameters
+    ----------
+    fleet, scenario : Fleet, Scenario
+        The fleet, and the scenario with its robots.
+    node : NodePlan
+        The node.
+    installed, state : str
+        Folders on its host: of the installed bundle, and of what the node writes.
+    """
+    if node.name == DISCOVERY:
+        return {}
+    common: Parameters = {
+        "epoch_ns": fleet.epoch_ns,
+        "period_ns": scenario.step_ns,
+        "clock_tolerance": scenario.realtime.clock_tolerance,
+    }
+    if node.robot is not None:
+        return common | _robot(scenario, node.robot)
+    if node.name == RECORDER:
+        return common | {"scenario_file": f"{installed}/scenario.yaml", "bags": state}
+    if node.name == CONTROLLER:
+        return common | _controller(fleet, scenario)
+    if node.name == OBSERVER:
+        return common | _observer(scenario)
+    return common | (_plane_driver(fleet) if node.name == PLANE_DRIVER else _plane(scenario))
+
+
+def parameter_file(values: Mapping[str, object]) -> str:
+    """Return a file of parameters as ``--params-file`` takes it, for a node of any name."""
+    tree: dict[str, Plain] = {}
+    for name, value in values.items():
+        *parents, last = name.split(".")
+        branch = tree
+        for parent in parents:
+            inner = branch.setdefault(parent, {})
+            assert isinstance(inner, dict), f"{name}: {parent} is a parameter, too"  # noqa: S101 - names are the program's
+            branch = inner
+        branch[last] = _plain(value)
+    text = dump_tree({"ros__parameters": tree})
+    return "/**:\n" + "".join(f"  {line}\n" for line in text.splitlines())
+
+
+def _plain(value: object) -> Plain:
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (bool, int, float, str)):
+        return value
+    raise TypeError(f"no ROS parameter: {value!r}")
+
+
+def _members(scenario: Scenario) -> Parameters:
+    return {"members": configure.members(scenario), "state_age_limit": scenario.realtime.state_age_limit}
+
+
+def _plane(scenario: Scenario) -> Parameters:
+    plane = scenario.plane
+    return _members(scenario) | {
+        "gravity": plane.gravity,
+        "inertia": plane.inertia,
+        "length": plane.length,
+        "friction": plane.friction,
+        "substep": plane.substep,
+        "angle": plane.angle,
+        "angular_velocity": plane.angular_velocity,
+        "disturbance.amplitude": plane.disturbance.amplitude,
+        "disturbance.angular_frequency": plane.disturbance.angular_frequency,
+        "end_stop": plane.end_stop or 0.0,
+        "sensor.noise": plane.sensor.noise,
+        "sensor.resolution": plane.sensor.resolution,
+        "seed": scenario.seed,
+    }
+
+
+def _plane_driver(fleet: Fleet) -> Parameters:
+    plane = fleet.coordinators.plane
+    given: Parameters = plane.model_dump(mode="json", exclude={"type", "host"})
+    return given
+
+
+def _observer(scenario: Scenario) -> Parameters:
+    values = _members(scenario) | {
+        "gravity": scenario.plane.gravity,
+        "plane_length": scenario.plane.length,
+        "ksd": scenario.swarm.gains.ksd,
+        "start": scenario.realtime.start,
+        "quorum": scenario.realtime.quorum or 0,
+    }
+    model = configure.parent_model(scenario)
+    if model is not None:
+        values |= {
+            "type": "parent_response",
+            "inertia": model.inertia,
+            "friction": scenario.plane.friction,
+            "bandwidth": model.bandwidth,
+        }
+    return values
+
+
+def _controller(fleet: Fleet, scenario: Scenario) -> Parameters:
+    manifold = scenario.manifold
+    law = {f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()}
+    return {
+        "plane.inertia": scenario.plane.inertia,
+        "plane.friction": scenario.plane.friction,
+        "manifold.curvature": manifold.curvature,
+        "manifold.offset": manifold.offset,
+        "manifold.torque_max": manifold.torque_max,
+        "controller.type": scenario.controller.type,
+        "plane_age_limit": scenario.realtime.plane_age_limit,
+        "start_mode": fleet.coordinators.controller.start_mode,
+    } | law
+
+
+def _robot(scenario: Scenario, robot: Robot) -> Parameters:
+    gains, limits, law = scenario.swarm.gains, robot.limits, scenario.swarm.law
+    half = scenario.plane.length / 2.0
+    values: Parameters = {
+        "agent_id": robot.id,
+        "kind": robot.kind,
+        "mass": robot.mass,
+        "damping": robot.damping,
+        "gravity": scenario.plane.gravity,
+        "plane_length": scenario.plane.length,
+        "gains.k": gains.k,
+        "gains.kp": gains.kp,
+        "gains.kd": gains.kd,
+        "gains.ksd": gains.ksd,
+        "law.type": law.type,
+        "limits.velocity": limits.velocity or scenario.limits.velocity or 0.0,
+        "limits.force": limits.force or scenario.limits.force or 0.0,
+        "lane_margin": scenario.realtime.lane_margin if limits.lane is None else half - limits.lane,
+        "broadcast_age_limit": scenario.realtime.broadcast_age_limit,
+    }
+    config = next(config for config in configure.agent_configs(scenario) if config.agent_id == robot.id)
+    values |= {f"law.{name}": value for name, value in config.law_settings.items()}
+    return values | _drive(robot)
+
+
+def _flat(name: str, value: object) -> Parameters:
+    """Return nested values by dotted names."""
+    if not isinstance(value, dict):
+        return {name: value}
+    return {path: inner for key, item in value.items() for path, inner in _flat(f"{name}.{key}", item).items()}
+
+
+def _drive(robot: Robot) -> Parameters:
+    drive = robot.drive
+    if isinstance(drive, SimulatedDrive):
+        return {"drive.type": drive.type, "position": drive.position, "velocity": drive.velocity}
+    if isinstance(drive, TopicDrive):
+        return _flat("drive", drive.model_dump(mode="json"))
+    assert isinstance(drive, PluginDrive)  # noqa: S101 - there are three
+    own: Parameters = {f"drive.settings.{name}": value for name, value in drive.settings.items()}
+    return {"drive.type": drive.type, "drive.name": drive.name} | own

@@ -1,0 +1,228 @@
+"""What installs, uninstalls and restarts a bundle on its host: POSIX shell, which is given nothing to interpret.
+
+Names and paths stand in single quotes at the top and in double quotes where they are used; what they may be made of is
+checked when the fleet file is read (`names`). With DESTDIR everything goes below that folder, and accounts and services
+are left alone, as packagers expect it.
+"""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.fleet.places import UNIT_FOLDER, WIREGUARD_FOLDER, state_folder, target_name
+from swarmabs_bringup.fleet.wireguard import heading
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from swarmabs_bringup.fleet.model import Fleet
+
+_HEAD = """\
+#!/bin/sh
+# @PURPOSE@
+set -eu
+umask 077
+fleet=@FLEET@
+host=@HOST@
+prefix=@PREFIX@
+user=@USER@
+checkout=@CHECKOUT@
+ros=@ROS@
+setup=@SETUP@
+target=@TARGET@
+tunnel=@TUNNEL@
+root=${DESTDIR:-}
+unset CDPATH
+here=$(cd -- "$(dirname -- "$0")" && pwd -P)
+installed=$root$prefix/$fleet
+unit_folder=$root@UNIT_FOLDER@
+tunnel_file=$root@WIREGUARD_FOLDER@/$tunnel.conf
+tunnel_heading=@TUNNEL_HEADING@
+
+fail() {
+    printf '%s: %s\\n' "${0##*/}" "$1" >&2
+    exit 1
+}
+
+as_root() {
+    [ -n "$root" ] || [ "$(id -u)" = 0 ] || fail "this needs root; start it with sudo"
+    [ -n "$root" ] || command -v systemctl >/dev/null || fail "there is no systemctl; this host needs systemd"
+}
+
+# Says whether a file is a tunnel's configuration that this fleet has made.
+own_tunnel() {
+    [ "$(head -n 1 -- "$1")" = "$tunnel_heading" ]
+}
+"""
+
+_INSTALL = """
+# Everything is looked at before anything is changed.
+as_root
+[ "$here" != "$installed" ] || fail "this is the installed copy; start install.sh of the bundle"
+cd -- "$here"
+[ -f SHA256SUMS ] && [ -f manifest.json ] || fail "the bundle is not complete; copy it again"
+sha256sum --check --quiet --strict SHA256SUMS >&2 || fail "the bundle is damaged or not complete; copy it again"
+if [ "$ros" = wheels ]; then
+    [ -x "$checkout/.venv/bin/python" ] || fail "$checkout is not prepared; start there: ./scripts/swarm doctor"
+else
+    [ -r "$setup" ] || fail "$setup is missing; install ROS 2 Jazzy, or correct installation.setup in the fleet file"
+fi
+[ -x "$checkout/scripts/swarm" ] || fail "there is no $checkout/scripts/swarm; put the checkout there"
+if [ -z "$root" ]; then
+    id -- "$user" >/dev/null 2>&1 ||
+        fail "there is no account $user; make one: useradd --system --shell /usr/sbin/nologin $user"
+fi
+if [ -n "$tunnel" ]; then
+    [ -n "$root" ] || command -v wg-quick >/dev/null || fail "there is no wg-quick; install wireguard-tools"
+    [ ! -e "$tunnel_file" ] || own_tunnel "$tunnel_file" ||
+        fail "$tunnel_file is not of this fleet; name another security.interface in the fleet file"
+fi
+
+new=$installed.new
+old=$installed.old
+trap 'rm -rf -- "$new"' EXIT
+trap 'exit 1' HUP INT TERM
+mkdir -p -- "$root$prefix" "$unit_folder"
+# An earlier start of this script was interrupted between two renamings.
+if [ -e "$old" ] && [ ! -e "$installed" ]; then
+    mv -- "$old" "$installed"
+fi
+rm -rf -- "$new" "$old"
+
+# Only what the list names is copied, with modes of its own whatever has become of them on the way here.
+mkdir -- "$new"
+while read -r _ path; do
+    mkdir -p -- "$new/$(dirname -- "$path")"
+    cp -- "$path" "$new/$path"
+done <SHA256SUMS
+cp -- SHA256SUMS manifest.json "$new/"
+find "$new" -type d -exec chmod 755 {} +
+find "$new" -type f -exec chmod 644 {} +
+chmod 755 "$new/install.sh" "$new/uninstall.sh" "$new/restart.sh"
+for secret in keystore wireguard; do
+    [ -d "$new/$secret" ] || continue
+    find "$new/$secret" -type d -exec chmod 700 {} +
+    find "$new/$secret" -type f -exec chmod 600 {} +
+done
+if [ -d "$new/keystore" ] && [ -z "$root" ]; then
+    chown -R -- "$user:" "$new/keystore"
+fi
+
+# The environment of ROS 2 on this host, asked for without anything of whoever installs.
+clean='env -i HOME=/ LANG=C.UTF-8 PATH=/usr/local/bin:/usr/bin:/bin'
+if [ "$ros" = wheels ]; then
+    $clean "$checkout/scripts/swarm" env >"$new/workspace.raw"
+else
+    $clean SWARMABS_USE_SOURCED_ROS=1 sh -c '. "$1" && exec "$2/scripts/swarm" env' sh "$setup" "$checkout" \\
+        >"$new/workspace.raw"
+fi || fail "$checkout is not ready; start there: ./scripts/swarm doctor"
+sed -n 's/^export //p' "$new/workspace.raw" >"$new/workspace.env"
+rm -- "$new/workspace.raw"
+grep -q '^PYTHONPATH=' "$new/workspace.env" || fail "$checkout has no environment; start there: ./scripts/swarm doctor"
+chmod 644 "$new/workspace.env"
+
+# Units that this fleet had on this host and has no more.
+if [ -f "$installed/units.txt" ]; then
+    while read -r unit; do
+        grep -qxF -- "$unit" "$new/units.txt" && continue
+        [ -n "$root" ] || systemctl disable --now -- "$unit" || :
+        rm -f -- "$unit_folder/$unit"
+    done <"$installed/units.txt"
+fi
+[ ! -e "$installed" ] || mv -- "$installed" "$old"
+mv -- "$new" "$installed"
+rm -rf -- "$old"
+while read -r unit; do
+    cp -- "$installed/systemd/$unit" "$unit_folder/.$unit.new"
+    chmod 644 "$unit_folder/.$unit.new"
+    mv -- "$unit_folder/.$unit.new" "$unit_folder/$unit"
+done <"$installed/units.txt"
+if [ -n "$tunnel" ]; then
+    mkdir -p -- "${tunnel_file%/*}"
+    cp -- "$installed/wireguard/$tunnel.conf" "$tunnel_file.new"
+    chmod 600 "$tunnel_file.new"
+    mv -- "$tunnel_file.new" "$tunnel_file"
+fi
+if [ -z "$root" ]; then
+    systemctl daemon-reload
+    [ -z "$tunnel" ] || systemctl enable --now -- "wg-quick@$tunnel.service"
+    systemctl enable -- "$target"
+fi
+: >"$installed/complete"
+chmod 644 "$installed/complete"
+printf 'installed the bundle of %s in %s\\n' "$host" "$installed"
+printf 'start it with: systemctl start %s; a running one takes it over with: %s/restart.sh\\n' "$target" "$installed"
+"""
+
+_UNINSTALL = """
+as_root
+[ -d "$installed" ] || fail "$installed is not there; nothing is installed"
+units=
+[ ! -f "$installed/units.txt" ] || units=$(cat -- "$installed/units.txt")
+[ -n "$root" ] || systemctl disable --now -- "$target" || :
+for unit in $units; do
+    [ -n "$root" ] || systemctl disable --now -- "$unit" || :
+    rm -f -- "$unit_folder/$unit"
+done
+if [ -n "$tunnel" ] && [ -e "$tunnel_file" ] && own_tunnel "$tunnel_file"; then
+    [ -n "$root" ] || systemctl disable --now -- "wg-quick@$tunnel.service" || :
+    rm -f -- "$tunnel_file"
+fi
+[ -n "$root" ] || systemctl daemon-reload
+cd /
+rm -rf -- "$installed" "$installed.new" "$installed.old"
+rmdir -- "$root$prefix" 2>/dev/null || :
+printf 'uninstalled the bundle of %s; recordings stay in %s\\n' "$host" @STATE@
+"""
+
+_RESTART = """
+# One node after the other: the next one only when the one before says that it is ready.
+as_root
+[ -z "$root" ] || fail "there is nothing to restart below DESTDIR"
+[ -f "$installed/complete" ] || fail "the installation in $installed is not complete; start install.sh again"
+while read -r unit; do
+    [ "$unit" != "$target" ] || continue
+    printf 'restarting %s\\n' "$unit"
+    systemctl restart -- "$unit" || fail "$unit does not start; see: journalctl -u $unit"
+    systemctl is-active --quiet -- "$unit" || fail "$unit has ended; see: journalctl -u $unit"
+done <"$installed/units.txt"
+systemctl start -- "$target"
+printf 'all nodes of %s are running\\n' "$host"
+"""
+
+
+def scripts(fleet: Fleet, host: str) -> dict[str, str]:
+    """Return the scripts of a host's bundle by name."""
+    return {
+        "install.sh": _script(fleet, host, "Installs this host's bundle; starts nothing.", _INSTALL),
+        "uninstall.sh": _script(fleet, host, "Stops and removes what install.sh has installed.", _UNINSTALL),
+        "restart.sh": _script(fleet, host, "Restarts this host's nodes one by one.", _RESTART),
+    }
+
+
+def checksums(sums: Sequence[tuple[str, str]]) -> str:
+    """Return the list of files and their SHA-256 as ``sha256sum --check`` reads it."""
+    return "".join(f"{digest}  {path}\n" for path, digest in sums)
+
+
+def _script(fleet: Fleet, host: str, purpose: str, body: str) -> str:
+    values = {
+        "FLEET": fleet.name,
+        "HOST": host,
+        "PREFIX": fleet.installation.prefix,
+        "USER": fleet.user(host),
+        "CHECKOUT": fleet.installation.checkout,
+        "ROS": fleet.ros(host),
+        "SETUP": fleet.installation.setup,
+        "TARGET": target_name(fleet),
+        "TUNNEL": fleet.tunnel.interface if fleet.tunnel else "",
+        "TUNNEL_HEADING": heading(fleet),
+        "STATE": f"/var/lib/{state_folder(fleet)}",
+        "UNIT_FOLDER": UNIT_FOLDER,
+        "WIREGUARD_FOLDER": WIREGUARD_FOLDER,
+    }
+    text = (_HEAD + body).replace("@PURPOSE@", f"{purpose} Fleet {fleet.name}, host {host}.")
+    for name, value in values.items():
+        text = text.replace(f"@{name}@", shlex.quote(value))
+    return text
