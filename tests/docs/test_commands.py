@@ -67,7 +67,7 @@ def test_contract_names_every_command_with_its_options() -> None:
 def test_readme_names_every_command() -> None:
     cells = [row[0] for row in rows(section(read("README.md"), "Commands"))]
     named = {
-        re.sub(r" \[?(--)?[A-Z.\-a-z]*(SCENARIO|BAG|RUN|SWEEP|full)[\].]*.*", "", text)
+        re.sub(r" \[?(--)?[A-Z.\-a-z]*(SCENARIO|BAG|RUN|SWEEP|FLEET|full)[\].]*.*", "", text)
         for text in spans("\n".join(cells))
     }
     assert named == set(COMMANDS)

@@ -609,9 +609,12 @@ class TestScript:
             ("export BAG -o out --format csv", ""),
             ("export BAG -o out --format parquet", "export"),
             ("export --format=parquet BAG -o out", "export"),
+            ("deploy FLEET.yaml -o out", "deploy"),
+            ("deploy --check out --host robot-1", ""),
+            ("deploy --schema", ""),
         ],
     )
-    def test_only_exports_to_parquet_need_more_packages(self, swarm: ModuleType, words: str, command: str) -> None:
+    def test_only_what_needs_more_packages_gets_them(self, swarm: ModuleType, words: str, command: str) -> None:
         assert swarm.packages_for(words.split()) == command
 
     def test_refusal_is_one_line_and_leaves_no_environment(self, prepared: Path) -> None:

@@ -1,0 +1,129 @@
+"""Fleet files: what is refused, with which words, and what the canonical text is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from tests.swarmabs_bringup.fleet.fleets import EXAMPLES, ONE_HOST, edited
+
+from swarmabs_bringup.fleet.loader import json_schema, load_fleet
+from swarmabs_core.errors import InputError
+
+LAN = EXAMPLES["lan"].read_text(encoding="utf-8")
+
+
+def line_of(text: str, part: str) -> int:
+    """Return the line, counted from 1, of the first occurrence of a part."""
+    return text[: text.index(part)].count("\n") + 1
+
+
+REFUSED = {
+    # what is replaced: by what, in the line of what, and the words of the refusal
+    "no security": ("security: {level: none}", "", "schema", ("security", "'security' is missing", "level: none")),
+    "misspelt level": ("level: none", "level: tunel", "level: tunel", ("security.level", "did you mean 'tunnel'?")),
+    "misspelt key": ("position: 0.125}", "positon: 1}", "positon", ("robots.0.drive.positon", "'position'")),
+    "misspelt drive": ("type: simulated", "type: topc", "topc", ("robots.0.drive.type", "did you mean 'topic'?")),
+    "misspelt host": ("host: robot-3", "host: robt-3", "robt-3", ("robots.2.host", "did you mean 'robot-3'?")),
+    "unknown section": ("network:", "newtork:", "newtork", ("newtork", "did you mean 'network'?")),
+    "robot twice": ("id: 2", "id: 1", "id: 1, host: robot-2", ("robots.1.id", "twice", "(see line")),
+    "host twice": ("name: robot-2", "name: robot-1", "192.168.10.12", ("hosts.2.name", "twice")),
+    "address twice": (".12}", ".11}", "name: robot-2", ("hosts.2.address", "192.168.10.11", "twice")),
+    "no address": ("192.168.10.12", "192.168.10.256", "robot-2", ("hosts.2.address", "no IPv4 address")),
+    "a multicast address": ("192.168.10.12", "239.1.1.1", "robot-2", ("hosts.2.address", "no address of a host")),
+    "loopback among hosts": ("192.168.10.12", "127.0.0.1", "robot-2", ("hosts.2.address", "loopback")),
+    "a domain beyond the ports": ("domain: 40", "domain: 231", "domain", ("network.domain", "<= 230")),
+    "no interface": ("interface: wlan0, ", "", "robot-1", ("hosts.1", "no interface for robot-1")),
+    "off the plane": ("position: 0.125}", "position: 0.7}", "0.7", ("robots.0.drive.position", "off the plane")),
+    "one point": ("position: -0.125}", "position: 0.125}", "robots:", ("robots", "stand at one point")),
+    "negative mass": ("mass: 0.5104", "mass: -1", "mass: -1", ("robots.1.mass", "> 0")),
+    "damping of a single integrator": ("mass: 0.3552", "mass: 1, damping: 1", "damping: 1,", ("robots.0", "damping")),
+    "unknown scenario": ("scenario: pd_het_4", "scenario: pd_het_5", "pd_het_5", ("scenario", "pd_het_4?")),
+    "a setting that is not": ("name: lan", "name: lan\nset: {plane.lenght: 2}", "lenght", ("plane.lenght", "'length'")),
+    "faults": (
+        "name: lan",
+        "name: lan\nset: {faults: [{at: 1.0, kind: kill, agent: 1}]}",
+        "scenario: pd",
+        ("faults", "for simulations"),
+    ),
+    "a newer file": ("schema: 1", "schema: 2", "schema: 2", ("schema", "newer", "update swarmabs")),
+    "wheels with sros2": ("level: none", "level: sros2", "level: sros2", ("security.level", "no security plugins")),
+    "no tunnel address": ("level: none", "level: tunnel", "name: base", ("hosts.0", "tunnel_address")),
+    "an epoch that is not": ("name: lan", "name: lan\nepoch: yesterday", "epoch", ("epoch", "no time in UTC")),
+    "clocks too far apart": ("name: lan", "name: lan\ntime: {max_offset: 0.2}", "max_offset", ("time.max_offset",)),
+    "server without host": ("discovery: static", "discovery: server", "discovery: server", ("network.discovery",)),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_mistake_is_named_with_file_line_field_and_remedy(case: str, tmp_path: Path) -> None:
+    old, new, where, words = REFUSED[case]
+    path = edited(tmp_path / "bad.yaml", LAN, (old, new))
+    with pytest.raises(InputError) as caught:
+        load_fleet(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}:{line_of(path.read_text(encoding='utf-8'), where)}: "), text
+    assert "\n" not in text and "; " in text
+    for word in words:
+        assert word in text
+
+
+HOSTILE = ("a b", "a;b", "$(id)", "`id`", "a'b", 'a\\"b', "../up", "a\\nb", "é", "%i")
+PLACES = {
+    "name: one": "",
+    "name: base": "",
+    "interface: lo": "",
+    "prefix: /etc/swarmabs": "/",
+    "namespace: /": "/",
+    "user: nobody-here": "",
+}
+"""Fields whose text gets into scripts and units, with what a text there begins with."""
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+@pytest.mark.parametrize("place", PLACES)
+def test_no_text_that_a_shell_or_systemd_would_read_gets_in(place: str, text: str, tmp_path: Path) -> None:
+    field = place.partition(": ")[0]
+    base = ONE_HOST.replace("scenario:", "namespace: /\nscenario:")
+    path = edited(tmp_path / "bad.yaml", base, (place, f'{field}: "{PLACES[place]}{text}"'))
+    with pytest.raises(InputError, match=rf"{field}: '.*' is no "):
+        load_fleet(path)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_load_and_their_canonical_text_means_the_same(name: str, tmp_path: Path) -> None:
+    loaded = load_fleet(EXAMPLES[name])
+    (tmp_path / "fleet.yaml").write_text(loaded.fleet_text, encoding="utf-8")
+    (tmp_path / "scenario.yaml").write_text(loaded.scenario_text, encoding="utf-8")
+    again = load_fleet(tmp_path / "fleet.yaml")
+    assert (again.fleet_text, again.scenario_text) == (loaded.fleet_text, loaded.scenario_text)
+    # As another reader of YAML sees the example itself.
+    given = yaml.safe_load(EXAMPLES[name].read_text(encoding="utf-8"))
+    assert [agent.mass for agent in loaded.scenario.agents] == [robot["mass"] for robot in given["robots"]]
+    assert loaded.scenario.name == given["name"] == loaded.fleet.name
+
+
+def test_the_epoch_is_that_time(tmp_path: Path) -> None:
+    loaded = load_fleet(edited(tmp_path / "f.yaml", LAN, ("name: lan", "name: lan\nepoch: 2026-03-01T12:30:05Z")))
+    assert loaded.fleet.epoch_ns == 1772368205 * 10**9  # date -u -d 2026-03-01T12:30:05Z +%s
+
+
+def test_too_many_robots_for_the_ports_of_a_host(tmp_path: Path) -> None:
+    robot = "  - {{id: {}, host: base, kind: single_integrator, mass: 0.4, drive: {{position: {}, type: simulated}}}}\n"
+    lines = "".join(robot.format(number, 0.1 * (-1) ** number) for number in range(10, 46))
+    with pytest.raises(InputError, match="put at most 37 robots on one host"):
+        load_fleet(edited(tmp_path / "f.yaml", ONE_HOST, ("coordinators:", f"{lines}coordinators:")))
+    fewer = "".join(robot.format(number, 0.1 * (-1) ** number) for number in range(10, 45))
+    load_fleet(edited(tmp_path / "f.yaml", ONE_HOST, ("coordinators:", f"{fewer}coordinators:")))
+
+
+def test_the_schema_describes_every_field_and_asks_for_security() -> None:
+    schema = json_schema()
+    assert "security" in schema["required"]  # type: ignore[operator]
+    properties = schema["properties"]
+    assert isinstance(properties, dict)
+    assert set(properties) >= {"hosts", "robots", "coordinators", "network", "security", "time", "installation"}
+    assert all("description" in field for field in properties.values())
+    levels = [choice["properties"]["level"]["const"] for choice in properties["security"]["oneOf"]]
+    assert levels == ["none", "tunnel", "sros2"]
