@@ -40,10 +40,11 @@ def test_a_robot_more_changes_no_other_robot(tmp_path: Path) -> None:
     more = edited(
         tmp_path / "lan.yaml",
         lan,
-        ("robots:", f"{host}robots:"),
+        ("robots:", f"{host}swarm_mass: 4.0\nrobots:"),
         ("coordinators:", f"{robot}coordinators:"),
     )
-    before = deployed(example("lan"), tmp_path / "before")
+    planned = edited(tmp_path / "planned.yaml", lan, ("robots:", "swarm_mass: 4.0\nrobots:"))
+    before = deployed(load_fleet(planned), tmp_path / "before")
     after = deployed(load_fleet(more), tmp_path / "after")
     for number in range(1, 5):
         assert contents(before / f"robot-{number}") == contents(after / f"robot-{number}")
@@ -155,15 +156,14 @@ def test_parameters_are_what_a_node_of_ros_reads(tmp_path: Path, ros: None) -> N
     assert given["lane_margin"] == pytest.approx(0.2)
     assert list(given["gains.kd"]) == [5.0, 5.0]
     drive = {name: value for name, value in given.items() if name.startswith("drive.")}
-    assert list(drive.pop("drive.settings.axes")) == [1.5, 2.0]
+    assert list(drive.pop("drive.axes")) == [1.5, 2.0]
     assert drive == {
-        "drive.type": "plugin",
-        "drive.name": "rail.x",
-        "drive.settings.port": "0",
-        "drive.settings.speed": 3,
-        "drive.settings.bus.rate": 1.5,
-        "drive.settings.on": True,
-        "drive.settings.words": ["1", "no"],
+        "drive.type": "rail.x",
+        "drive.port": "0",
+        "drive.speed": 3,
+        "drive.bus.rate": 1.5,
+        "drive.on": True,
+        "drive.words": ["1", "no"],
     }
 
 

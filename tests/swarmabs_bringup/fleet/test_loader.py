@@ -45,7 +45,7 @@ REFUSED = {
         "name: lan",
         "name: lan\nset: {faults: [{at: 1.0, kind: kill, agent: 1}]}",
         "scenario: pd",
-        ("faults", "for simulations"),
+        ("scenario", "faults", "real time"),
     ),
     "a newer file": ("schema: 1", "schema: 2", "schema: 2", ("schema", "newer", "update swarmabs")),
     "wheels with sros2": ("level: none", "level: sros2", "level: sros2", ("security.level", "no security plugins")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import math
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet import participants
@@ -72,6 +73,11 @@ def _ids(fleet: Fleet) -> Iterator[Finding]:
             ("robots",),
             f"a swarm needs at least two robots, found {len(fleet.robots)}",
             "add robots: torque and inertia are two quantities",
+        )
+    mass = math.fsum(robot.mass for robot in fleet.robots)
+    if fleet.swarm_mass is not None and fleet.swarm_mass < mass:
+        yield Finding.of(
+            ("swarm_mass",), f"{fleet.swarm_mass!r} kg is less than the {mass!r} kg of the robots listed", "give more"
         )
     ids: list[tuple[Location, Hashable]] = [(("robots", n, "id"), robot.id) for n, robot in enumerate(fleet.robots)]
     yield from _twice("robot", ids, "give every robot its own id")

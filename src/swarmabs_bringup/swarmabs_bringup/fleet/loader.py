@@ -13,6 +13,7 @@ from swarmabs_bringup.fleet.robots import SimulatedDrive
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.sweep.study import as_override, at_parameter, named_scenario
 from swarmabs_core.errors import InputError
+from swarmabs_core.realtime.configure import check_realtime
 from swarmabs_core.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
 from swarmabs_core.scenario.dump import dump_tree
 from swarmabs_core.scenario.loader import read_mapping, validated
@@ -133,13 +134,12 @@ def _default_name(stem: str) -> str:
 
 def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
     """Return the scenario with the fleet's robots, checked as any other scenario."""
-    if scenario.faults:
+    try:
+        check_realtime(scenario)
+    except InputError as error:
         mark, _ = root.locate(("scenario",))
-        raise mark.error(
-            f"the scenario {scenario.name} has faults, which are for simulations",
-            "remove them: 'set: {faults: []}'",
-            ("scenario",),
-        )
+        problem, _, remedy = str(error).partition("; ")
+        raise mark.error(problem, f"{remedy} ('set' changes values)", ("scenario",)) from error
     data: dict[str, Plain] = scenario.model_dump(mode="json", by_alias=True)
     sides = cycle((_PLACEHOLDER * scenario.plane.length, -_PLACEHOLDER * scenario.plane.length))
     agents: Plain = [dict(_agent(robot, side)) for robot, side in zip(fleet.members, sides, strict=False)]

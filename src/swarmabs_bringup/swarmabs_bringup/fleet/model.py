@@ -24,7 +24,7 @@ from swarmabs_bringup.fleet.parts import (
 from swarmabs_bringup.fleet.robots import ROBOT_KINDS, Robot
 from swarmabs_bringup.sweep.model import DottedPath
 from swarmabs_core.scenario.errors import show
-from swarmabs_core.scenario.fields import AsTuple, Model, Tagged, problem, raise_findings
+from swarmabs_core.scenario.fields import AsTuple, Model, Positive, Tagged, problem, raise_findings
 from swarmabs_core.scenario.versions import known_version
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
@@ -52,6 +52,10 @@ class Fleet(Model):
     hosts: Annotated[tuple[Host, ...], AsTuple] = Field(description="the computers")
     robots: Annotated[tuple[Annotated[Robot, Tagged("kind", ROBOT_KINDS)], ...], AsTuple] = Field(
         description="the robots; they replace those of the scenario"
+    )
+    swarm_mass: Positive | None = Field(
+        default=None,
+        description="mass of all robots that ever take part, kg, which bounds what is believed; null: of those listed",
     )
     coordinators: Coordinators = Field(description="where plane, observer, controller and recorder run")
     network: NetworkConfig = Field(description="how the nodes find each other")

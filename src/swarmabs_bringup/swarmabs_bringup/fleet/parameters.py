@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER
@@ -43,13 +44,13 @@ def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: s
         "clock_tolerance": scenario.realtime.clock_tolerance,
     }
     if node.robot is not None:
-        return common | _robot(scenario, node.robot)
+        return common | _robot(fleet, scenario, node.robot)
     if node.name == RECORDER:
         return common | {"scenario_file": f"{installed}/scenario.yaml", "bags": state}
     if node.name == CONTROLLER:
         return common | _controller(fleet, scenario)
     if node.name == OBSERVER:
-        return common | _observer(scenario)
+        return common | _observer(fleet, scenario)
     return common | (_plane_driver(fleet) if node.name == PLANE_DRIVER else _plane(scenario))
 
 
@@ -76,13 +77,15 @@ def _plain(value: object) -> Plain:
     raise TypeError(f"no ROS parameter: {value!r}")
 
 
-def _members(scenario: Scenario) -> Parameters:
-    return {"members": configure.members(scenario), "state_age_limit": scenario.realtime.state_age_limit}
+def _swarm_mass(fleet: Fleet) -> float:
+    """Return the mass of all robots that ever take part, kg."""
+    return fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
 
 
 def _plane(scenario: Scenario) -> Parameters:
     plane = scenario.plane
-    return _members(scenario) | {
+    return {
+        "members": configure.members(scenario),
         "gravity": plane.gravity,
         "inertia": plane.inertia,
         "length": plane.length,
@@ -105,23 +108,17 @@ def _plane_driver(fleet: Fleet) -> Parameters:
     return given
 
 
-def _observer(scenario: Scenario) -> Parameters:
-    values = _members(scenario) | {
+def _observer(fleet: Fleet, scenario: Scenario) -> Parameters:
+    return {
+        "members": configure.members(scenario),
         "gravity": scenario.plane.gravity,
         "plane_length": scenario.plane.length,
+        "swarm_mass": _swarm_mass(fleet),
         "ksd": scenario.swarm.gains.ksd,
+        "state_age_limit": scenario.realtime.state_age_limit,
         "start": scenario.realtime.start,
         "quorum": scenario.realtime.quorum or 0,
     }
-    model = configure.parent_model(scenario)
-    if model is not None:
-        values |= {
-            "type": "parent_response",
-            "inertia": model.inertia,
-            "friction": scenario.plane.friction,
-            "bandwidth": model.bandwidth,
-        }
-    return values
 
 
 def _controller(fleet: Fleet, scenario: Scenario) -> Parameters:
@@ -135,11 +132,13 @@ def _controller(fleet: Fleet, scenario: Scenario) -> Parameters:
         "manifold.torque_max": manifold.torque_max,
         "controller.type": scenario.controller.type,
         "plane_age_limit": scenario.realtime.plane_age_limit,
+        "gravity": scenario.plane.gravity,
+        "plane_length": scenario.plane.length,
         "start_mode": fleet.coordinators.controller.start_mode,
     } | law
 
 
-def _robot(scenario: Scenario, robot: Robot) -> Parameters:
+def _robot(fleet: Fleet, scenario: Scenario, robot: Robot) -> Parameters:
     gains, limits, law = scenario.swarm.gains, robot.limits, scenario.swarm.law
     half = scenario.plane.length / 2.0
     values: Parameters = {
@@ -149,6 +148,7 @@ def _robot(scenario: Scenario, robot: Robot) -> Parameters:
         "damping": robot.damping,
         "gravity": scenario.plane.gravity,
         "plane_length": scenario.plane.length,
+        "swarm_mass": _swarm_mass(fleet),
         "gains.k": gains.k,
         "gains.kp": gains.kp,
         "gains.kd": gains.kd,
@@ -156,6 +156,7 @@ def _robot(scenario: Scenario, robot: Robot) -> Parameters:
         "law.type": law.type,
         "limits.velocity": limits.velocity or scenario.limits.velocity or 0.0,
         "limits.force": limits.force or scenario.limits.force or 0.0,
+        "limits.deceleration": limits.deceleration or 0.0,
         "lane_margin": scenario.realtime.lane_margin if limits.lane is None else half - limits.lane,
         "broadcast_age_limit": scenario.realtime.broadcast_age_limit,
     }
@@ -178,5 +179,5 @@ def _drive(robot: Robot) -> Parameters:
     if isinstance(drive, TopicDrive):
         return _flat("drive", drive.model_dump(mode="json"))
     assert isinstance(drive, PluginDrive)  # noqa: S101 - there are three
-    own: Parameters = {f"drive.settings.{name}": value for name, value in drive.settings.items()}
-    return {"drive.type": drive.type, "drive.name": drive.name} | own
+    own: Parameters = {f"drive.{name}": value for name, value in drive.settings.items()}
+    return {"drive.type": drive.name} | own

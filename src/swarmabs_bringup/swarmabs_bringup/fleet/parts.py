@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from swarmabs_bringup.fleet.names import (
     Account,
@@ -17,8 +17,9 @@ from swarmabs_bringup.fleet.names import (
     TopicName,
     TunnelAddress,
 )
+from swarmabs_bringup.fleet.robots import Axis, Stamp
 from swarmabs_bringup.orchestration.domain import LARGEST_DOMAIN
-from swarmabs_core.scenario.fields import AsTuple, Model, Positive, Tagged
+from swarmabs_core.scenario.fields import AsTuple, Model, Number, Positive, Tagged, problem
 
 Ros: TypeAlias = Literal["wheels", "sourced"]
 
@@ -52,12 +53,23 @@ class PlaneDriver(Model):
 
     type: Literal["driver"] = Field(default="driver", description="the plane's motion is measured")
     host: Name = Field(description="host on which its node runs")
-    measurement: Literal["joint_state", "imu"] = Field(
+    source: Literal["joint_state", "imu"] = Field(
         default="joint_state", description="message of angle and angular velocity: sensor_msgs/JointState or Imu"
     )
-    measurement_topic: TopicName = Field(description="topic of the encoder or the IMU")
-    joint: FrameName = Field(default="", description="joint to read from a JointState; empty: the first")
-    axis: Literal["x", "y", "z"] = Field(default="y", description="axis of the IMU about which the plane turns")
+    topic: TopicName | Literal[""] = Field(default="", description="its topic; '': ~/joint_states or ~/imu")
+    stamp: Stamp = Field(default="header", description="time of a reading: its header's, or that of its arrival")
+    joint: FrameName = Field(default="plane_tilt", description="joint of the encoder")
+    scale: Number = Field(default=1.0, description="turn of the plane per unit of the encoder, rad, not 0")
+    frame: FrameName = Field(default="imu_link", description="frame_id that the IMU must have; '': any")
+    axis: Axis = Field(default="-y", description="axis of the IMU about which the plane's angle is positive")
+    offset: Number = Field(default=0.0, description="angle of the plane where the sensor says 0, rad")
+
+    @field_validator("scale")
+    @classmethod
+    def _check_scale(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise problem("a scale of 0 measures nothing", "give rad per unit; negative: it counts backwards")
+        return scale
 
 
 PLANES: dict[str, type[Model]] = {"simulated": SimulatedPlane, "driver": PlaneDriver}

@@ -168,7 +168,7 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     if node.name in {PLANE, PLANE_DRIVER}:
         publish.append(_topic(ns, "plane/joint_states"))
     if node.name == PLANE_DRIVER and fleet.coordinators.plane.type == "driver":
-        subscribe.append(_topic(ns, fleet.coordinators.plane.measurement_topic))
+        subscribe.append(_topic(ns, fleet.coordinators.plane.topic or f"{PLANE_DRIVER}/*"))
     if robot is not None and isinstance(robot.drive, TopicDrive):
         named = {what: _topic(ns, topic) for what, topic in robot.drive.topics.items()}
         publish += [topic for what, topic in named.items() if what == "command"]
@@ -186,7 +186,7 @@ def _driver_rights(fleet: Fleet, host: str) -> Rights:
             continue
         plane = fleet.coordinators.plane
         if node.name == PLANE_DRIVER and plane.type == "driver":
-            publish.append(_topic(fleet.namespace, plane.measurement_topic))
+            publish.append(_topic(fleet.namespace, plane.topic or f"{PLANE_DRIVER}/*"))
         if node.robot is None or not isinstance(node.robot.drive, TopicDrive):
             continue
         own = path_of(fleet.namespace, node.name)

@@ -13,6 +13,7 @@ from swarmabs_core.scenario.errors import describe
 from swarmabs_core.scenario.fields import LARGEST, Model, NonNegative, Number, Positive, Tagged, problem
 
 Axis: TypeAlias = Literal["x", "-x", "y", "-y", "z", "-z"]
+Stamp: TypeAlias = Literal["header", "arrival"]
 
 
 class SimulatedDrive(Model):
@@ -54,13 +55,16 @@ class TopicDrive(Model):
         default="", description="topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command"
     )
     command_frame: FrameName = Field(default="base_link", description="frame_id of a twist")
-    stamp: Literal["header", "arrival"] = Field(
-        default="header", description="time of a reading: its header's, or that of its arrival"
-    )
+    stamp: Stamp = Field(default="header", description="time of a reading: its header's, or that of its arrival")
     frame: FrameName = Field(default="odom", description="frame_id that an odometry must have; '': any")
     axis: Axis = Field(default="x", description="axis of that frame along which positions grow")
     offset: Number = Field(default=0.0, description="position at which the sensor says 0, m")
+    heading_tolerance: Annotated[Positive, Field(le=1.5)] = Field(
+        default=0.5, description="largest angle between the body's x axis and the lane, rad"
+    )
     joint: TopicJoint = Field(default=TopicJoint(), description="the joint, with joint_state")
+    reversed: bool = Field(default=False, description="with joint_state: whether the body faces against the lane")
+    max_speed: Positive = Field(default=2.0, description="largest speed that is believed, m/s")
     gravity: Literal["imu", "none"] = Field(
         default="none", description="what a double integrator's weight along the plane is known from"
     )
@@ -87,13 +91,22 @@ class PluginDrive(Model):
     """A body that a package's own code moves, such as a vendor's library."""
 
     type: Literal["plugin"] = Field(default="plugin", description="the body is moved by a package's own code")
-    name: PluginName = Field(description="name of the entry point in the group swarmabs.drives")
+    name: PluginName = Field(description="name of the drive, an entry point in the group swarmabs.drives")
     settings: dict[SettingName, JsonValue] = Field(default={}, description="what the drive is given, by name")
+
+    @field_validator("name")
+    @classmethod
+    def _check_name(cls, name: str) -> str:
+        if name in {"simulated", "topic", "plugin"}:
+            raise problem(f"'{name}' is no drive of a package", f"write 'type: {name}', or the name of the entry point")
+        return name
 
     @field_validator("settings")
     @classmethod
     def _check_settings(cls, settings: dict[str, JsonValue]) -> dict[str, JsonValue]:
         for name, value in settings.items():
+            if name in {"type", "name"}:
+                raise problem(f"a setting cannot be called {name}", "the drive is named by 'name'")
             items = value if isinstance(value, list) and value else [value]
             kinds = {type(item) for item in items}
             if len(kinds) != 1 or not kinds <= {bool, int, float, str}:
@@ -114,6 +127,9 @@ class RobotLimits(Model):
 
     velocity: Positive | None = Field(default=None, description="largest speed, m/s; null: as in the scenario")
     force: Positive | None = Field(default=None, description="largest force of a double integrator, N; null: as there")
+    deceleration: Positive | None = Field(
+        default=None, description="how hard the base of a single integrator brakes, m/s^2; null: it stops at once"
+    )
     lane: Positive | None = Field(
         default=None, description="largest distance from the axis, m; null: half the plane less realtime.lane_margin"
     )
