@@ -12,7 +12,7 @@ from swarmabs_core.scenario.agents import AgentId
 from swarmabs_core.scenario.errors import describe
 from swarmabs_core.scenario.fields import LARGEST, Model, NonNegative, Number, Positive, Tagged, problem
 
-Axis: TypeAlias = Literal["x", "-x", "y", "-y", "z", "-z"]
+Axis: TypeAlias = Literal["+x", "+y", "+z", "-x", "-y", "-z"]
 Stamp: TypeAlias = Literal["header", "arrival"]
 
 
@@ -57,7 +57,7 @@ class TopicDrive(Model):
     command_frame: FrameName = Field(default="base_link", description="frame_id of a twist")
     stamp: Stamp = Field(default="header", description="time of a reading: its header's, or that of its arrival")
     frame: FrameName = Field(default="odom", description="frame_id that an odometry must have; '': any")
-    axis: Axis = Field(default="x", description="axis of that frame along which positions grow")
+    axis: Axis = Field(default="+x", description="axis of that frame along which positions grow")
     offset: Number = Field(default=0.0, description="position at which the sensor says 0, m")
     heading_tolerance: Annotated[Positive, Field(le=1.5)] = Field(
         default=0.5, description="largest angle between the body's x axis and the lane, rad"
