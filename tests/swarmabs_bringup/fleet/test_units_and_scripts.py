@@ -90,6 +90,7 @@ def test_what_the_units_say(checkout: Path) -> None:
         "NoNewPrivileges=yes",
         "ProtectSystem=strict",
         "PrivateTmp=yes",
+        f"ExecStartPre={checkout}/.venv/bin/python -m swarmabs_bringup.fleet.own_address 10.83.0.11",
         "IPAddressDeny=any",
         "IPAddressAllow=localhost 10.83.0.11 10.83.0.1",
         "RestrictNetworkInterfaces=lo floor0",

@@ -37,6 +37,7 @@ NotifyAccess=main
 User={user}
 EnvironmentFile={installed}/workspace.env
 EnvironmentFile={installed}/nodes/{node}.env
+ExecStartPre={python} -m swarmabs_bringup.fleet.own_address {address}
 ExecStart={command}
 Restart=on-failure
 RestartSec=1
@@ -102,7 +103,6 @@ def restart_order(nodes: tuple[NodePlan, ...]) -> tuple[NodePlan, ...]:
 
 def _unit(fleet: Fleet, node: NodePlan) -> str:
     places = Places.of(fleet, node.host)
-    address = " ".join(_addresses(fleet, node))
     host = fleet.host(node.host)
     slow = node.name in {RECORDER, DISCOVERY}
     devices = node.robot is None or not isinstance(node.robot.drive, PluginDrive)
@@ -114,12 +114,14 @@ def _unit(fleet: Fleet, node: NodePlan) -> str:
         after=f" wg-quick@{fleet.tunnel.interface}.service" if fleet.tunnel else "",
         user=fleet.user(node.host),
         installed=places.installed,
+        python=places.python,
+        address=fleet.address(node.host),
         command=" ".join(_command(fleet, node, places)),
         refused=REFUSED,
         watchdog=SLOW_WATCHDOG if slow else WATCHDOG,
         further=f"StateDirectory={state_folder(fleet)}\nStateDirectoryMode=0750\n" if node.name == RECORDER else "",
         private_devices="yes" if devices else "no",
-        addresses=address,
+        addresses=" ".join(_addresses(fleet, node)),
         interfaces=" ".join([fleet.interface(node.host), *host.further_interfaces]),
     )
 
