@@ -30,7 +30,11 @@ setup(
         "rich",
         "zstandard",
     ],
-    extras_require={"parquet": ["pyarrow"], "sweep": ["dask", "distributed", "pyarrow"]},
+    extras_require={
+        "deploy": ["cryptography>=41"],
+        "parquet": ["pyarrow"],
+        "sweep": ["dask", "distributed", "pyarrow"],
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [

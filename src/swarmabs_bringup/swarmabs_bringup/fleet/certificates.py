@@ -103,7 +103,7 @@ class _Authority:
     def validity(self, certificate: bytes) -> tuple[str, str]:
         """Return from when to when a certificate is valid, as permissions name it."""
         found = _load_certificate(self._keys, "certificate", certificate)
-        first, last = found.not_valid_before_utc, found.not_valid_after_utc
+        first, last = _validity(found)
         return f"{first:%Y-%m-%dT%H:%M:%S}", f"{last:%Y-%m-%dT%H:%M:%S}"
 
     def signed(self, name: str, text: str) -> bytes:
@@ -139,7 +139,7 @@ class _Authority:
         today = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
         last = today + timedelta(days=self._days)
         if issuer is not None:
-            last = min(last, issuer.not_valid_after_utc)
+            last = min(last, _validity(issuer)[1])
         path_length = None if issuer is not None else 1
         builder = (
             x509.CertificateBuilder()
@@ -152,6 +152,14 @@ class _Authority:
             .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=path_length), critical=True)
         )
         return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def _validity(certificate: Certificate) -> tuple[datetime, datetime]:
+    """Return from when to when a certificate is valid; the cryptography of Ubuntu 24.04 names these times otherwise."""
+    if hasattr(certificate, "not_valid_after_utc"):
+        return certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    first, last = certificate.not_valid_before, certificate.not_valid_after
+    return first.replace(tzinfo=timezone.utc), last.replace(tzinfo=timezone.utc)
 
 
 def _new_key() -> bytes:
