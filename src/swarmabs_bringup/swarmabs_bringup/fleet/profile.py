@@ -10,16 +10,13 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.participants import DISCOVERY_SERVER, DRIVERS, OPERATOR, node_plans
 from swarmabs_bringup.fleet.robots import TopicDrive
-from swarmabs_bringup.orchestration.dds_profile import FROM_ENVIRONMENT
+from swarmabs_bringup.orchestration.dds_profile import FROM_ENVIRONMENT, REALTIME_LEASE
 from swarmabs_bringup.orchestration.dds_template import SIMPLE, Discovery, locator, render, unicast_locators
 from swarmabs_bringup.orchestration.domain import metatraffic_port
 
 if TYPE_CHECKING:
     from swarmabs_bringup.fleet.model import Fleet
 
-LEASE = 10
-"""Time, s, without a word after which a participant is gone; it announces itself every `_ANNOUNCEMENT`."""
-_ANNOUNCEMENT = 1
 DISCOVERY_GROUP = "239.255.0.1"
 """Where participants announce themselves by multicast: the group that the DDS standard names."""
 _SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
@@ -52,7 +49,7 @@ def fleet_profile(fleet: Fleet, host: str, role: str) -> str:
     role : str
         One of `profile_roles`; the participant id comes from the environment.
     """
-    discovery = Discovery(_protocol(fleet, role), _locators(fleet, host, role), LEASE, _ANNOUNCEMENT, liveliness=True)
+    discovery = Discovery(_protocol(fleet, role), _locators(fleet, host, role), REALTIME_LEASE, 1, liveliness=True)
     return render(
         transport="swarm",
         address=fleet.address(host),
