@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from textwrap import dedent
 
-GROUPS = {"controller": "swarmabs.parent_controllers", "law": "swarmabs.swarm_laws"}
+GROUPS = {"controller": "swarmabs.parent_controllers", "law": "swarmabs.swarm_laws", "drive": "swarmabs.drives"}
 
 BANG_BANG = """
     from math import copysign

@@ -11,6 +11,7 @@ from hypothesis import settings
 
 from swarmabs_core.controllers import ALL_CONTROLLERS
 from swarmabs_core.law_registry import ALL_LAWS
+from swarmabs_core.realtime.drive_registry import ALL_DRIVES
 
 settings.register_profile("swarmabs", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("swarmabs")
@@ -22,7 +23,7 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder = tmp_path / "packages"
     folder.mkdir()
     monkeypatch.syspath_prepend(folder)
-    for registry in (ALL_CONTROLLERS, ALL_LAWS):
+    for registry in (ALL_CONTROLLERS, ALL_LAWS, ALL_DRIVES):
         for cache in ("_loaded", "_packages"):
             monkeypatch.setattr(registry, cache, {})
     yield folder

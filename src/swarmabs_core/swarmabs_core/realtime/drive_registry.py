@@ -1,0 +1,132 @@
+"""Drives by name: the built-in ones, and those that installed packages bring for a vendor's robots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, cast
+
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.messages import Kind
+from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.drives import Drive, SimulatedDrive
+from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive
+from swarmabs_core.registry import Registry
+from swarmabs_core.robot_controller import Limits
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmabs_core.realtime.topic_drive import Connect
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What a drive may know of its robot.
+
+    Parameters
+    ----------
+    agent_id : int
+        Id of the robot.
+    kind : Kind
+        The command of a single integrator is a velocity, that of a double integrator a force.
+    schedule : Schedule
+        Control period and epoch.
+    mass : float
+        kg.
+    damping : float
+        N s/m; 0 of a single integrator.
+    gravity : float
+        m/s^2.
+    limits : Limits
+        Largest speed (m/s) and force (N).
+    position, velocity : float
+        Where a simulated body begins, m and m/s.
+    connect : callable, optional
+        Connects a drive to topics of the robot's node; None where there is no node.
+    """
+
+    agent_id: int
+    kind: Kind
+    schedule: Schedule
+    mass: float
+    damping: float = 0.0
+    gravity: float = 9.81
+    limits: Limits = field(default_factory=Limits)
+    position: float = 0.0
+    velocity: float = 0.0
+    connect: Connect | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DriveType:
+    """A drive as the registry holds it; this one object is all that a package brings.
+
+    Parameters
+    ----------
+    name : str
+        Value of ``drive.type`` of a robot's node.
+    settings : tuple of Parameter
+        What may be set below ``drive``.
+    make : callable
+        Makes the drive of a robot from all settings, checked, and from what it may know of the robot.
+    """
+
+    name: str
+    settings: tuple[Parameter, ...]
+    make: Callable[[Settings, Body], Drive]
+
+
+def _simulated(settings: Settings, body: Body) -> Drive:  # noqa: ARG001 - it has none
+    period = body.schedule.period_ns / 1e9
+    model = (
+        SingleIntegratorDrive(period)
+        if body.kind is Kind.SINGLE_INTEGRATOR
+        else DoubleIntegratorDrive(period, body.mass, body.damping)
+    )
+    return SimulatedDrive(model, body.schedule, body.position, body.velocity)
+
+
+SIMULATED = DriveType("simulated", (), _simulated)
+"""A body that moves exactly as the law expects."""
+
+TOPIC = DriveType("topic", SETTINGS, TopicDrive)
+"""A base behind ROS topics."""
+
+DRIVES: Mapping[str, DriveType] = {entry.name: entry for entry in (SIMULATED, TOPIC)}
+"""The built-in ones."""
+
+ALL_DRIVES = Registry("drive", "swarmabs.drives", DriveType, DRIVES, ("read", "write", "stop"))
+"""Those of installed packages too."""
+
+
+def drive_type(name: str) -> DriveType:
+    """Look up a drive.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name, or the package that brings it is unfit.
+    """
+    return ALL_DRIVES.find(name)
+
+
+def make_drive(name: str, settings: Settings, body: Body) -> Drive:
+    """Make the drive of a robot.
+
+    Parameters
+    ----------
+    name : str
+        Its type, such as ``topic``.
+    settings : Settings
+        Its settings; those left out have their defaults.
+    body : Body
+        The robot.
+
+    Raises
+    ------
+    InputError
+        If the type is unknown, a setting is refused, or the package that brings the type is unfit.
+    """
+    return cast("Drive", ALL_DRIVES.make(name, settings, body))

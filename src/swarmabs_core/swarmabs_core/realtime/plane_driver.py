@@ -1,0 +1,187 @@
+"""The plane as a sensor on its axis sees it: what takes the simulated plane's place on hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Literal
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
+from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.readings import (
+    Imu,
+    Joints,
+    Reading,
+    RefusedReadingError,
+    check_finite,
+    check_frame,
+    joint_values,
+    signed_axis,
+    wrapped,
+)
+from swarmabs_core.realtime.topic_drive import imu_values
+from swarmabs_core.realtime.tracking import Plausible, Refusals, Track
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneDriverConfig:
+    """Configuration of the plane's driver.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        Control period and epoch.
+    source : str
+        ``joint_state`` (an encoder) or ``imu``.
+    joint : str
+        Joint of the encoder.
+    scale : float
+        Turn of the plane per unit of the encoder, rad; negative if it counts the other way.
+    frame : str
+        Frame that the IMU's messages must have; empty: any.
+    axis : str
+        Axis of the IMU, out of `AXES`, about which the plane's angle is positive.
+    offset : float
+        Angle of the plane where the sensor says 0, rad.
+    differentiate : bool
+        Whether an encoder's velocity is not used, even if it sends one.
+    bandwidth : float
+        Bandwidth of differentiation where there is no velocity, rad/s.
+    age_limit : float
+        Age from which on the sensor counts as silent, s.
+    clock_tolerance : float
+        How far a reading may come from the future, s.
+    angle_limit : float
+        Largest angle that is believed, rad.
+    max_rate : float
+        Largest angular velocity that is believed, rad/s.
+    max_jump : float
+        Angle beyond it by which two readings may differ, rad.
+    """
+
+    schedule: Schedule
+    source: Literal["joint_state", "imu"] = "joint_state"
+    joint: str = "plane_tilt"
+    scale: float = 1.0
+    frame: str = "imu_link"
+    axis: str = "-y"
+    offset: float = 0.0
+    differentiate: bool = False
+    bandwidth: float = 100.0
+    age_limit: float = 0.05
+    clock_tolerance: float = 0.02
+    angle_limit: float = 1.5
+    max_rate: float = 10.0
+    max_jump: float = 0.05
+
+
+class PlaneDriver:
+    """Turns a sensor's readings into the plane's state, one per step.
+
+    While the newest good reading is older than the limit, or there has been none, it publishes nothing; then the parent
+    controller asks for nothing, and the robots stop.
+
+    Parameters
+    ----------
+    config : PlaneDriverConfig
+        Its configuration.
+    take : callable
+        Returns what the sensor has said since the last call, in order, without waiting; it is asked once per step.
+
+    Attributes
+    ----------
+    refusals : Refusals
+        What was refused.
+
+    Raises
+    ------
+    InputError
+        If the scale is 0.
+    """
+
+    def __init__(self, config: PlaneDriverConfig, take: Callable[[], Sequence[Reading]] = tuple) -> None:
+        if config.scale == 0.0:
+            raise InputError("parameter scale: 0 is not allowed; give the turn of the plane per unit of the encoder")
+        self._config = config
+        self._take = take
+        self._axis, self._sign = signed_axis(config.axis)
+        tolerance = round(config.clock_tolerance * 1e9)
+        self._track = Track(Plausible(config.max_rate, config.max_jump, tolerance), config.bandwidth)
+        self._age_limit = round(config.age_limit * 1e9)
+        self._step = -1
+        self._silent: bool | None = None
+        self.refusals = Refusals()
+
+    def measure(self, readings: Iterable[Reading], now: int) -> None:
+        """Take over what the sensor has said, in order."""
+        for reading in readings:
+            try:
+                self._measure(reading, now)
+            except RefusedReadingError as error:
+                self.refusals.add(error)
+
+    def hear(self, message: Message, now: int) -> Messages:  # noqa: ARG002 - as all nodes
+        """Hear nothing: the plane needs no message of the swarm."""
+        return ()
+
+    def tick(self, now: int) -> Messages:
+        """Publish the plane's state, if it is known; say when the sensor falls silent and when it is back."""
+        self.measure(self._take(), now)
+        step = self._config.schedule.step(now)
+        if step <= self._step or step < 0:  # the clock was set back, or the epoch is still to come
+            return ()
+        self._step = step
+        sample = self._track.newest
+        age = inf if sample is None else (now - sample.stamp) / 1e9
+        if sample is None or now - sample.stamp > self._age_limit:
+            return self._fall_silent(step, now, age)
+        state = PlaneState(now, step, sample.value, sample.rate)
+        if self._silent:
+            self._silent = False
+            return (SwarmEvent(now, step, 0, EventKind.RECOVERED, age, "the plane's sensor is heard"), state)
+        self._silent = False
+        return (state,)
+
+    def halt(self) -> None:
+        """Do nothing: a sensor moves nothing."""
+
+    def health(self, now: int) -> Health:
+        """Return whether the sensor is heard, and what was refused."""
+        sample = self._track.newest
+        values = self.refusals.values()
+        if sample is None:
+            return Health(Level.ERROR, "the plane's sensor has not been heard", values)
+        age = (now - sample.stamp) / 1e9
+        values = (("age of the reading, s", f"{age:.3f}"), ("angle, rad", f"{sample.value:.6f}"), *values)
+        if now - sample.stamp > self._age_limit:
+            return Health(Level.ERROR, "the plane's sensor is silent", values)
+        return Health(Level.OK, "the plane's sensor is heard", values)
+
+    def _fall_silent(self, step: int, now: int, age: float) -> Messages:
+        if self._silent:
+            return ()
+        self._silent = True
+        detail = "the plane's sensor is silent" if age < inf else "the plane's sensor has not been heard"
+        if self.refusals.last:
+            detail += f"; last refusal: {self.refusals.last}"
+        return (SwarmEvent(now, step, 0, EventKind.STALLED, min(age, 1e9), detail),)
+
+    def _measure(self, reading: Reading, now: int) -> None:
+        config = self._config
+        rate: float | None
+        if isinstance(reading, Imu) and config.source == "imu":
+            check_frame(reading.frame, config.frame)
+            angle, rate = imu_values(reading, self._axis, self._sign)
+            angle = wrapped(config.offset + angle)
+        elif isinstance(reading, Joints) and config.source == "joint_state":
+            position, velocity = joint_values(reading, config.joint)
+            angle = config.offset + config.scale * position
+            rate = None if velocity is None or config.differentiate else config.scale * velocity
+        else:
+            raise RefusedReadingError("source", f"a reading of type {type(reading).__name__}")
+        check_finite(angle)
+        if abs(angle) > config.angle_limit:
+            raise RefusedReadingError("angle", f"{angle:.4g} rad, at most {config.angle_limit:g} is believed")
+        self._track.offer(reading.stamp, angle, rate, now)

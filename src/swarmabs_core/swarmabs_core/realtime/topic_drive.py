@@ -1,0 +1,307 @@
+"""A drive behind topics: what a robot's base says, and what it is told; without ROS.
+
+Signs. The lane is an axis of the sensor's frame; positions grow along it as the scenario's do, and the plane's angle th
+is positive where the side of positive positions is up. The body's x axis points forward, along the lane (facing 1) or
+against it (facing -1); commands are given along it. Its nose rises by facing times th.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import copysign, cos, sin
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import Kind
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.drives import Measurement
+from swarmabs_core.realtime.readings import (
+    AXES,
+    Imu,
+    Joints,
+    Odometry,
+    Reading,
+    RefusedReadingError,
+    check_finite,
+    check_frame,
+    joint_values,
+    normalised,
+    rotation_row,
+    signed_axis,
+    tilt,
+)
+from swarmabs_core.realtime.tracking import Plausible, Refusals, Track
+
+if TYPE_CHECKING:
+    from swarmabs_core.parameters import Settings
+    from swarmabs_core.realtime.drive_registry import Body
+
+SETTINGS = (
+    Parameter("source", "odometry", "what says where the robot is", choices=("odometry", "joint_state")),
+    Parameter("topic", "", "topic of nav_msgs/Odometry or sensor_msgs/JointState; '': ~/odom or ~/joint_states"),
+    Parameter(
+        "command",
+        "auto",
+        "type of the command; auto: twist (SI), force (DI)",
+        choices=("auto", "twist", "force", "joint"),
+    ),
+    Parameter("command_topic", "", "topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command"),
+    Parameter("command_frame", "base_link", "frame_id of a twist"),
+    Parameter(
+        "stamp", "header", "time of a reading: its header's, or that of its arrival", choices=("header", "arrival")
+    ),
+    Parameter("frame", "odom", "frame_id that an odometry must have; '': any"),
+    Parameter("axis", "x", "axis of that frame along which positions grow", choices=AXES),
+    Parameter("offset", 0.0, "position at which the sensor says 0, m"),
+    Parameter(
+        "heading_tolerance", 0.5, "largest angle between the body's x axis and the lane, rad", above=0.0, maximum=1.5
+    ),
+    Parameter("joint.name", "", "name of the joint; needed with joint_state and joint"),
+    Parameter("joint.scale", 1.0, "forward motion of the body per unit of the joint, m or m/rad, not 0"),
+    Parameter("reversed", default=False, description="with joint_state: whether the body faces against the lane"),
+    Parameter("bandwidth", 100.0, "bandwidth of differentiation where a joint has no velocity, rad/s", above=0.0),
+    Parameter("max_speed", 2.0, "largest speed that is believed, m/s", above=0.0),
+    Parameter("max_jump", 0.01, "distance beyond it by which two readings may differ, m", minimum=0.0),
+    Parameter("clock_tolerance", 0.02, "how far a reading may come from the future, s", minimum=0.0),
+    Parameter(
+        "gravity", "imu", "what a double integrator's weight along the plane is known from", choices=("imu", "none")
+    ),
+    Parameter("imu.topic", "", "topic of sensor_msgs/Imu; '': ~/imu"),
+    Parameter("imu.frame", "imu_link", "frame_id that it must have; '': any"),
+    Parameter("imu.axis", "-y", "axis of the IMU about which the robot's nose rises", choices=AXES),
+    Parameter("imu.offset", 0.0, "angle by which the nose is up where the IMU says 0, rad"),
+    Parameter("imu.age_limit", 0.1, "age from which on the IMU counts as silent, s", above=0.0),
+    Parameter("imu.max_rate", 5.0, "largest rate of tilting that is believed, rad/s", above=0.0),
+    Parameter("imu.max_jump", 0.05, "angle beyond it by which two readings may differ, rad", minimum=0.0),
+)
+"""Settings of the drive, ``drive.*`` of a robot's node."""
+
+
+class Wiring(NamedTuple):
+    """What the drive wants to be connected to; an empty topic means none.
+
+    `command` is ``twist``, ``force`` or ``joint``; with `arrival`, a reading's stamp is the time of its arrival.
+    """
+
+    source: str
+    topic: str
+    imu_topic: str
+    command: str
+    command_topic: str
+    command_frame: str
+    joint: str
+    single_integrator: bool
+    arrival: bool
+
+
+class Link(Protocol):
+    """The connection to topics."""
+
+    def take(self) -> Sequence[Reading]:
+        """Return what has arrived since the last call, each source's readings in order; it does not wait."""
+        ...
+
+    def send(self, value: float) -> None:
+        """Send the base a command: m/s or N, or in units of the joint."""
+        ...
+
+
+Connect: TypeAlias = Callable[[Wiring], Link]
+
+
+@dataclass(frozen=True, slots=True)
+class _Lane:
+    """Where the lane is in what the sensor says."""
+
+    frame: str
+    axis: int
+    sign: float
+    offset: float
+    least_cosine: float
+    joint: str
+    scale: float
+
+
+class TopicDrive:
+    """Measures by topics, drives by a topic.
+
+    Readings that are not plausible are refused and counted; then the newest good one grows old, and the robot stops by
+    its age. A double integrator whose weight is to be balanced has a measurement only while its IMU is heard: a
+    measurement is as old as the oldest thing it depends on.
+
+    Parameters
+    ----------
+    settings : Settings
+        By `SETTINGS`, checked.
+    body : Body
+        The robot.
+
+    Attributes
+    ----------
+    refusals : Refusals
+        What was refused.
+
+    Raises
+    ------
+    InputError
+        If settings contradict each other, or there is nothing to connect to.
+    """
+
+    def __init__(self, settings: Settings, body: Body) -> None:
+        def text(name: str) -> str:
+            return cast("str", settings[name])
+
+        def number(name: str) -> float:
+            return cast("float", settings[name])
+
+        single = body.kind is Kind.SINGLE_INTEGRATOR
+        wiring = _wiring(settings, single_integrator=single)
+        axis, sign = signed_axis(text("axis"))
+        self._lane = _Lane(
+            text("frame"),
+            axis,
+            sign,
+            number("offset"),
+            cos(number("heading_tolerance")),
+            wiring.joint,
+            number("joint.scale"),
+        )
+        tolerance = round(number("clock_tolerance") * 1e9)
+        bandwidth = number("bandwidth")
+        self._track = Track(Plausible(number("max_speed"), number("max_jump"), tolerance), bandwidth)
+        self._to_joint = wiring.command == "joint"
+        self._single = single
+        self._facing = -1.0 if settings["reversed"] else 1.0
+        self._weighs = bool(wiring.imu_topic)
+        self._tilt = Track(Plausible(number("imu.max_rate"), number("imu.max_jump"), tolerance), bandwidth)
+        self._imu_frame, self._imu_offset = text("imu.frame"), number("imu.offset")
+        self._imu_axis, self._imu_sign = signed_axis(text("imu.axis"))
+        self._imu_age_limit = round(number("imu.age_limit") * 1e9)
+        self._mass, self._gravity, self._force = body.mass, body.gravity, body.limits.force
+        self.refusals = Refusals()
+        if body.connect is None:
+            raise InputError("drive topic: there is no ROS node here to which it could be connected")
+        self._link = body.connect(wiring)
+
+    def read(self, now: int) -> Measurement | None:
+        """Take over what has arrived, and return the newest measurement."""
+        for reading in self._link.take():
+            try:
+                self._hear(reading, now)
+            except RefusedReadingError as error:
+                self.refusals.add(error)
+        motion = self._track.newest
+        if motion is None:
+            return None
+        stamp = motion.stamp
+        if self._weighs:
+            tilted = self._tilt.newest
+            if tilted is None:
+                return None
+            stamp = min(stamp, tilted.stamp)
+        return Measurement(stamp, motion.value, motion.rate)
+
+    def write(self, command: float, now: int) -> None:
+        """Send a command, to which a double integrator's weight along the plane is added.
+
+        What is added is m (g sin(th) - p w^2), the negative of what a tilting plane does to a robot (EOM_DI with the
+        Lagrangian's terms), so the body feels the law's force alone. The sum stays within the limit of force.
+        """
+        if self._weighs:
+            command = min(max(command + self._weight(now), -self._force), self._force)
+        self._send(command)
+
+    def stop(self) -> None:
+        """Send zero."""
+        self._send(0.0)
+
+    def _send(self, command: float) -> None:
+        value = command * self._facing
+        if self._to_joint:
+            # A joint moves by motion / scale; by virtual work its effort is force * scale.
+            value = value / self._lane.scale if self._single else value * self._lane.scale
+        self._link.send(value)
+
+    def _weight(self, now: int) -> float:
+        tilted, motion = self._tilt.newest, self._track.newest
+        if tilted is None or motion is None or now - tilted.stamp > self._imu_age_limit:
+            return 0.0
+        angle = self._facing * tilted.value
+        return self._mass * (self._gravity * sin(angle) - motion.value * tilted.rate * tilted.rate)
+
+    def _hear(self, reading: Reading, now: int) -> None:
+        if isinstance(reading, Imu):
+            self._hear_imu(reading, now)
+        elif isinstance(reading, Odometry):
+            self._hear_odometry(reading, now)
+        else:
+            self._hear_joints(reading, now)
+
+    def _hear_odometry(self, reading: Odometry, now: int) -> None:
+        lane = self._lane
+        check_frame(reading.frame, lane.frame)
+        check_finite(*reading.position, *reading.velocity)
+        row = rotation_row(normalised(reading.rotation), lane.axis)
+        cosine = lane.sign * row[0]
+        if abs(cosine) < lane.least_cosine:
+            raise RefusedReadingError("heading", f"the body's x axis and the lane have a cosine of {cosine:.3f}")
+        velocity = lane.sign * sum(a * b for a, b in zip(row, reading.velocity, strict=True))
+        self._track.offer(reading.stamp, lane.offset + lane.sign * reading.position[lane.axis], velocity, now)
+        self._facing = copysign(1.0, cosine)
+
+    def _hear_joints(self, reading: Joints, now: int) -> None:
+        lane = self._lane
+        position, velocity = joint_values(reading, lane.joint)
+        scale = self._facing * lane.scale
+        rate = None if velocity is None else scale * velocity
+        self._track.offer(reading.stamp, lane.offset + scale * position, rate, now)
+
+    def _hear_imu(self, reading: Imu, now: int) -> None:
+        check_frame(reading.frame, self._imu_frame)
+        angle, rate = imu_values(reading, self._imu_axis, self._imu_sign)
+        self._tilt.offer(reading.stamp, self._imu_offset + angle, rate, now)
+
+
+def imu_values(reading: Imu, axis: int, sign: float) -> tuple[float, float]:
+    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor.
+
+    Raises
+    ------
+    RefusedReadingError
+        If the sensor does not measure them.
+    """
+    if reading.rotation is None or reading.angular_velocity is None:
+        raise RefusedReadingError("orientation", "the IMU measures no orientation, or no angular velocity")
+    check_finite(*reading.angular_velocity)
+    return sign * tilt(normalised(reading.rotation), axis), sign * reading.angular_velocity[axis]
+
+
+def _wiring(settings: Settings, *, single_integrator: bool) -> Wiring:
+    source, command, joint = str(settings["source"]), str(settings["command"]), str(settings["joint.name"])
+    if command == "auto":
+        command = "twist" if single_integrator else "force"
+    if command == "twist" and not single_integrator:
+        raise InputError(
+            "drive.command: a twist is a velocity, and a double integrator is driven by force; use force or joint"
+        )
+    if not joint and "joint" in {source.removesuffix("_state"), command}:
+        raise InputError("drive.joint.name: give the name of the joint")
+    if settings["reversed"] and source == "odometry":
+        raise InputError("drive.reversed: the orientation in an odometry says which way the body faces; leave it out")
+    if settings["joint.scale"] == 0.0:
+        raise InputError("drive.joint.scale: 0 is not allowed; give the forward motion per unit of the joint")
+    topics = {"odometry": "~/odom", "joint_state": "~/joint_states"}
+    commands = {"twist": "~/cmd_vel", "force": "~/force", "joint": "~/joint_command"}
+    weighs = not single_integrator and settings["gravity"] == "imu"
+    return Wiring(
+        source=source,
+        topic=str(settings["topic"]) or topics[source],
+        imu_topic=(str(settings["imu.topic"]) or "~/imu") if weighs else "",
+        command=command,
+        command_topic=str(settings["command_topic"]) or commands[command],
+        command_frame=str(settings["command_frame"]),
+        joint=joint,
+        single_integrator=single_integrator,
+        arrival=settings["stamp"] == "arrival",
+    )

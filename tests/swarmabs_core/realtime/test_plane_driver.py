@@ -1,0 +1,126 @@
+"""The plane's driver: an encoder's or an IMU's readings in, the plane's state out, and silence when there is none."""
+
+from __future__ import annotations
+
+from math import exp, nan
+
+import pytest
+from hypothesis import given, strategies as st
+from tests.swarmabs_core.realtime.bodies import EPOCH, imu
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import EventKind, PlaneState, SwarmEvent
+from swarmabs_core.realtime.base import Level, Schedule
+from swarmabs_core.realtime.plane_driver import PlaneDriver, PlaneDriverConfig
+from swarmabs_core.realtime.readings import Joints, Reading
+
+MS = 1_000_000
+SCHEDULE = Schedule(10 * MS, EPOCH)
+ENCODER = PlaneDriverConfig(SCHEDULE)
+IMU = PlaneDriverConfig(SCHEDULE, "imu")
+
+
+def at(step: int) -> int:
+    return SCHEDULE.begin(step, 0.5)
+
+
+def encoder(stamp: int, position: float, *velocity: float, joint: str = "plane_tilt") -> Joints:
+    return Joints(stamp, ("motor", joint), (7.0, position), (7.0, *velocity) if velocity else ())
+
+
+def test_an_encoder_behind_a_gear_that_counts_backwards() -> None:
+    driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, scale=-0.1, offset=0.3))
+    driver.measure([encoder(at(4) - MS, 2.0, 0.5)], at(4))
+    assert driver.tick(at(4)) == (PlaneState(at(4), 4, pytest.approx(0.1), pytest.approx(-0.05)),)
+
+
+@given(angle=st.floats(-1.2, 1.2), rate=st.floats(-5.0, 5.0), yaw=st.floats(-3.0, 3.0), offset=st.floats(-0.2, 0.2))
+def test_an_imu_that_is_turned_on_the_plane_s_axis(angle: float, rate: float, yaw: float, offset: float) -> None:
+    """Its x axis along growing positions, the axis is -y; against them, y."""
+    for facing, axis in ((1.0, "-y"), (-1.0, "y")):
+        driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, "imu", axis=axis, offset=offset))
+        driver.measure([imu(at(0), angle, rate, facing, yaw)], at(0))
+        assert driver.tick(at(0)) == (
+            PlaneState(at(0), 0, pytest.approx(angle + offset, abs=1e-9), pytest.approx(rate, abs=1e-9)),
+        )
+
+
+@pytest.mark.parametrize("velocity", [(), (99.0,)])
+def test_an_encoder_s_velocity_is_derived_where_it_has_none_or_shall_not_be_used(velocity: tuple[float, ...]) -> None:
+    """A ramp of 0.2 rad/s through a low-pass of 100 rad/s, from rest: 0.2 (1 - exp(-100 t))."""
+    driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, differentiate=bool(velocity)))
+    for time in range(0, 100, 5):
+        driver.measure([encoder(EPOCH + time * MS, 0.2e-3 * time, *velocity)], EPOCH + time * MS)
+    (state,) = driver.tick(at(9))
+    assert isinstance(state, PlaneState)
+    assert (state.angle, state.angular_velocity) == pytest.approx((0.019, 0.2 * (1.0 - exp(-9.5))))
+
+
+def test_it_takes_what_has_arrived_once_per_step_and_publishes_a_step_once() -> None:
+    arrived: list[Reading] = [encoder(at(0), 0.1, 0.0)]
+    driver = PlaneDriver(ENCODER, lambda: [arrived.pop(0) for _ in list(arrived)])
+    assert driver.tick(at(0)) == (PlaneState(at(0), 0, 0.1, 0.0),)
+    assert driver.tick(at(0) + MS) == ()
+    assert driver.tick(at(-1)) == ()
+    arrived += [encoder(at(1) - 2 * MS, 0.101, 0.0), encoder(at(1) - MS, 0.102, 0.0)]
+    assert driver.tick(at(1)) == (PlaneState(at(1), 1, 0.102, 0.0),)
+    assert driver.hear(PlaneState(at(1), 1, 9.0, 9.0), at(1)) == ()
+
+
+def test_a_silent_sensor_silences_the_plane_and_both_are_said_once() -> None:
+    """The limit of 50 ms: the reading is good for five steps, then nothing is published until another comes."""
+    driver = PlaneDriver(ENCODER)
+    driver.measure([encoder(at(0), 0.1, 0.0)], at(0))
+    told = [driver.tick(at(step)) for step in range(9)]
+    assert [len(messages) for messages in told] == [1, 1, 1, 1, 1, 1, 1, 0, 0]
+    assert all(isinstance(messages[0], PlaneState) for messages in told[:6])
+    (lost,) = told[6]
+    assert isinstance(lost, SwarmEvent)
+    assert (lost.kind, lost.agent_id, lost.step, lost.value) == (EventKind.STALLED, 0, 6, pytest.approx(0.06))
+    assert driver.health(at(8)).level == Level.ERROR
+    driver.measure([encoder(at(9), 0.1, 0.0)], at(9))
+    back, state = driver.tick(at(9))
+    assert isinstance(back, SwarmEvent)
+    assert back.kind == EventKind.RECOVERED
+    assert state == PlaneState(at(9), 9, 0.1, 0.0)
+    assert len(driver.tick(at(10))) == 1
+    assert driver.health(at(10)).level == Level.OK
+
+
+REFUSED = {
+    "joint": encoder(at(1), 0.1, 0.0, joint="elbow"),
+    "not finite": encoder(at(1), nan, 0.0),
+    "angle": encoder(at(1), 1.6, 0.0),
+    "jump": encoder(at(1), 0.9, 0.0),
+    "speed": encoder(at(1), 0.1, 11.0),
+    "order": encoder(at(0), 0.1, 0.0),
+    "future": encoder(at(1) + 21 * MS, 0.1, 0.0),
+    "source": imu(at(1), 0.1, 0.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_what_cannot_be_vouched_for_is_not_published(reason: str) -> None:
+    driver = PlaneDriver(ENCODER)
+    driver.measure([encoder(at(0), 0.1, 0.0)], at(0))
+    driver.measure([REFUSED[reason]], at(1))
+    assert driver.tick(at(1)) == (PlaneState(at(1), 1, 0.1, 0.0),)
+    assert driver.refusals.counts == {reason: 1}
+    assert (f"refused: {reason}", "1") in driver.health(at(1)).values
+
+
+def test_a_sensor_of_another_frame_is_named_when_nothing_is_published() -> None:
+    driver = PlaneDriver(IMU)
+    driver.measure([imu(at(0), 0.1, 0.0, 1.0, frame="camera")], at(0))
+    (event,) = driver.tick(at(0))
+    assert isinstance(event, SwarmEvent)
+    assert event.kind == EventKind.STALLED
+    assert "has not been heard; last refusal: frame 'camera', not 'imu_link'" in event.detail
+    assert "not been heard" in driver.health(at(0)).text
+    driver.halt()
+    assert driver.tick(at(1)) == ()
+
+
+def test_a_scale_of_0_is_refused() -> None:
+    with pytest.raises(InputError, match="scale: 0"):
+        PlaneDriver(PlaneDriverConfig(SCHEDULE, scale=0.0))

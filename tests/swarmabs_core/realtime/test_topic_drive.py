@@ -1,0 +1,264 @@
+"""The topic drive: what it measures, what it refuses, and that a body on a tilted plane feels the law's force alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, nan, sin
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from tests.swarmabs_core.realtime.bodies import EPOCH, SECOND, imu, lane, odometry
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import Kind
+from swarmabs_core.parameters import Value
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.drive_registry import Body, make_drive
+from swarmabs_core.realtime.drives import Measurement
+from swarmabs_core.realtime.readings import Joints, Reading
+from swarmabs_core.realtime.topic_drive import TopicDrive, Wiring
+from swarmabs_core.robot_controller import Limits
+
+SI, DI = Kind.SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR
+MS = 1_000_000
+GRAVITY = 9.81
+FACING = st.sampled_from([1.0, -1.0])
+
+
+class Wire:
+    """A connection that remembers."""
+
+    def __init__(self) -> None:
+        self.arrived: list[Reading] = []
+        self.sent: list[float] = []
+        self.wiring: Wiring | None = None
+
+    def connect(self, wiring: Wiring) -> Wire:
+        self.wiring = wiring
+        return self
+
+    def take(self) -> Sequence[Reading]:
+        arrived, self.arrived = self.arrived, []
+        return arrived
+
+    def send(self, value: float) -> None:
+        self.sent.append(value)
+
+
+def made(kind: Kind, *, mass: float = 0.5, limits: Limits | None = None, **given: Value) -> tuple[TopicDrive, Wire]:
+    wire = Wire()
+    body = Body(1, kind, Schedule(10 * MS), mass, 0.0, GRAVITY, limits or Limits(), connect=wire.connect)
+    drive = make_drive("topic", {name.replace("__", "."): value for name, value in given.items()}, body)
+    assert isinstance(drive, TopicDrive)
+    return drive, wire
+
+
+def heard(drive: TopicDrive, wire: Wire, *readings: Reading, now: int = EPOCH) -> Measurement | None:
+    wire.arrived.extend(readings)
+    return drive.read(now)
+
+
+@given(
+    axis=st.sampled_from(["x", "y", "-x", "-y"]),
+    facing=FACING,
+    heading=st.floats(-0.4, 0.4),
+    position=st.floats(-0.5, 0.5),
+    velocity=st.floats(-1.0, 1.0),
+    offset=st.floats(-0.2, 0.2),
+)
+def test_odometry_along_any_axis_and_either_way_round(
+    axis: str, facing: float, heading: float, position: float, velocity: float, offset: float
+) -> None:
+    drive, wire = made(SI, axis=axis, offset=offset)
+    where = {"axis": "xy".index(axis[-1]), "sign": -1.0 if axis[0] == "-" else 1.0}
+    reading = odometry(EPOCH, position, velocity, facing=facing, heading=heading, **where)
+    measured = heard(drive, wire, reading)
+    assert measured is not None
+    assert measured == pytest.approx((EPOCH, offset + position, velocity), abs=1e-12)
+    drive.write(0.25, EPOCH)
+    drive.stop()
+    assert wire.sent == [facing * 0.25, 0.0]
+
+
+@given(
+    facing=FACING,
+    yaw=st.floats(-3.0, 3.0),
+    angle=st.floats(-1.2, 1.2),
+    rate=st.floats(-2.0, 2.0),
+    tilting=st.floats(-2.0, 2.0),
+    place=st.floats(-0.5, 0.5),
+    velocity=st.floats(-0.5, 0.5),
+    acceleration=st.floats(-1.0, 1.0),
+)
+def test_a_body_on_a_tilting_plane_feels_the_force_of_the_law_alone(
+    facing: float,
+    yaw: float,
+    angle: float,
+    rate: float,
+    tilting: float,
+    place: float,
+    velocity: float,
+    acceleration: float,
+) -> None:
+    """Newton's law in space: the law wants m p''; what the base must exert is m r'' less the weight, along the lane.
+
+    r(t) = p(t) e(th(t)) is differentiated numerically, so no formula of a rotating frame enters.
+    """
+    mass, step = 0.7, 1e-4
+
+    def r(t: float) -> np.ndarray:
+        p = place + velocity * t + 0.5 * acceleration * t * t
+        return p * lane(angle + rate * t + 0.5 * tilting * t * t)
+
+    second = (r(step) - 2.0 * r(0.0) + r(-step)) / step**2
+    needed = mass * float((second + np.array([0.0, 0.0, GRAVITY])) @ lane(angle))
+    drive, wire = made(DI, mass=mass)
+    heard(drive, wire, odometry(EPOCH, place, velocity, facing=facing), imu(EPOCH, angle, rate, facing, yaw))
+    drive.write(mass * acceleration, EPOCH)
+    assert facing * wire.sent[-1] == pytest.approx(needed, abs=2e-6)
+
+
+def test_the_signs_by_hand() -> None:
+    """th > 0 lifts the side of positive positions, so a robot must push towards it, against a centrifugal force."""
+    drive, wire = made(DI, mass=2.0)
+    heard(drive, wire, odometry(EPOCH, 0.25, 0.0), imu(EPOCH, 0.1, 0.5, 1.0))
+    drive.write(0.0, EPOCH)
+    assert wire.sent[-1] == pytest.approx(2.0 * 9.81 * sin(0.1) - 2.0 * 0.25 * 0.25)
+    assert wire.sent[-1] > 0.0
+
+
+def test_weight_and_command_together_stay_within_the_limit_of_force() -> None:
+    drive, wire = made(DI, mass=2.0, limits=Limits(inf, 1.5))
+    heard(drive, wire, odometry(EPOCH, 0.0, 0.0), imu(EPOCH, 0.1, 0.0, 1.0))
+    for command in (1.5, -1.5, -0.5):
+        drive.write(command, EPOCH)
+    assert wire.sent == pytest.approx([1.5, 2.0 * 9.81 * sin(0.1) - 1.5, 2.0 * 9.81 * sin(0.1) - 0.5])
+
+
+def test_a_double_integrator_is_measured_only_while_its_imu_is_heard() -> None:
+    drive, wire = made(DI)
+    assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0)) is None
+    assert heard(drive, wire, imu(EPOCH - 5 * MS, 0.1, 0.0, 1.0)) == pytest.approx((EPOCH - 5 * MS, 0.1, 0.0))
+    later = EPOCH + 500 * MS
+    measured = heard(drive, wire, odometry(later, 0.1, 0.0), now=later)
+    assert measured is not None
+    assert measured.stamp == EPOCH - 5 * MS  # as old as the oldest thing it depends on
+    drive.write(0.3, later)
+    assert wire.sent == [0.3]  # a tilt of half a second ago is nothing to push against
+
+
+def test_without_its_own_imu_or_as_a_single_integrator_nothing_is_added() -> None:
+    for kind, given_ in ((DI, {"gravity": "none"}), (SI, {})):
+        drive, wire = made(kind, **given_)
+        assert wire.wiring is not None
+        assert wire.wiring.imu_topic == ""
+        assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0)) == pytest.approx((EPOCH, 0.1, 0.0))
+        drive.write(0.3, EPOCH)
+        assert wire.sent == [0.3]
+
+
+@pytest.mark.parametrize("source", ["joint_state", "odometry"])
+@pytest.mark.parametrize(("kind", "sent"), [(SI, 0.2 / 0.05), (DI, 0.2 * 0.05)])
+@pytest.mark.parametrize("facing", [1.0, -1.0])
+def test_a_wheel_by_its_radius(source: str, kind: Kind, sent: float, facing: float) -> None:
+    """A wheel of 0.05 m: v = r w, and a torque of r F; the power F v = tau w is the same on both sides."""
+    extra: dict[str, Value] = {"reversed": facing < 0} if source == "joint_state" else {}
+    drive, wire = made(
+        kind,
+        source=source,
+        command="joint",
+        joint__name="wheel",
+        joint__scale=0.05,
+        gravity="none",
+        offset=0.1,
+        **extra,
+    )
+    wheel = Joints(EPOCH, ("other", "wheel"), (9.0, 4.0), (9.0, 2.0))
+    told = wheel if source == "joint_state" else odometry(EPOCH, facing * 0.2, facing * 0.1, facing=facing)
+    assert heard(drive, wire, told) == pytest.approx((EPOCH, 0.1 + facing * 0.2, facing * 0.1))
+    drive.write(0.2, EPOCH)
+    assert wire.sent == pytest.approx([facing * sent])
+
+
+def test_a_joint_without_velocity_is_differentiated() -> None:
+    drive, wire = made(DI, source="joint_state", joint__name="cart", gravity="none")
+    for time in range(0, 300, 5):
+        measured = heard(drive, wire, Joints(EPOCH + time * MS, ("cart",), (0.4e-3 * time,), ()), now=EPOCH + time * MS)
+    assert measured == pytest.approx((EPOCH + 295 * MS, 0.118, 0.4))
+
+
+REFUSED = {
+    "frame": odometry(EPOCH + 10 * MS, 0.1, 0.0, frame="map"),
+    "not finite": odometry(EPOCH + 10 * MS, nan, 0.0),
+    "order": odometry(EPOCH, 0.1, 0.0),
+    "future": odometry(EPOCH + SECOND, 0.1, 0.0),
+    "jump": odometry(EPOCH + 10 * MS, 0.2, 0.0),
+    "speed": odometry(EPOCH + 10 * MS, 0.1, 3.0),
+    "heading": odometry(EPOCH + 10 * MS, 0.1, 0.0, heading=0.6),
+    "orientation": odometry(EPOCH + 10 * MS, 0.1, 0.0)._replace(rotation=(0.0, 0.0, 0.0, 0.0)),
+    "joint": Joints(EPOCH + 10 * MS, ("wheel",), (0.1,), (0.0,)),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_what_cannot_be_vouched_for_is_refused_and_counted(reason: str) -> None:
+    drive, wire = made(SI)
+    good = heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
+    assert heard(drive, wire, REFUSED[reason], now=EPOCH + 10 * MS) == good
+    assert drive.refusals.counts == {reason: 1}
+    assert drive.refusals.last
+    after = heard(drive, wire, odometry(EPOCH + 20 * MS, 0.1, 0.0), now=EPOCH + 20 * MS)
+    assert after == pytest.approx((EPOCH + 20 * MS, 0.1, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("reading", "reason"),
+    [
+        (imu(EPOCH, 0.1, 0.0, 1.0, frame="camera"), "frame"),
+        (imu(EPOCH, 0.1, 0.0, 1.0)._replace(rotation=None), "orientation"),
+        (imu(EPOCH, 0.1, 0.0, 1.0)._replace(angular_velocity=None), "orientation"),
+        (imu(EPOCH, 0.1, 0.0, 1.0)._replace(angular_velocity=(nan, 0.0, 0.0)), "not finite"),
+        (imu(EPOCH, 0.1, 6.0, 1.0), "speed"),
+    ],
+)
+def test_an_imu_that_cannot_be_vouched_for(reading: Reading, reason: str) -> None:
+    drive, wire = made(DI)
+    assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0), reading) is None
+    assert drive.refusals.counts == {reason: 1}
+
+
+def test_topics_and_their_defaults() -> None:
+    _, wire = made(SI)
+    assert wire.wiring == Wiring("odometry", "~/odom", "", "twist", "~/cmd_vel", "base_link", "", True, False)
+    _, wire = made(
+        DI, source="joint_state", command="joint", joint__name="cart", stamp="arrival", topic="rail", imu__topic="tilt"
+    )
+    assert wire.wiring == Wiring(
+        "joint_state", "rail", "tilt", "joint", "~/joint_command", "base_link", "cart", False, True
+    )
+    _, wire = made(DI)
+    assert wire.wiring is not None
+    assert (wire.wiring.command, wire.wiring.command_topic, wire.wiring.imu_topic) == ("force", "~/force", "~/imu")
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "text"),
+    [
+        (DI, {"command": "twist"}, "a twist is a velocity"),
+        (SI, {"source": "joint_state"}, "give the name of the joint"),
+        (SI, {"command": "joint"}, "give the name of the joint"),
+        (SI, {"source": "joint_state", "joint__name": "a", "joint__scale": 0.0}, "0 is not allowed"),
+        (SI, {"reversed": True}, "says which way the body faces"),
+        (SI, {"axis": "north"}, "one of x, y, z"),
+        (SI, {"frames": "odom"}, "has no parameter 'frames'"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(kind: Kind, settings: dict[str, Value], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        made(kind, **settings)
+
+
+def test_without_a_node_there_is_nothing_to_connect_to() -> None:
+    with pytest.raises(InputError, match="no ROS node"):
+        make_drive("topic", {}, Body(1, SI, Schedule(MS), 0.5))
