@@ -19,6 +19,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "plane_driver = plane_sim.driver:main",
             "plane_sim = plane_sim.node:main",
             "plane_sim_realtime = plane_sim.realtime:main",
         ],

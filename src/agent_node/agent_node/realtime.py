@@ -6,7 +6,7 @@ import sys
 from math import inf
 from typing import TYPE_CHECKING
 
-from agent_node.drives import DRIVE, make_drive
+from agent_node.drives import DRIVE, make_drive, with_drive
 from agent_node.node import PARAMETERS as LOCKSTEP, gains_of, kind_of, with_law
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS
 from swarmabs_core.parameters import Parameter
@@ -60,8 +60,8 @@ PARAMETERS = (
 
 
 def table(node: RealtimeNode) -> tuple[Parameter, ...]:
-    """Return the node's parameters, among them those of the law that is asked for."""
-    return with_law(node, PARAMETERS)
+    """Return the node's parameters, among them those of the law and of the drive that are asked for."""
+    return with_drive(node, with_law(node, PARAMETERS))
 
 
 def config(settings: Settings) -> RealtimeAgentConfig:

@@ -48,7 +48,6 @@ class SensorSubscription:
     def __init__(
         self, node: Node, source: str, topic: str, group: CallbackGroup | None = None, *, arrival: bool = False
     ) -> None:
-        self._node = node
         self._type = TYPES[source]
         self._arrival = arrival
         self._subscription = node.create_subscription(self._type, topic, _never, SENSOR, callback_group=group)
@@ -61,10 +60,6 @@ class SensorSubscription:
             stamp = info["received_timestamp"] if self._arrival else None
             found.append(reading(message, stamp))
         return found
-
-    def close(self) -> None:
-        """Take the subscription away."""
-        self._node.destroy_subscription(self._subscription)
 
 
 def reading(message: Any, stamp: int | None = None) -> Reading:

@@ -103,10 +103,14 @@ REFUSED = {
 def test_what_cannot_be_vouched_for_is_not_published(reason: str) -> None:
     driver = PlaneDriver(ENCODER)
     driver.measure([encoder(at(0), 0.1, 0.0)], at(0))
-    driver.measure([REFUSED[reason]], at(1))
+    (event,) = driver.measure([REFUSED[reason]], at(1))
+    assert isinstance(event, SwarmEvent)
+    assert (event.kind, event.step) == (EventKind.REFUSED, 1)
+    assert reason in event.detail
+    assert driver.measure([REFUSED[reason]], at(1)) == ()  # told once, counted always
     assert driver.tick(at(1)) == (PlaneState(at(1), 1, 0.1, 0.0),)
-    assert driver.refusals.counts == {reason: 1}
-    assert (f"refused: {reason}", "1") in driver.health(at(1)).values
+    assert driver.refused.counts == {reason: 2}
+    assert (f"readings refused, {reason}", "2") in driver.health(at(1)).values
 
 
 def test_a_sensor_of_another_frame_is_named_when_nothing_is_published() -> None:

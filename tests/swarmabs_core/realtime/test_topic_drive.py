@@ -206,8 +206,8 @@ def test_what_cannot_be_vouched_for_is_refused_and_counted(reason: str) -> None:
     drive, wire = made(SI)
     good = heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
     assert heard(drive, wire, REFUSED[reason], now=EPOCH + 10 * MS) == good
-    assert drive.refusals.counts == {reason: 1}
-    assert drive.refusals.last
+    assert drive.refused.counts == {reason: 1}
+    assert drive.refused.last
     after = heard(drive, wire, odometry(EPOCH + 20 * MS, 0.1, 0.0), now=EPOCH + 20 * MS)
     assert after == pytest.approx((EPOCH + 20 * MS, 0.1, 0.0))
 
@@ -225,7 +225,7 @@ def test_what_cannot_be_vouched_for_is_refused_and_counted(reason: str) -> None:
 def test_an_imu_that_cannot_be_vouched_for(reading: Reading, reason: str) -> None:
     drive, wire = made(DI)
     assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0), reading) is None
-    assert drive.refusals.counts == {reason: 1}
+    assert drive.refused.counts == {reason: 1}
 
 
 def test_topics_and_their_defaults() -> None:

@@ -8,7 +8,7 @@ import pytest
 from tests.swarmabs_core.realtime.bodies import EPOCH, SECOND
 
 from swarmabs_core.realtime.readings import RefusedReadingError
-from swarmabs_core.realtime.tracking import SETTLING, Plausible, Refusals, Sample, Track
+from swarmabs_core.realtime.tracking import SETTLING, Plausible, RefusedReadings, Sample, Track
 
 MS = 1_000_000
 BANDWIDTH = 50.0
@@ -103,8 +103,12 @@ def test_a_place_that_was_jumped_to_gives_no_rate(track: Track) -> None:
 
 
 def test_refusals_are_counted_by_reason() -> None:
-    refusals = Refusals()
+    refusals = RefusedReadings()
     assert refusals.values() == ()
     for reason in ("jump", "frame", "jump"):
         refusals.add(RefusedReadingError(reason, f"a {reason}"))
-    assert refusals.values() == (("refused: frame", "1"), ("refused: jump", "2"), ("last refusal", "a jump"))
+    assert refusals.values() == (
+        ("readings refused, frame", "1"),
+        ("readings refused, jump", "2"),
+        ("last reading refused", "a jump"),
+    )

@@ -37,9 +37,8 @@ class TopicLink:
         Group for the subscriptions, which no executor may serve.
     """
 
-    def __init__(self, wiring: Wiring, *, node: Node, group: CallbackGroup | None = None) -> None:
+    def __init__(self, wiring: Wiring, node: Node, group: CallbackGroup | None = None) -> None:
         self._wiring = wiring
-        self._node = node
         self._clock = node.get_clock()
         arrival = wiring.arrival
         self._sensors = [SensorSubscription(node, wiring.source, wiring.topic, group, arrival=arrival)]
@@ -54,12 +53,6 @@ class TopicLink:
     def send(self, value: float) -> None:
         """Send the base a command."""
         self._publisher.publish(self._message(value))
-
-    def close(self) -> None:
-        """Take subscriptions and publisher away."""
-        for sensor in self._sensors:
-            sensor.close()
-        self._node.destroy_publisher(self._publisher)
 
     def _message(self, value: float) -> Any:
         wiring = self._wiring
@@ -78,31 +71,3 @@ class TopicLink:
         else:
             joint.effort = [value]
         return joint
-
-
-class Connector:
-    """Connects drives to a robot's node: `Body.connect`.
-
-    Parameters
-    ----------
-    node : Node
-        The robot's node.
-    group : CallbackGroup, optional
-        Group for the subscriptions, which no executor may serve.
-    """
-
-    def __init__(self, node: Node, group: CallbackGroup | None = None) -> None:
-        self._node = node
-        self._group = group
-        self._links: list[TopicLink] = []
-
-    def __call__(self, wiring: Wiring) -> TopicLink:
-        """Connect a drive."""
-        link = TopicLink(wiring, node=self._node, group=self._group)
-        self._links.append(link)
-        return link
-
-    def close(self) -> None:
-        """Take all connections away; more than once does no harm."""
-        while self._links:
-            self._links.pop().close()

@@ -11,6 +11,7 @@ from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, Status, SwarmEvent
 from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
+from swarmabs_core.realtime.drives import Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
@@ -219,6 +220,7 @@ class RealtimeAgent:
             ("command", f"{self._command:.4f}"),
             ("refused", str(self._refusals.total)),
             ("last refusal", self._refusals.latest),
+            *(self._drive.report() if isinstance(self._drive, Reporting) else ()),
         )
         if self._farewells is not None:
             return Health(Level.OK, "has left", values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
@@ -33,6 +33,15 @@ class Drive(Protocol):
 
     def stop(self) -> None:
         """Leave the body safe, at rest and without drive; more than once does no harm."""
+        ...
+
+
+@runtime_checkable
+class Reporting(Protocol):
+    """A drive that has more to say of its health than that there is no measurement."""
+
+    def report(self) -> tuple[tuple[str, str], ...]:
+        """Return figures as (name, text), such as what was refused."""
         ...
 
 

@@ -21,8 +21,9 @@ from swarmabs_core.realtime.readings import (
     signed_axis,
     wrapped,
 )
+from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.realtime.topic_drive import imu_values
-from swarmabs_core.realtime.tracking import Plausible, Refusals, Track
+from swarmabs_core.realtime.tracking import Plausible, RefusedReadings, Track
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +93,7 @@ class PlaneDriver:
 
     Attributes
     ----------
-    refusals : Refusals
+    refused : RefusedReadings
         What was refused.
 
     Raises
@@ -112,15 +113,20 @@ class PlaneDriver:
         self._age_limit = round(config.age_limit * 1e9)
         self._step = -1
         self._silent: bool | None = None
-        self.refusals = Refusals()
+        self._refusals = Refusals()
+        self.refused = RefusedReadings()
 
-    def measure(self, readings: Iterable[Reading], now: int) -> None:
-        """Take over what the sensor has said, in order."""
+    def measure(self, readings: Iterable[Reading], now: int) -> Messages:
+        """Take over what the sensor has said, in order; answer what is to be told of refusals."""
+        told: Messages = ()
         for reading in readings:
             try:
                 self._measure(reading, now)
             except RefusedReadingError as error:
-                self.refusals.add(error)
+                self.refused.add(error)
+                reason = f"reading of the plane's sensor: {error.reason}"
+                told += self._refusals.add(reason, self._config.schedule.step(now), now)
+        return told
 
     def hear(self, message: Message, now: int) -> Messages:  # noqa: ARG002 - as all nodes
         """Hear nothing: the plane needs no message of the swarm."""
@@ -128,7 +134,9 @@ class PlaneDriver:
 
     def tick(self, now: int) -> Messages:
         """Publish the plane's state, if it is known; say when the sensor falls silent and when it is back."""
-        self.measure(self._take(), now)
+        return (*self.measure(self._take(), now), *self._state(now))
+
+    def _state(self, now: int) -> Messages:
         step = self._config.schedule.step(now)
         if step <= self._step or step < 0:  # the clock was set back, or the epoch is still to come
             return ()
@@ -150,7 +158,7 @@ class PlaneDriver:
     def health(self, now: int) -> Health:
         """Return whether the sensor is heard, and what was refused."""
         sample = self._track.newest
-        values = self.refusals.values()
+        values = self.refused.values()
         if sample is None:
             return Health(Level.ERROR, "the plane's sensor has not been heard", values)
         age = (now - sample.stamp) / 1e9
@@ -164,8 +172,8 @@ class PlaneDriver:
             return ()
         self._silent = True
         detail = "the plane's sensor is silent" if age < inf else "the plane's sensor has not been heard"
-        if self.refusals.last:
-            detail += f"; last refusal: {self.refusals.last}"
+        if self.refused.last:
+            detail += f"; last refusal: {self.refused.last}"
         return (SwarmEvent(now, step, 0, EventKind.STALLED, min(age, 1e9), detail),)
 
     def _measure(self, reading: Reading, now: int) -> None:

@@ -31,7 +31,7 @@ from swarmabs_core.realtime.readings import (
     signed_axis,
     tilt,
 )
-from swarmabs_core.realtime.tracking import Plausible, Refusals, Track
+from swarmabs_core.realtime.tracking import Plausible, RefusedReadings, Track
 
 if TYPE_CHECKING:
     from swarmabs_core.parameters import Settings
@@ -139,7 +139,7 @@ class TopicDrive:
 
     Attributes
     ----------
-    refusals : Refusals
+    refused : RefusedReadings
         What was refused.
 
     Raises
@@ -179,7 +179,7 @@ class TopicDrive:
         self._imu_axis, self._imu_sign = signed_axis(text("imu.axis"))
         self._imu_age_limit = round(number("imu.age_limit") * 1e9)
         self._mass, self._gravity, self._force = body.mass, body.gravity, body.limits.force
-        self.refusals = Refusals()
+        self.refused = RefusedReadings()
         if body.connect is None:
             raise InputError("drive topic: there is no ROS node here to which it could be connected")
         self._link = body.connect(wiring)
@@ -190,7 +190,7 @@ class TopicDrive:
             try:
                 self._hear(reading, now)
             except RefusedReadingError as error:
-                self.refusals.add(error)
+                self.refused.add(error)
         motion = self._track.newest
         if motion is None:
             return None
@@ -215,6 +215,12 @@ class TopicDrive:
     def stop(self) -> None:
         """Send zero."""
         self._send(0.0)
+
+    def report(self) -> tuple[tuple[str, str], ...]:
+        """Return what was refused, and the tilt that the robot feels."""
+        tilted = self._tilt.newest
+        felt = (("tilt, rad", "none" if tilted is None else f"{self._facing * tilted.value:.6f}"),)
+        return (*(felt if self._weighs else ()), *self.refused.values())
 
     def _send(self, command: float) -> None:
         value = command * self._facing

@@ -108,7 +108,7 @@ class Track:
         return last.rate - expm1(-self._bandwidth * elapsed) * ((value - last.value) / elapsed - last.rate)
 
 
-class Refusals:
+class RefusedReadings:
     """How often readings were refused, by reason, and the last of them."""
 
     def __init__(self) -> None:
@@ -122,5 +122,5 @@ class Refusals:
 
     def values(self) -> tuple[tuple[str, str], ...]:
         """Return the counts as figures of a state of health."""
-        counts = tuple((f"refused: {reason}", str(count)) for reason, count in sorted(self.counts.items()))
-        return (*counts, ("last refusal", self.last)) if self.last else counts
+        counts = tuple((f"readings refused, {reason}", str(count)) for reason, count in sorted(self.counts.items()))
+        return (*counts, ("last reading refused", self.last)) if self.last else counts

@@ -1,0 +1,162 @@
+"""The drive of a robot's node: its parameters, and the topic drive's endpoints over real DDS."""
+
+from __future__ import annotations
+
+import time
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Float64
+from tests.plugin_packages import install
+from tests.swarmabs_core.realtime.test_drive_registry import STANDING
+from tests.swarmabs_ros.nodes import given, settings_from, started_node
+
+from agent_node.drives import DRIVE, make_drive, with_drive
+from agent_node.drives.topic import TopicLink
+from agent_node.realtime import PARAMETERS, config
+from swarmabs_core.errors import InputError
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
+from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive, Wiring
+from swarmabs_ros.endpoints import LoopGroup
+
+ONLY = (DRIVE,)
+TOPICS = {"odom": Odometry, "imu": Imu, "joint_states": JointState}
+
+
+def declared(*words: str) -> tuple[Parameter, ...]:
+    with started_node(*words) as node:
+        return with_drive(node, ONLY)
+
+
+@pytest.mark.usefixtures("ros")
+def test_the_drive_brings_its_settings_as_parameters(packages: Path) -> None:
+    install(packages, "drive", "standing", STANDING)
+    assert declared() == ONLY
+    topic = declared(*given(drive__type="topic"))
+    assert [parameter.name for parameter in topic[1:]] == [f"drive.{setting.name}" for setting in SETTINGS]
+    standing = declared(*given(drive__type="standing"))
+    assert standing[0].choices == ("simulated", "topic", "standing")
+    assert [parameter.name for parameter in standing[1:]] == ["drive.place"]
+    with pytest.raises(InputError, match="no drive 'wheels'"):
+        declared(*given(drive__type="wheels"))
+
+
+class Node:
+    """What `make_drive` needs of a node."""
+
+    def __init__(self, node: Any) -> None:
+        self.create_subscription, self.create_publisher = node.create_subscription, node.create_publisher
+        self.get_clock = node.get_clock
+        self.loop_group = LoopGroup()
+
+
+def test_a_simulated_drive_begins_where_the_parameters_say() -> None:
+    settings = settings_of(kind="double_integrator", damping=0.5, position=0.2, velocity=-0.1)
+    drive = make_drive(settings, config(settings), None)  # type: ignore[arg-type]
+    assert isinstance(drive, SimulatedDrive)
+    assert drive.read(5) == Measurement(5, 0.2, -0.1)
+
+
+def settings_of(**values: Any) -> Any:
+    drive = tuple(Parameter(f"drive.{s.name}", s.default, s.description, s.minimum) for s in SETTINGS)
+    table = (*PARAMETERS, *(drive if values.get("drive__type") == "topic" else ()))
+    return settings_from(REALTIME + table, **values)
+
+
+REALTIME = (
+    Parameter("epoch_ns", 0, "epoch"),
+    Parameter("clock_tolerance", 0.02, "tolerance"),
+)
+
+
+@pytest.mark.usefixtures("ros")
+def test_a_topic_drive_gets_the_robot_s_constants() -> None:
+    settings = settings_of(
+        kind="double_integrator", mass=0.7, gravity=1.62, limits__force=0.1, drive__type="topic", drive__offset=0.25
+    )
+    with started_node(name="agent_007") as node:
+        drive = make_drive(settings, config(settings), Node(node))  # type: ignore[arg-type]
+        assert isinstance(drive, TopicDrive)
+        assert (drive._mass, drive._gravity, drive._force) == (0.7, 1.62, 0.1)
+        assert drive.read(time.time_ns()) is None
+        subscribed = {subscription.topic_name for subscription in node.subscriptions}
+        assert {"/agent_007/odom", "/agent_007/imu"} <= subscribed
+    assert config(settings).limits.velocity == inf
+
+
+class Base:
+    """The other end: publishes what sensors say, keeps what commands it gets."""
+
+    def __init__(self, node: Any, command: Any, topic: str) -> None:
+        self.publishers = {name: node.create_publisher(kind, f"~/{name}", 10) for name, kind in TOPICS.items()}
+        self.subscription = node.create_subscription(command, topic, print, 10)
+
+    def command(self) -> Any:
+        """Wait for a command."""
+        deadline = time.monotonic() + 10.0
+        while (taken := self.subscription.handle.take_message(self.subscription.msg_type, False)) is None:
+            assert time.monotonic() < deadline, "no command arrives"
+            time.sleep(0.005)
+        return taken[0]
+
+
+WIRING = Wiring("odometry", "~/odom", "~/imu", "twist", "~/cmd_vel", "base_link", "wheel", True, False)
+
+
+@pytest.mark.usefixtures("ros")
+@pytest.mark.parametrize(
+    ("wiring", "message"),
+    [
+        (WIRING, TwistStamped),
+        (WIRING._replace(command="force", single_integrator=False), Float64),
+        (WIRING._replace(command="joint"), JointState),
+        (WIRING._replace(command="joint", single_integrator=False), JointState),
+    ],
+    ids=["twist", "force", "joint velocity", "joint effort"],
+)
+def test_commands_arrive_as_stock_messages(wiring: Wiring, message: Any) -> None:
+    with started_node(name="agent_001") as node:
+        base = Base(node, message, "/agent_001/cmd_vel")
+        link = TopicLink(wiring, node)
+        deadline = time.monotonic() + 10.0
+        while link._publisher.get_subscription_count() < 1:
+            assert time.monotonic() < deadline, "endpoints do not meet"
+            time.sleep(0.01)
+        link.send(0.125)
+        found = base.command()
+        if message is Float64:
+            assert found.data == 0.125
+            return
+        assert abs(time.time() - found.header.stamp.sec) < 60.0
+        if message is TwistStamped:
+            assert found.header.frame_id == "base_link"
+            linear, angular = found.twist.linear, found.twist.angular
+            assert [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z] == [0.125, 0, 0, 0, 0, 0]
+        else:
+            assert list(found.name) == ["wheel"]
+            rates, efforts = ([0.125], []) if wiring.single_integrator else ([], [0.125])
+            assert (list(found.position), list(found.velocity), list(found.effort)) == ([], rates, efforts)
+
+
+@pytest.mark.usefixtures("ros")
+def test_what_the_body_s_sensors_say_arrives() -> None:
+    with started_node(name="agent_001") as node:
+        base = Base(node, TwistStamped, "~/cmd_vel")
+        link = TopicLink(WIRING, node)
+        deadline = time.monotonic() + 10.0
+        while any(base.publishers[name].get_subscription_count() < 1 for name in ("odom", "imu")):
+            assert time.monotonic() < deadline, "endpoints do not meet"
+            time.sleep(0.01)
+        base.publishers["odom"].publish(Odometry())
+        base.publishers["imu"].publish(Imu())
+        found: list[Any] = []
+        while len(found) < 2:
+            assert time.monotonic() < deadline, f"only {found} arrived"
+            found += link.take()
+        assert sorted(type(each).__name__ for each in found) == ["Imu", "Odometry"]
