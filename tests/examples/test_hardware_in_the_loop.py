@@ -1,0 +1,111 @@
+"""The rig's physics, and the swarm's nodes on it by way of stock ROS messages."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import time
+from math import cos, sin
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.docs.pages import ROOT
+
+FOLDER = ROOT / "examples" / "hardware_in_the_loop"
+
+
+def load(name: str) -> Any:
+    """Import a module of the example under a name of its own, its neighbours by theirs."""
+    spec = importlib.util.spec_from_file_location(f"hardware_in_the_loop_{name}", FOLDER / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def example(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(FOLDER)
+    return load("run")
+
+
+@pytest.fixture
+def physics() -> Any:
+    return load("rig")
+
+
+def test_the_rig_loses_no_energy_without_friction(physics: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Free bodies on a free plane: kinetic energy of both and height of the bodies together stay what they were."""
+    monkeypatch.setattr(physics, "friction", lambda rate: 0.0)
+    monkeypatch.setattr(physics, "END_STOP", 10.0)
+    robots = tuple(
+        physics.Robot(number, "double_integrator", mass, 0.0, place, 1.0, "localisation")
+        for number, mass, place in ((1, 0.4, 0.2), (2, 0.7, -0.15))
+    )
+    rig = physics.Rig(robots)
+    rig.held, rig.angle, rig.rate = False, 0.3, 0.8
+    rig.bodies[1].velocity = 0.5
+
+    def energy() -> float:
+        total = 0.5 * physics.INERTIA * rig.rate**2
+        for body in rig.bodies.values():
+            p, v, e = body.position, body.velocity, rig.angle
+            # Velocity in space of a point at p (cos e, sin e).
+            across, up = v * cos(e) - p * rig.rate * sin(e), v * sin(e) + p * rig.rate * cos(e)
+            total += body.robot.mass * (0.5 * (across**2 + up**2) + physics.GRAVITY * p * sin(e))
+        return float(total)
+
+    before, swing = energy(), set()
+    for milliseconds in range(1000):
+        for robot in rig.bodies:
+            rig.drive(robot, 0.0)
+        rig.advance((milliseconds + 1.5) / 1000)
+        swing.add(round(rig.angle, 2))
+    assert energy() == pytest.approx(before, rel=1e-9)
+    assert len(swing) > 10  # it moved
+
+
+def test_a_base_without_commands_comes_to_rest_and_keeps_its_place(physics: Any) -> None:
+    rig = physics.Rig()
+    for robot, command in ((1, 0.2), (3, 1.0)):
+        rig.drive(robot, command)
+    rig.advance(0.15)
+    places = [rig.bodies[robot].position for robot in (1, 3)]
+    assert places[0] > 0.13
+    rig.held, rig.angle = True, 0.1
+    rig.advance(2.0)
+    settled = [body.position for body in rig.bodies.values()]
+    rig.advance(3.0)
+    assert [body.position for body in rig.bodies.values()] == pytest.approx(settled, abs=1e-4)
+
+
+def test_a_folder_with_something_in_it_is_refused(
+    example: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "kept").write_text("x", encoding="utf-8")
+    assert example.main(["-o", str(tmp_path)]) == 2
+    assert "is not empty; give another folder" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+@pytest.mark.system
+@pytest.mark.timeout(180)
+@pytest.mark.usefixtures("nothing_survives")
+def test_the_swarm_levels_the_rig_and_stops_without_the_plane_s_sensor(example: Any, tmp_path: Path) -> None:
+    with example.running(tmp_path) as run:
+        run.wait(9.0)
+        found = example.rows(run.truth)
+        run.kill("plane_driver")
+        time.sleep(1.0)
+        still_from = run.time()
+        run.wait(still_from + 0.5)
+        after = [row for row in example.rows(run.truth) if row["time"] >= still_from]
+    assert found[0]["angle"] == pytest.approx(0.1, abs=0.01)
+    assert max(abs(row["angle"]) for row in found if row["time"] > 8.0) < 0.02
+    names = [name for name in found[0] if name.startswith("position")]
+    assert all(abs(row[name]) < 0.5 for row in found for name in names)
+    assert all(max(row[name] for row in found) - min(row[name] for row in found) > 0.005 for name in names)  # all work
+    assert all(max(row[name] for row in after) - min(row[name] for row in after) < 0.002 for name in names)
