@@ -50,7 +50,7 @@ def drive(robot: Robot) -> dict[str, object]:
     elif robot.source == "localisation":
         found |= {"drive.frame": "plane"}
     else:
-        found |= {"drive.axis": "x" if robot.facing > 0.0 else "-x", "drive.offset": robot.position}
+        found |= {"drive.axis": "+x" if robot.facing > 0.0 else "-x", "drive.offset": robot.position}
     return found
 
 

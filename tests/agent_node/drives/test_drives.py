@@ -160,3 +160,12 @@ def test_what_the_body_s_sensors_say_arrives() -> None:
             assert time.monotonic() < deadline, f"only {found} arrived"
             found += link.take()
         assert sorted(type(each).__name__ for each in found) == ["Imu", "Odometry"]
+
+
+@pytest.mark.usefixtures("ros")
+def test_every_choice_of_a_setting_is_a_text_on_a_command_line() -> None:
+    """ROS reads values as YAML, where y is a truth value."""
+    for setting in SETTINGS:
+        for choice in setting.choices or ():
+            with started_node(*given(drive__probe=choice)) as node:
+                assert node.get_parameter("drive.probe").value == choice

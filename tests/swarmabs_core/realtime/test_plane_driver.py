@@ -36,8 +36,8 @@ def test_an_encoder_behind_a_gear_that_counts_backwards() -> None:
 
 @given(angle=st.floats(-1.2, 1.2), rate=st.floats(-5.0, 5.0), yaw=st.floats(-3.0, 3.0), offset=st.floats(-0.2, 0.2))
 def test_an_imu_that_is_turned_on_the_plane_s_axis(angle: float, rate: float, yaw: float, offset: float) -> None:
-    """Its x axis along growing positions, the axis is -y; against them, y."""
-    for facing, axis in ((1.0, "-y"), (-1.0, "y")):
+    """Its x axis along growing positions, the axis is -y; against them, +y."""
+    for facing, axis in ((1.0, "-y"), (-1.0, "+y")):
         driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, "imu", axis=axis, offset=offset))
         driver.measure([imu(at(0), angle, rate, facing, yaw)], at(0))
         assert driver.tick(at(0)) == (

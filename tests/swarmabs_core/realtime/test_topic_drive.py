@@ -60,7 +60,7 @@ def heard(drive: TopicDrive, wire: Wire, *readings: Reading, now: int = EPOCH) -
 
 
 @given(
-    axis=st.sampled_from(["x", "y", "-x", "-y"]),
+    axis=st.sampled_from(["+x", "+y", "-x", "-y"]),
     facing=FACING,
     heading=st.floats(-0.4, 0.4),
     position=st.floats(-0.5, 0.5),
@@ -250,7 +250,7 @@ def test_topics_and_their_defaults() -> None:
         (SI, {"command": "joint"}, "give the name of the joint"),
         (SI, {"source": "joint_state", "joint__name": "a", "joint__scale": 0.0}, "0 is not allowed"),
         (SI, {"reversed": True}, "says which way the body faces"),
-        (SI, {"axis": "north"}, "one of x, y, z"),
+        (SI, {"axis": "north"}, r"one of \+x, \+y, \+z"),
         (SI, {"frames": "odom"}, "has no parameter 'frames'"),
     ],
 )

@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeAlias
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
-AXES = ("x", "y", "z", "-x", "-y", "-z")
-"""Names of signed axes."""
+AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
+"""Names of signed axes; the sign is always there, since YAML, and so ROS, takes a bare y for yes."""
 
 UNIT_TOLERANCE = 0.01
 """By how much the norm of a quaternion may differ from 1."""
@@ -71,7 +71,7 @@ class RefusedReadingError(Exception):
 
 def signed_axis(name: str) -> tuple[int, float]:
     """Return number (0, 1, 2) and sign of an axis out of `AXES`."""
-    return "xyz".index(name[-1]), -1.0 if name.startswith("-") else 1.0
+    return "xyz".index(name[1]), -1.0 if name[0] == "-" else 1.0
 
 
 def check_finite(*values: float) -> None:

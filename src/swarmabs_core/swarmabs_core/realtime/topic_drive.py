@@ -52,7 +52,7 @@ SETTINGS = (
         "stamp", "header", "time of a reading: its header's, or that of its arrival", choices=("header", "arrival")
     ),
     Parameter("frame", "odom", "frame_id that an odometry must have; '': any"),
-    Parameter("axis", "x", "axis of that frame along which positions grow", choices=AXES),
+    Parameter("axis", "+x", "axis of that frame along which positions grow", choices=AXES),
     Parameter("offset", 0.0, "position at which the sensor says 0, m"),
     Parameter(
         "heading_tolerance", 0.5, "largest angle between the body's x axis and the lane, rad", above=0.0, maximum=1.5
