@@ -20,6 +20,7 @@ import agent_node.node
 import agent_node.realtime
 import parent_controller.node
 import parent_controller.realtime
+import plane_sim.driver
 import plane_sim.node
 import plane_sim.realtime
 from swarmabs_bringup.orchestration.plan import plan
@@ -28,6 +29,7 @@ from swarmabs_bringup.replay import node as replay_player
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import BROADCAST, TOPICS
+from swarmabs_core.realtime import topic_drive
 from swarmabs_core.scenario import (
     AGENT_KINDS,
     CONTROLLER_CONFIGS,
@@ -228,6 +230,8 @@ def all_tables() -> dict[str, str]:
         "faults": variants(FAULT_KINDS, "kind"),
         "common": parameters(COMMON),
         "plane_sim": parameters(plane_sim.node.PARAMETERS),
+        "plane_driver": parameters(plane_sim.driver.PARAMETERS),
+        "topic drive": parameters(topic_drive.SETTINGS),
         "abstraction_observer": parameters(abstraction_observer.node.PARAMETERS),
         "parent_controller": parameters((parent_controller.node.LAW, *parent_controller.node.PARAMETERS)),
         "controller parameters": controller_parameters(),

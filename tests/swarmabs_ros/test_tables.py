@@ -9,10 +9,11 @@ import pytest
 from abstraction_observer import node as observer, realtime as realtime_observer
 from agent_node import node as agent, realtime as realtime_agent
 from parent_controller import node as controller, realtime as realtime_controller
-from plane_sim import node as plane, realtime as realtime_plane
+from plane_sim import driver as plane_driver, node as plane, realtime as realtime_plane
 from swarmabs_bringup.recorder import node as recorder
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime import topic_drive
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 
@@ -22,10 +23,12 @@ REALTIME = {
     "realtime abstraction_observer": realtime_observer.PARAMETERS,
     "realtime parent_controller": (controller.LAW, *realtime_controller.PARAMETERS),
     "realtime agent_node": realtime_agent.PARAMETERS,
+    "plane_driver": plane_driver.PARAMETERS,
 }
 TABLES = {
     "common": COMMON,
     "plane_sim": plane.PARAMETERS,
+    "topic drive": topic_drive.SETTINGS,
     "abstraction_observer": observer.PARAMETERS,
     "parent_controller": (controller.LAW, *controller.PARAMETERS),
     "agent_node": agent.PARAMETERS,
@@ -80,6 +83,7 @@ def test_numbers_are_bounded_or_may_have_either_sign(parameter: Parameter) -> No
     either_sign = {
         *("position", "velocity", "angular_velocity", "gains", "adaptive_initial"),
         *("amplitude", "angular_frequency", "disturbance.amplitude", "disturbance.angular_frequency"),
+        *("offset", "imu.offset", "scale", "joint.scale"),
         *("trajectory.amplitude", "trajectory.angular_frequency", "trajectory.value", "trajectory.angle"),
     }
     if isinstance(model, (int, float)) and not isinstance(model, bool):
