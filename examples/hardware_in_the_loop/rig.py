@@ -132,6 +132,8 @@ class Rig:
         self.angle, self.rate, *rest = moved(mean, SUBSTEP)
         for number, body in enumerate(bodies):
             body.position, body.velocity = rest[number], rest[len(bodies) + number]
+            if abs(body.position) > LENGTH / 2:  # a bumper
+                body.position, body.velocity = copysign(LENGTH / 2, body.position), 0.0
         if self.held:
             self.angle, self.rate = START, 0.0
         elif abs(self.angle) > END_STOP:

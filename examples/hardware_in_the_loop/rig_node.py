@@ -117,8 +117,11 @@ def main(file: Path) -> None:
         writer.writerow(["time", "angle", *(f"position_{robot}" for robot in rig.bodies)])
         try:
             while True:
-                while (rest := begun + due - time.monotonic()) > 0.0:
-                    executor.spin_once(timeout_sec=rest)
+                heard = 0
+                # Commands are heard even when the machine is too busy to keep time.
+                while (rest := begun + due - time.monotonic()) > 0.0 or heard < 2 * len(rig.bodies):
+                    executor.spin_once(timeout_sec=max(0.0, rest))
+                    heard += 1
                 rig.advance(due)
                 node.publish()
                 if not rig.held:

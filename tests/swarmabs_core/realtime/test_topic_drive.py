@@ -144,8 +144,24 @@ def test_a_double_integrator_is_measured_only_while_its_imu_is_heard() -> None:
     measured = heard(drive, wire, odometry(later, 0.1, 0.0), now=later)
     assert measured is not None
     assert measured.stamp == EPOCH - 5 * MS  # as old as the oldest thing it depends on
-    drive.write(0.3, later)
-    assert wire.sent == [0.3]  # a tilt of half a second ago is nothing to push against
+    drive.write(0.3, EPOCH + 90 * MS)
+    assert len(wire.sent) == 1
+    drive.write(0.3, later)  # a tilt of half a second ago is nothing to push against: now the base brakes by itself
+    assert len(wire.sent) == 1
+    drive.stop()
+    assert wire.sent[-1] == 0.0
+
+
+def test_a_base_is_not_told_forces_when_its_motion_is_not_known() -> None:
+    """Zero force is no rest on a tilted plane; a velocity of zero is."""
+    for kind, told in ((DI, []), (SI, [0.0])):
+        drive, wire = made(kind, gravity="none")
+        drive.write(0.0, EPOCH)
+        assert wire.sent == told
+        heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
+        wire.sent.clear()
+        drive.write(0.0, EPOCH + 101 * MS)
+        assert wire.sent == told
 
 
 def test_without_its_own_imu_or_as_a_single_integrator_nothing_is_added() -> None:

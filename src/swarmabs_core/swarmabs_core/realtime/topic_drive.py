@@ -64,6 +64,7 @@ SETTINGS = (
     Parameter("max_speed", 2.0, "largest speed that is believed, m/s", above=0.0),
     Parameter("max_jump", 0.01, "distance beyond it by which two readings may differ, m", minimum=0.0),
     Parameter("clock_tolerance", 0.02, "how far a reading may come from the future, s", minimum=0.0),
+    Parameter("age_limit", 0.1, "age of readings from which on a double integrator is told nothing, s", above=0.0),
     Parameter(
         "gravity", "imu", "what a double integrator's weight along the plane is known from", choices=("imu", "none")
     ),
@@ -71,7 +72,6 @@ SETTINGS = (
     Parameter("imu.frame", "imu_link", "frame_id that it must have; '': any"),
     Parameter("imu.axis", "-y", "axis of the IMU about which the robot's nose rises", choices=AXES),
     Parameter("imu.offset", 0.0, "angle by which the nose is up where the IMU says 0, rad"),
-    Parameter("imu.age_limit", 0.1, "age from which on the IMU counts as silent, s", above=0.0),
     Parameter("imu.max_rate", 5.0, "largest rate of tilting that is believed, rad/s", above=0.0),
     Parameter("imu.max_jump", 0.05, "angle beyond it by which two readings may differ, rad", minimum=0.0),
 )
@@ -177,7 +177,7 @@ class TopicDrive:
         self._tilt = Track(Plausible(number("imu.max_rate"), number("imu.max_jump"), tolerance), bandwidth)
         self._imu_frame, self._imu_offset = text("imu.frame"), number("imu.offset")
         self._imu_axis, self._imu_sign = signed_axis(text("imu.axis"))
-        self._imu_age_limit = round(number("imu.age_limit") * 1e9)
+        self._age_limit = round(number("age_limit") * 1e9)
         self._mass, self._gravity, self._force = body.mass, body.gravity, body.limits.force
         self.refused = RefusedReadings()
         if body.connect is None:
@@ -207,9 +207,14 @@ class TopicDrive:
 
         What is added is m (g sin(th) - p w^2), the negative of what a tilting plane does to a robot (EOM_DI with the
         Lagrangian's terms), so the body feels the law's force alone. The sum stays within the limit of force.
+
+        A double integrator whose motion or tilt is not known gets no command: no force would brake it or hold its
+        weight, zero neither, but its base does when commands cease.
         """
+        if not self._single and not self._knows(now):
+            return
         if self._weighs:
-            command = min(max(command + self._weight(now), -self._force), self._force)
+            command = min(max(command + self._weight(), -self._force), self._force)
         self._send(command)
 
     def stop(self) -> None:
@@ -229,9 +234,14 @@ class TopicDrive:
             value = value / self._lane.scale if self._single else value * self._lane.scale
         self._link.send(value)
 
-    def _weight(self, now: int) -> float:
+    def _knows(self, now: int) -> bool:
+        """Tell whether motion, and the tilt if it is needed, are known of late."""
+        tracks = (self._track, self._tilt) if self._weighs else (self._track,)
+        return all(each.newest is not None and now - each.newest.stamp <= self._age_limit for each in tracks)
+
+    def _weight(self) -> float:
         tilted, motion = self._tilt.newest, self._track.newest
-        if tilted is None or motion is None or now - tilted.stamp > self._imu_age_limit:
+        if tilted is None or motion is None:
             return 0.0
         angle = self._facing * tilted.value
         return self._mass * (self._gravity * sin(angle) - motion.value * tilted.rate * tilted.rate)
