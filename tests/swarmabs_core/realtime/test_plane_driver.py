@@ -67,6 +67,15 @@ def test_it_takes_what_has_arrived_once_per_step_and_publishes_a_step_once() -> 
     assert driver.hear(PlaneState(at(1), 1, 9.0, 9.0), at(1)) == ()
 
 
+def test_a_clock_that_was_set_back_far_lets_it_begin_anew() -> None:
+    driver = PlaneDriver(ENCODER)
+    published = []
+    for step in (1000, 999, 998, 1001, 500, 501, 502):
+        driver.measure([encoder(at(step), 0.1, 0.0)], at(step))
+        published += [message.step for message in driver.tick(at(step)) if isinstance(message, PlaneState)]
+    assert published == [1000, 1001, 501, 502]
+
+
 def test_a_silent_sensor_silences_the_plane_and_both_are_said_once() -> None:
     """The limit of 50 ms: the reading is good for five steps, then nothing is published until another comes."""
     driver = PlaneDriver(ENCODER)

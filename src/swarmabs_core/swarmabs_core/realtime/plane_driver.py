@@ -9,7 +9,7 @@ from typing import Literal
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
-from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.readings import (
     Imu,
     Joints,
@@ -111,7 +111,7 @@ class PlaneDriver:
         tolerance = round(config.clock_tolerance * 1e9)
         self._track = Track(Plausible(config.max_rate, config.max_jump, tolerance), config.bandwidth)
         self._age_limit = round(config.age_limit * 1e9)
-        self._step = -1
+        self._counter = StepCounter(config.schedule)
         self._silent: bool | None = None
         self._refusals = Refusals()
         self.refused = RefusedReadings()
@@ -137,10 +137,9 @@ class PlaneDriver:
         return (*self.measure(self._take(), now), *self._state(now))
 
     def _state(self, now: int) -> Messages:
-        step = self._config.schedule.step(now)
-        if step <= self._step or step < 0:  # the clock was set back, or the epoch is still to come
+        step = self._counter.next(now)
+        if step is None:
             return ()
-        self._step = step
         sample = self._track.newest
         age = inf if sample is None else (now - sample.stamp) / 1e9
         if sample is None or now - sample.stamp > self._age_limit:
