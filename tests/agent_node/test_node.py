@@ -10,6 +10,7 @@ from tests.swarmabs_ros.nodes import settings_from
 from agent_node.node import PARAMETERS, config, make
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import FaultKind, RobotFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, Kind
 from swarmabs_core.parameters import Value
@@ -42,8 +43,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
         first_step=3,
         end="freeze",
         end_step=30,
-        delay=2,
-        loss_probability=0.25,
+        faults=("loss 0 -1 0.25", "lie 3 9 0.1 1.0 2.0"),
         seed=99,
         feels_gravity=True,
         sensor__noise=(0.1, 0.2),
@@ -63,8 +63,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
         damping=0.8,
         limits=Limits(8.0, 9.0),
         life=LifeSpan(3, ChangeKind.FREEZE, 30),
-        delay=2,
-        loss_probability=0.25,
+        faults=(RobotFault(FaultKind.LOSS, (0.25,)), RobotFault(FaultKind.LIE, (0.1, 1.0, 2.0), 3, 9)),
         seed=99,
         feels_gravity=True,
         last_step=77,

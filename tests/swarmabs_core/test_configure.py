@@ -7,13 +7,15 @@ from swarmabs_core import configure
 from swarmabs_core.behaviours import LifeSpan, Limits
 from swarmabs_core.controllers.arise import Arise
 from swarmabs_core.controllers.feedback import StateFeedback, lqr_gains
+from swarmabs_core.faults import FaultKind, RobotFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.swarm_law import SwarmGains
 
 FAULTS = (
     "faults=[{at: 0.5, kind: kill, agent: 3}, {at: 0.2, kind: join, agent: 2}, {at: 0.4, kind: leave, agent: 2}, "
-    "{kind: loss, probability: 0.25}, {kind: delay, steps: 2}]"
+    "{kind: loss, probability: 0.25}, {kind: delay, steps: 2, agents: [1, 4]}, "
+    "{kind: lie, agent: 2, position_offset: 0.01, from: 0.104, to: 0.301}]"
 )
 
 
@@ -54,7 +56,10 @@ def test_robots() -> None:
     for robot in robots:
         assert robot.gains == SwarmGains((1.0, 2.0), (3.0, 4.0), (5.0, 6.0), 7.0)
         assert robot.limits == Limits(force=2.5)
-        assert (robot.delay, robot.loss_probability, robot.seed) == (2, 0.25, 9)
+        assert robot.seed == 9
+    loss, delay = RobotFault(FaultKind.LOSS, (0.25,)), RobotFault(FaultKind.DELAY, (2.0,))
+    lie = RobotFault(FaultKind.LIE, (0.01, 1.0, 1.0), 10, 30)
+    assert [robot.faults for robot in robots] == [(loss, delay), (loss, lie), (loss,), (loss, delay)]
 
 
 def test_robot_that_is_there_for_one_step() -> None:

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import pytest
+from tests.swarmabs_core.helpers import agent_state
 
-from swarmabs_core.faults import lost
+from swarmabs_core.errors import InputError
+from swarmabs_core.faults import FaultKind, Lie, RobotFault, duplicated, held_back, lost, truth
 
 
 def test_draws_are_frozen() -> None:
@@ -36,3 +38,55 @@ def test_robots_steps_and_seeds_draw_independently() -> None:
         assert 60 < agreement < 140
     # Seed, step and robot are told apart where their digits meet.
     assert [lost(0.5, 1, 11, a) for a in range(64)] != [lost(0.5, 11, 1, a) for a in range(64)]
+
+
+def test_draws_of_other_faults_are_frozen_too() -> None:
+    late = [(step, held_back(0.3, 4, 1, step, 3)) for step in range(20)]
+    assert [(step, by) for step, by in late if by] == [(3, 4), (5, 1), (7, 1), (8, 2), (13, 4), (15, 4), (17, 2)]
+    assert [step for step in range(20) if duplicated(0.3, 1, step, 3, "state")] == [0, 4, 6, 10, 12, 14, 15, 17, 18, 19]
+
+
+def test_how_late_broadcasts_come_is_uniform() -> None:
+    drawn = [held_back(0.5, 4, 7, step, agent) for step in range(2000) for agent in range(1, 6)]
+    late = sum(map(bool, drawn))
+    assert abs(late - 5000) < 200
+    for steps in (1, 2, 3, 4):
+        assert abs(drawn.count(steps) - late / 4) < 4.0 * (late * 3 / 16) ** 0.5
+
+
+FAULTS = [
+    RobotFault(FaultKind.LOSS, (0.25,)),
+    RobotFault(FaultKind.DELAY, (2.0,), 10),
+    RobotFault(FaultKind.REORDERING, (0.1, 3.0), 0, 20),
+    RobotFault(FaultKind.CLOCK_OFFSET, (-1e-9,), 3, 4),
+    RobotFault(FaultKind.LIE, (0.1, -0.3333333333333333, 1e-3), 3, 4),
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_a_fault_as_a_parameter(fault: RobotFault) -> None:
+    assert RobotFault.parse(str(fault)) == fault
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "loss", "loss 0 -1", "loss 0 -1 a", "loss 0 -1 nan", "loss -2 5 0.1", "loss 0 -1 0.1 0.2", "kill 0 -1 1"],
+)
+def test_what_is_no_fault_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="is not of the form"):
+        RobotFault.parse(text)
+
+
+@pytest.mark.parametrize("text", ["3 loss 0 -1 0.1", "lie 0 -1 0 1 2", "3 lie 0 -1 0 0 1", "x lie 0 -1 0 1 2", ""])
+def test_what_is_no_lie_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="is not of the form"):
+        Lie.parse(text)
+
+
+def test_a_lie_is_undone_for_its_robot_while_it_lasts() -> None:
+    lie = Lie.parse("3 lie 10 20 0.05 2.0 0.5")
+    assert Lie.parse(str(lie)) == lie
+    said = agent_state(3, 10, mass=0.25, position=0.25)
+    assert truth(said, [lie])[6:9] == (0.5, 0.0, pytest.approx(0.1, abs=1e-15))
+    for other in (agent_state(3, 9), agent_state(3, 20), agent_state(2, 10)):
+        assert truth(other, [lie]) is other

@@ -41,6 +41,10 @@ CASES = {
     "join": (faults("at: 0.5, kind: join, agent: 4"), [(50, 4, EventKind.JOINED)]),
     "loss": (faults("kind: loss, probability: 0.2"), []),
     "delay": (faults("kind: delay, steps: 2"), []),
+    "duplication": (faults("kind: duplication, probability: 0.3"), []),
+    "reordering": (faults("kind: reordering, probability: 0.4, steps: 3, agents: [1, 4]"), []),
+    "clock_offset": (faults("kind: clock_offset, agent: 3, offset: -0.75, from: 0.3"), []),
+    "lie": (faults("kind: lie, agent: 3, position_offset: 0.02, mass_factor: 0.9, from: 0.3, to: 1"), []),
     "all": (
         faults(
             "at: 0.2, kind: join, agent: 4",
@@ -48,6 +52,10 @@ CASES = {
             "at: 0.8, kind: leave, agent: 4",
             "kind: loss, probability: 0.1",
             "kind: delay, steps: 1",
+            "kind: duplication, probability: 0.2, from: 0.1",
+            "kind: reordering, probability: 0.1, steps: 2, to: 1",
+            "kind: clock_offset, agent: 2, offset: 3.5",
+            "kind: lie, agent: 1, position_factor: 1.1, to: 0.3",
         ),
         [(20, 4, EventKind.JOINED), (41, 1, EventKind.DEAD), (81, 4, EventKind.LEFT)],
     ),

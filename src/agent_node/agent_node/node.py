@@ -7,9 +7,10 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits, Unpacking, make_agent
+from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_agent
 from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import RobotFault
 from swarmabs_core.law_registry import LAWS, PAPER, law_type
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
@@ -43,9 +44,8 @@ PARAMETERS = (
     Parameter("first_step", 0, "step at which the robot joins", minimum=0),
     Parameter("end", "none", "how the robot ends by plan", choices=("none", "kill", "freeze", "leave")),
     Parameter("end_step", 0, "step of the planned end", minimum=0),
-    Parameter("delay", 0, "injected age of the broadcasts, steps", minimum=0),
-    Parameter("loss_probability", 0.0, "injected probability of missing the broadcasts", minimum=0.0, maximum=1.0),
-    Parameter("seed", 1, "seed of the injected losses and of the sensor's noise", minimum=0),
+    Parameter("faults", (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'"),
+    Parameter("seed", 1, "seed of what is drawn of the faults and of the sensor's noise", minimum=0),
     Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
     PACKED,
     LAW,
@@ -127,8 +127,7 @@ def config(settings: Settings) -> AgentConfig:
             None if end == "none" else ChangeKind(end),
             None if end == "none" else settings.integer("end_step"),
         ),
-        delay=settings.integer("delay"),
-        loss_probability=settings.number("loss_probability"),
+        faults=tuple(map(RobotFault.parse, settings.texts("faults"))),
         seed=settings.integer("seed"),
         feels_gravity=settings.flag("feels_gravity"),
         law=str(law.pop("type")),
@@ -141,7 +140,7 @@ def config(settings: Settings) -> AgentConfig:
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    agent: Agent | Unpacking = make_agent(config(settings))
+    agent: Listener = make_agent(config(settings))
     if settings.flag(PACKED.name):
         agent = Unpacking(agent)
     return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})

@@ -6,6 +6,7 @@ import sys
 from math import inf
 
 from swarmabs_core.behaviours import Plane, PlaneConfig
+from swarmabs_core.faults import Lie
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
 from swarmabs_core.parameters import Parameter
@@ -50,6 +51,7 @@ PARAMETERS = (
     ),
     Parameter("seed", 1, "seed of the sensor's noise", minimum=0),
     Parameter("actuator_lag", 0.0, "time constant of the robots' drives, s", minimum=0.0),
+    Parameter("lies", (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'"),
 )
 
 
@@ -74,6 +76,7 @@ def config(settings: Settings) -> PlaneConfig:
         sensor=Sensor(settings.pair("sensor.noise"), settings.pair("sensor.resolution")),
         seed=settings.integer("seed"),
         actuator_lag=settings.number("actuator_lag"),
+        lies=tuple(map(Lie.parse, settings.texts("lies"))),
     )
 
 

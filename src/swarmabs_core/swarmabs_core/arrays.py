@@ -198,8 +198,10 @@ def run_arrays(tables: Tables) -> RunArrays:
     tables : mapping
         For each main topic its messages in any order, as `table` returns them.
     """
-    step, first = np.unique(np.concatenate([table["step"] for table in tables.values()]), return_index=True)
-    stamps = np.concatenate([table["sec"] * 1e9 + table["nanosec"] for table in tables.values()])
+    # The first message of a step tells its time; robots come last, since their clocks may be wrong.
+    ordered = sorted(tables, key=lambda topic: topic is AGENT_STATE)
+    step, first = np.unique(np.concatenate([tables[topic]["step"] for topic in ordered]), return_index=True)
+    stamps = np.concatenate([tables[topic]["sec"] * 1e9 + tables[topic]["nanosec"] for topic in ordered])
     rows = {topic: np.searchsorted(step, table["step"]) for topic, table in tables.items()}
     filled = {topic: _Columns(tables[topic], rows[topic], (len(step),)) for topic in MAIN_TOPICS[1:]}
     plane, abstract = filled[PLANE_STATE], filled[ABSTRACT_STATE]

@@ -14,6 +14,7 @@ from swarmabs_core.behaviours import (
     PlaneConfig,
 )
 from swarmabs_core.controllers import ParentContext, make_controller
+from swarmabs_core.faults import FaultKind, Lie, RobotFault
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, ChangeKind
@@ -50,9 +51,27 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
     return tuple(
         sorted(
             Change(scenario.fault_step(fault.at), fault.agent, ChangeKind(fault.kind))
-            for fault in scenario.faults
-            if fault.kind != "loss" and fault.kind != "delay"  # noqa: PLR1714 - so that mypy knows the type
+            for fault in scenario.membership_faults
         )
+    )
+
+
+def robot_faults(scenario: Scenario, agent_id: int) -> tuple[RobotFault, ...]:
+    """Return what is injected into a robot besides changes of the membership."""
+    return tuple(
+        RobotFault(FaultKind(fault.kind), fault.values, *scenario.fault_steps(fault))
+        for fault in scenario.robot_faults
+        if fault.hits(agent_id)
+    )
+
+
+def lies(scenario: Scenario) -> tuple[Lie, ...]:
+    """Return the injected lies of all robots, by robot."""
+    return tuple(
+        Lie(agent.id, fault)
+        for agent in scenario.agents
+        for fault in robot_faults(scenario, agent.id)
+        if fault.kind is FaultKind.LIE
     )
 
 
@@ -123,6 +142,7 @@ def plane_config(scenario: Scenario) -> PlaneConfig:
         sensor=plane_sensor(scenario),
         seed=scenario.seed,
         actuator_lag=scenario.swarm.actuator_lag,
+        lies=lies(scenario),
     )
 
 
@@ -180,12 +200,6 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
             lives[change.agent_id] = LifeSpan(change.step, life.end, life.end_step)
         else:
             lives[change.agent_id] = LifeSpan(life.first_step, change.kind, change.step)
-    delay, probability = 0, 0.0
-    for fault in scenario.faults:
-        if fault.kind == "delay":
-            delay = fault.steps
-        elif fault.kind == "loss":
-            probability = fault.probability
     return tuple(
         AgentConfig(
             agent_id=agent.id,
@@ -200,8 +214,7 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
             damping=agent.damping,
             limits=limits,
             life=lives.get(agent.id, LifeSpan()),
-            delay=delay,
-            loss_probability=probability,
+            faults=robot_faults(scenario, agent.id),
             seed=scenario.seed,
             feels_gravity=scenario.plane.robot_gravity,
             law=scenario.swarm.law.type,

@@ -16,6 +16,7 @@ from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
     MAIN_TOPICS,
+    PLANE_STATE,
     TOPIC_OF,
     AgentState,
     Message,
@@ -83,10 +84,14 @@ def digest_head(topic: Topic, size: int) -> bytes:
 
 
 class RecordedStep(NamedTuple):
-    """All records of a step, in the order in which a bag holds them."""
+    """All records of a step, in the order in which a bag holds them.
+
+    ``time`` (ns) is that of the step where no state of the plane tells it: a robot's clock may be wrong.
+    """
 
     step: int
     records: tuple[Record, ...]
+    time: int | None = None
 
     @property
     def messages(self) -> int:
@@ -112,7 +117,9 @@ class RecordedStep(NamedTuple):
 
     def stored(self) -> Iterator[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
-        return ((r.topic, r.message.stamp, r.payload) for r in self.records)
+        plane = self.plane
+        time = plane.stamp if plane is not None else self.time
+        return ((r.topic, r.message.stamp if time is None else time, r.payload) for r in self.records)
 
 
 class Digest:
@@ -230,7 +237,7 @@ class RunCollector:
         record = slot.events[payload] = Record(topic, event.agent_id, event, payload)
         self._membership.apply(event.kind, event.agent_id, event.step, event.detail)
         if event.step < self._step:  # its step is recorded already: it stands late, but it stands
-            return [RecordedStep(event.step, (record,))]
+            return [RecordedStep(event.step, (record,), slot.main[PLANE_STATE].message.stamp)]
         return self._complete()
 
     def missing(self) -> tuple[str, ...]:

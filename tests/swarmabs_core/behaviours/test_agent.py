@@ -10,7 +10,7 @@ from tests.swarmabs_core.helpers import PERIOD_NS, broadcasts
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.behaviours.base import ConflictError, UnexpectedMessageError
 from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.faults import lost
+from swarmabs_core.faults import FaultKind, RobotFault, lost
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -282,9 +282,8 @@ def test_force_limit_goes_before_the_speed_limit() -> None:
 
 
 def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
-    node = agent(loss_probability=0.5, seed=4)
-    injected, before = node.start()
-    assert injected == SwarmEvent(0, 0, 3, EventKind.FAULT_INJECTED, 0.5, "loss of the broadcasts")
+    node = agent(faults=(RobotFault(FaultKind.LOSS, (0.5,)),), seed=4)
+    (before,) = node.start()
     states = [state(hear(node, broadcasts(step, desired=0.1 * step))) for step in range(40)]
     losses = [lost(0.5, 4, step, 3) for step in range(40)]
     assert 10 < sum(losses) < 30
@@ -297,9 +296,8 @@ def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
 
 @kinds
 def test_delayed_broadcasts_meet_the_robots_present_state(kind: Kind) -> None:
-    node = agent(kind, delay=2)
-    injected, before = node.start()
-    assert injected == SwarmEvent(0, 0, 3, EventKind.FAULT_INJECTED, 2.0, "delay of the broadcasts, steps")
+    node = agent(kind, faults=(RobotFault(FaultKind.DELAY, (2.0,)),))
+    (before,) = node.start()
     for step in range(6):
         after = state(hear(node, broadcasts(step, desired=0.1 * step)))
         if step < 2:

@@ -404,6 +404,55 @@ CASES = [
         "f:6: faults.1.at: robot 1 joins at step 100, but is out from step 100 (see line 5); let",
     ),
     (
+        HEAD
+        + "faults:\n  - {kind: loss, probability: .1, to: 2}\n  - {kind: loss, probability: .2, from: 1, agents: [2]}",
+        "f:6: faults.1: a second loss for robot 2 at the same time (see line 5); keep one loss, or let it end ('to')",
+    ),
+    (
+        HEAD + "faults: [{kind: reordering, probability: .1, agents: [1, 7]}]",
+        "f:4: faults.0.agents.1: there is no robot 7; name an existing",
+    ),
+    (
+        HEAD + "faults: [{kind: duplication, probability: .1, agents: []}]",
+        "f:4: faults.0.agents: no robots are named; name some, or leave out 'agents' for all",
+    ),
+    (
+        HEAD + "faults: [{kind: reordering, probability: .1, steps: 0}]",
+        "f:4: faults.0.steps: 0 is out of range; give a number >= 1",
+    ),
+    (
+        HEAD + "faults: [{kind: delay, steps: 1, from: 31}]",
+        "f:4: faults.0.from: 31.0 s is step 3100, after the last step 3000; use a time within",
+    ),
+    (
+        HEAD + "faults: [{kind: delay, steps: 1, from: 2, to: 1}]",
+        "f:4: faults.0: the fault ends at 1.0 s, before it begins; use a 'to' after 2.0 s",
+    ),
+    (
+        HEAD + "faults: [{kind: delay, steps: 1, from: 1, to: 1.004}]",
+        "f:4: faults.0.to: the fault begins and ends with step 100; let it last a step or more",
+    ),
+    (
+        HEAD + "faults: [{kind: clock_offset, agent: 1, offset: 1.0e-10}]",
+        "f:4: faults.0.offset: 1e-10 s is not a whole number of nanoseconds; give at most nine decimals",
+    ),
+    (
+        HEAD + "faults: [{kind: clock_offset, agent: 9, offset: 1}]",
+        "f:4: faults.0.agent: there is no robot 9; name an existing",
+    ),
+    (
+        HEAD + "faults: [{kind: lie, agent: 1}]",
+        "f:4: faults.0: this robot tells the truth; give 'position_offset', 'position_factor' or 'mass_factor'",
+    ),
+    (
+        HEAD + "faults: [{kind: lie, agent: 1, position_factor: 0}]",
+        "f:4: faults.0.position_factor: 0.0 cannot be undone; give a number of at least 0.001 in magnitude",
+    ),
+    (
+        HEAD + "faults: [{kind: lie, agents: [1], position_factor: 2}]",
+        "f:4: faults.0.agents: unknown key 'agents'; did you mean 'agent'?",
+    ),
+    (
         HEAD + "faults: [{kind: join, at: 1, agent: 1}]",
         "f:3: swarm.generate: a swarm needs at least two robots at step 0, found 1: the others join",
     ),

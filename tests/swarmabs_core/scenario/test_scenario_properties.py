@@ -10,18 +10,21 @@ from pydantic import ValidationError
 from swarmabs_core.scenario import (
     Agent,
     AriseConfig,
+    ClockOffsetFault,
     ConstantTrajectory,
     ControllerConfig,
     CsvTrajectory,
     DelayFault,
     Disturbance,
     DoubleIntegratorAgent,
+    DuplicationFault,
     Fault,
     FreezeFault,
     Generate,
     JoinFault,
     KillFault,
     LeaveFault,
+    LieFault,
     Limits,
     Lockstep,
     LossFault,
@@ -30,6 +33,7 @@ from swarmabs_core.scenario import (
     PdConfig,
     Plane,
     QuinticTrajectory,
+    ReorderingFault,
     Scenario,
     ScenarioError,
     SineTrajectory,
@@ -130,6 +134,13 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     faults: list[Fault] = [draw(going)(at=draw(moments), agent=agent.id) for agent in hit]
     faults += draw(st.lists(st.builds(LossFault, probability=st.floats(0, 1)), max_size=1))
     faults += draw(st.lists(st.builds(DelayFault, steps=st.integers(0, 2**31 - 1)), max_size=1))
+    ids = st.sampled_from([agent.id for agent in swarm.members])
+    named = st.none() | st.lists(ids, min_size=1, unique=True).map(tuple)
+    late = st.builds(ReorderingFault, probability=st.floats(0, 1), steps=st.integers(1, 99), agents=named)
+    faults += draw(st.lists(late, max_size=1))
+    faults += draw(st.lists(st.builds(DuplicationFault, probability=st.floats(0, 1), agents=named), max_size=1))
+    faults += draw(st.lists(st.builds(LieFault, agent=ids, mass_factor=st.floats(1.5, 9)), max_size=1))
+    faults += draw(st.lists(st.builds(ClockOffsetFault, agent=ids, offset=st.sampled_from([-1.5, 1e-9])), max_size=1))
     try:
         return Scenario(
             schema=1,

@@ -161,7 +161,7 @@ realtime:
   quorum: null
 faults:
   - {kind: kill, at: 1.0, agent: 1}
-  - {kind: delay, steps: 2}
+  - {kind: delay, from: 0.0, to: null, agents: null, steps: 2}
 """
 
 

@@ -18,7 +18,7 @@ from tests.plugin_packages import SCALED, install
 from tests.swarmabs_core.helpers import builtin, digest
 
 from swarmabs_core import command_filter, configure, desired_state, drive, plant, simulation
-from swarmabs_core.behaviours import Agent, AgentConfig, Observer, make_agent
+from swarmabs_core.behaviours import Agent, AgentConfig, Listener, Observer, make_agent
 from swarmabs_core.cdr import agent_id_of, decode, encode
 from swarmabs_core.controllers import arise
 from swarmabs_core.errors import MalformedMessageError, RunError
@@ -48,9 +48,17 @@ FAULTS = (
     "faults=[{at: 0.1, kind: join, agent: 4}, {at: 0.2, kind: kill, agent: 1}, {at: 0.4, kind: leave, agent: 4},"
     " {kind: loss, probability: 0.2}, {kind: delay, steps: 2}]"
 )
+FAULTS_OF_MESSAGES = (
+    "faults=[{kind: duplication, probability: 0.5}, {kind: reordering, probability: 0.4, steps: 3, from: 0.1},"
+    " {kind: clock_offset, agent: 1, offset: -0.25, from: 0.05, to: 0.4}, {at: 0.2, kind: kill, agent: 2},"
+    " {kind: lie, agent: 3, position_offset: 0.01, position_factor: 1.1, mass_factor: 0.9, from: 0.1, to: 0.4},"
+    " {kind: loss, probability: 0.3, agents: [3], from: 0.2, to: 0.5},"
+    " {kind: delay, steps: 2, agents: [1, 4], to: 0.3}]"
+)
 NOISE = ("swarm.sensor={noise: [1.0e-4, 1.0e-3], resolution: [1.0e-5, 0]}", "plane.sensor={noise: [1.0e-4, 1.0e-3]}")
 WORLDS: dict[str, tuple[str, ...]] = {
     "faults": ("pd_het_4", SHORT, FAULTS),
+    "faults of messages": ("pd_het_4", SHORT, FAULTS_OF_MESSAGES),
     "freeze": ("pd_het_4", SHORT, "faults=[{at: 0.2, kind: freeze, agent: 3}]"),
     "adaptive controller and disturbance": ("arise_het_4", SHORT),
     "many robots, on arrays": ("arise_het_20", "duration=0.2"),
@@ -248,7 +256,9 @@ def test_a_missing_event_comes_before_a_later_difference() -> None:
 # A robot cheats, and what it does afterwards fits
 
 
-def run_with(monkeypatch: pytest.MonkeyPatch, scenario: Scenario, make: Callable[[AgentConfig], Agent]) -> list[Stored]:
+def run_with(
+    monkeypatch: pytest.MonkeyPatch, scenario: Scenario, make: Callable[[AgentConfig], Listener]
+) -> list[Stored]:
     """Return a whole run, closed loop and all, in which robots are made otherwise."""
     with monkeypatch.context() as patch:
         patch.setattr(simulation, "make_agent", make)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag import BagReader, open_bag
 from swarmabs_bringup.bag.attached import attached_scenario
@@ -182,8 +182,17 @@ def _shortened(scenario: Scenario, last_step: int) -> Scenario:
     text["duration"] = last_step * scenario.step_ns / 1e9
     text["swarm"]["agents"] = [agent for agent in text["swarm"]["agents"] if agent["id"] not in later]
     text["faults"] = [
-        fault
+        _of_those_left(fault, later)
         for fault in text["faults"]
-        if "at" not in fault or (scenario.fault_step(fault["at"]) <= last_step and fault["agent"] not in later)
+        if scenario.fault_step(fault.get("at", fault.get("from"))) <= last_step
+        and fault.get("agent") not in later
+        and not (fault.get("agents") and later.issuperset(fault["agents"]))
     ]
     return parse_scenario(dump_yaml(text), source="scenario of the replay").resolved()
+
+
+def _of_those_left(fault: dict[str, Any], later: Collection[int]) -> dict[str, Any]:
+    """Return a fault that does not name robots that come later."""
+    if not fault.get("agents"):
+        return fault
+    return fault | {"agents": [agent for agent in fault["agents"] if agent not in later]}

@@ -180,7 +180,7 @@ def _events(recorded: Recorded) -> Iterator[ET.Element]:
     if len(events) <= MOST_EVENTS:
         rows = [
             (
-                f"{event.stamp / 1e9:g} s",
+                f"{recorded.time_of(event):g} s",
                 str(event.step),
                 str(event.agent_id or "-"),
                 _kind(event),
@@ -204,8 +204,8 @@ def _events(recorded: Recorded) -> Iterator[ET.Element]:
                 kind,
                 who,
                 f"{len(group):,}",
-                f"{group[0].stamp / 1e9:g} s",
-                f"{group[-1].stamp / 1e9:g} s",
+                f"{recorded.time_of(group[0]):g} s",
+                f"{recorded.time_of(group[-1]):g} s",
                 f"{values[0]:.4g}" if len(group) == 1 else f"{min(values):.4g} to {max(values):.4g}",
                 shown(group[0].detail),
             )

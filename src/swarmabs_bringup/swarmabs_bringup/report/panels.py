@@ -529,8 +529,8 @@ def _mark_events(axes: Axes, recorded: Recorded) -> None:
     edge = axes.get_xaxis_transform()
     times: dict[str, set[float]] = defaultdict(set)
     for event in recorded.events:
-        if 0.0 <= event.stamp / 1e9 <= end:
-            times[EVENT_COLOURS.get(event.kind, GREY)].add(event.stamp / 1e9)
+        if 0.0 <= recorded.time_of(event) <= end:
+            times[EVENT_COLOURS.get(event.kind, GREY)].add(recorded.time_of(event))
     few = sum(len(found) for colour, found in times.items() if colour != GREY) <= _FEW_MARKS
     scale = axes.xaxis.get_transform()
     first, last = scale.transform(np.array([0.0, end]))

@@ -74,6 +74,10 @@ class Recorded:
     summary: Mapping[str, Any] | None
     summary_note: str
 
+    def time_of(self, event: SwarmEvent) -> float:
+        """Return the time of an event's step, s: the clock that has stamped it may be wrong."""
+        return event.step * self.scenario.period
+
     @property
     def scenario(self) -> Scenario:
         """What was run."""

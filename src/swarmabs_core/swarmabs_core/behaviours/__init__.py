@@ -3,10 +3,11 @@
 from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
+from swarmabs_core.behaviours.faulty import FaultyAgent
 from swarmabs_core.behaviours.group import AgentGroup
 from swarmabs_core.behaviours.imperfect import ImperfectAgent, make_agent
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
-from swarmabs_core.behaviours.packing import PackingController, Unpacking
+from swarmabs_core.behaviours.packing import Listener, PackingController, Unpacking
 from swarmabs_core.behaviours.parent_response import ParentResponseObserver, make_observer
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
 from swarmabs_core.robot_controller import Limits
@@ -18,9 +19,11 @@ __all__ = [
     "Behaviour",
     "Controller",
     "ControllerConfig",
+    "FaultyAgent",
     "ImperfectAgent",
     "LifeSpan",
     "Limits",
+    "Listener",
     "Observer",
     "ObserverConfig",
     "PackingController",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 from math import isfinite, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflict
-from swarmabs_core.faults import lost
+from swarmabs_core.behaviours.inbox import Broadcasts, Inbox
+from swarmabs_core.faults import RobotFault, RobotFaults
 from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import (
@@ -82,12 +82,10 @@ class AgentConfig:
         What the drive can do.
     life : LifeSpan
         When the robot takes part.
-    delay : int
-        Injected age of the broadcasts, steps.
-    loss_probability : float
-        Injected probability of missing the broadcasts of a step.
+    faults : tuple of RobotFault
+        What is injected into it.
     seed : int
-        Seed of the injected losses and of the sensor's noise.
+        Seed of what is drawn of the faults and of the sensor's noise.
     feels_gravity : bool
         Whether a double integrator feels the plane's tilt and rotation, which the paper's model neglects.
     law : str
@@ -114,8 +112,7 @@ class AgentConfig:
     damping: float = 0.0
     limits: Limits = field(default_factory=Limits)
     life: LifeSpan = field(default_factory=LifeSpan)
-    delay: int = 0
-    loss_probability: float = 0.0
+    faults: tuple[RobotFault, ...] = ()
     seed: int = 1
     feels_gravity: bool = False
     law: str = PAPER.name
@@ -124,13 +121,9 @@ class AgentConfig:
     sensor: Sensor = field(default_factory=Sensor)
     actuator_lag: float = 0.0
 
-
-class _Broadcasts(NamedTuple):
-    """The complete set of one step."""
-
-    abstract: AbstractState
-    sums: AuxiliaryState
-    desired: DesiredAbstractState
+    def injected(self) -> RobotFaults:
+        """Return what is injected into the robot."""
+        return RobotFaults(self.faults, self.seed, self.agent_id)
 
 
 class Agent:
@@ -168,18 +161,17 @@ class Agent:
         self._joined = first == 0
         self._step = first if self._joined else first - 1  # a newcomer waits for the step before its first
         self._heard: dict[Topic, Message] = {}
-        self._history: deque[_Broadcasts] = deque(maxlen=config.delay + 1)
+        self._inbox = Inbox(config.injected())
         self._ended = False
         self._position, self._velocity = config.position, config.velocity
         self._command = 0.0
         self._broadcast_step = NEVER
         self._status = Status.ACTIVE
-        self._stopped = False
         self._limited = False
 
     def start(self) -> Messages:
         """Publish the initial state, unless the robot joins later."""
-        return self._appear() if self._joined else ()
+        return (self._publish(),) if self._joined else ()
 
     def handle(self, message: Message) -> Messages:
         """Take a broadcast; with the last one of the step answer the robot's next state."""
@@ -203,18 +195,6 @@ class Agent:
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the topics not yet heard."""
         return self._step, tuple(topic.name for topic in self.needs if topic not in self._heard)
-
-    def _appear(self) -> Messages:
-        """Return the first state, and before it what is injected into this robot from now on."""
-        config = self._config
-        stamp = self._step * config.period_ns
-        faults = ((config.delay, "delay of the broadcasts, steps"), (config.loss_probability, "loss of the broadcasts"))
-        events = [
-            SwarmEvent(stamp, self._step, config.agent_id, EventKind.FAULT_INJECTED, float(value), detail)
-            for value, detail in faults
-            if value
-        ]
-        return (*events, self._publish())
 
     def _publish(self) -> AgentState:
         config = self._config
@@ -243,13 +223,12 @@ class Agent:
         if not self._joined:
             self._joined = True
             self._step += 1
-            return self._appear()
+            return (self._publish(),)
         abstract, sums, desired = heard[ABSTRACT_STATE], heard[AUXILIARY_STATE], heard[DESIRED_ABSTRACT_STATE]
         assert isinstance(abstract, AbstractState)  # noqa: S101 - the three are kept by topic
         assert isinstance(sums, AuxiliaryState)  # noqa: S101
         assert isinstance(desired, DesiredAbstractState)  # noqa: S101
-        self._history.append(_Broadcasts(abstract, sums, desired))
-        events = self._decide()
+        events = self._decide() if self._inbox.send(self._step, Broadcasts(abstract, sums, desired)) else ()
         self._move(heard.get(PLANE_STATE))
         self._step += 1
         return (*events, self._publish())
@@ -269,16 +248,10 @@ class Agent:
 
     def _decide(self) -> Messages:
         """Update command, the step of the broadcasts that it rests on, and status; return the events."""
-        config = self._config
-        if lost(config.loss_probability, config.seed, self._step, config.agent_id):
-            return ()
-        if len(self._history) <= config.delay:
+        broadcasts = self._inbox.newest
+        if broadcasts is None:
             self._command, self._broadcast_step = 0.0, NEVER
             return ()
-        broadcasts = self._history[0]
-        mode = broadcasts.desired.mode
-        if mode != Mode.RUN:
-            self._stopped = mode != Mode.RESET
         command, problem = self._law(broadcasts)
         if problem:
             self._command, self._broadcast_step = self._controller.brake(self._velocity), NEVER
@@ -291,10 +264,10 @@ class Agent:
             events = (*events, self._event(EventKind.LIMIT_HIT, command, COMMAND_LIMITED))
         return events
 
-    def _law(self, broadcasts: _Broadcasts) -> tuple[float, str]:
+    def _law(self, broadcasts: Broadcasts) -> tuple[float, str]:
         """Return the command that the law asks for, or why none may be computed."""
         abstract, sums, desired = broadcasts
-        if self._stopped:
+        if self._inbox.stopped:
             return 0.0, "stop commanded"
         if desired.mode != Mode.RUN:
             return 0.0, "reset commanded"

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.agent import Agent
+from swarmabs_core.behaviours.faulty import FaultyAgent
 from swarmabs_core.drive import Lag
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     from swarmabs_core.behaviours.agent import AgentConfig
+    from swarmabs_core.behaviours.packing import Listener
     from swarmabs_core.messages import Message, Messages
 
 
@@ -48,7 +50,8 @@ class ImperfectAgent(Agent):
             self._actual = self._command + self._lag.decay * gap
 
 
-def make_agent(config: AgentConfig) -> Agent:
-    """Return the state machine of a robot: the plain one if its sensors are perfect and its drive has no lag."""
+def make_agent(config: AgentConfig) -> Listener:
+    """Return the state machine of a robot: the plain one if it is perfect and nothing is injected."""
     imperfect = config.actuator_lag or not config.sensor.perfect
-    return ImperfectAgent(config) if imperfect else Agent(config)
+    robot = ImperfectAgent(config) if imperfect else Agent(config)
+    return FaultyAgent(robot, config) if config.faults else robot

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.faults import Lie, truth
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
@@ -65,6 +66,8 @@ class PlaneConfig:
         Seed of the sensor's noise.
     actuator_lag : float
         Time constant of the robots' drives, s.
+    lies : tuple of Lie
+        Injected lies of robots about themselves, by which the weight on the plane does not go.
     """
 
     members: tuple[int, ...]
@@ -83,6 +86,7 @@ class PlaneConfig:
     sensor: Sensor = field(default_factory=Sensor)
     seed: int = 1
     actuator_lag: float = 0.0
+    lies: tuple[Lie, ...] = ()
 
 
 class _Load(NamedTuple):
@@ -148,6 +152,8 @@ class Plane:
         step = self._gathering.step
         stamp = step * config.period_ns
         states = self._gathering.take()
+        if config.lies:
+            states = [truth(state, config.lies) for state in states]
         hit: list[SwarmEvent] = []
         if step > 0:
             time = (step - 1) * config.period_ns / 1e9

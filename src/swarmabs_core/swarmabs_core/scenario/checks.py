@@ -14,7 +14,8 @@ from swarmabs_core.theory.constraint_sets import largest_position
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .controllers import CONTROLLER_CONFIGS
-from .faults import AgentFault, DelayFault, JoinFault, LeaveFault, LossFault
+from .fault_checks import faults, lasting_faults
+from .faults import AgentFault, JoinFault, LeaveFault
 from .fields import SMALLEST, Finding, Location
 from .timing import NANOSECONDS
 
@@ -29,7 +30,13 @@ SMALLEST_SPREAD = 1e-12
 def findings(scenario: "Scenario") -> list[Finding]:
     """Return every error of a scenario whose fields are valid one by one."""
     # A later check relies on, or is only of interest after, the earlier ones.
-    for checks in ((_timing,), (_ids, _positions, _faults, _plane), (_spread,), (_preimage,), (_brought,)):
+    for checks in (
+        (_timing,),
+        (_ids, _positions, faults, lasting_faults, _plane),
+        (_spread,),
+        (_preimage,),
+        (_brought,),
+    ):
         if found := [finding for check in checks for finding in check(scenario)]:
             return found
     return []
@@ -187,49 +194,6 @@ def _brought(scenario: "Scenario") -> Iterator[Finding]:
             problem, _, remedy = str(error).rpartition("; ")
             yield Finding.of(location, problem or remedy, remedy if problem else "see what its package says")
             return
-
-
-def _faults(scenario: "Scenario") -> Iterator[Finding]:
-    ids = {agent.id for agent in scenario.agents}
-    last = scenario.steps
-    joined: dict[int, tuple[int, Location]] = {}
-    gone: dict[int, tuple[int, Location]] = {}
-    single: dict[type, Location] = {}
-    for index, fault in enumerate(scenario.faults):
-        here: Location = ("faults", index)
-        if isinstance(fault, LossFault | DelayFault):
-            if type(fault) in single:
-                yield Finding.of(here, f"a second {fault.kind}", f"keep one {fault.kind}", see=single[type(fault)])
-            single.setdefault(type(fault), here)
-            continue
-        if fault.agent not in ids:
-            near = min(ids, key=partial(_distance, fault.agent), default=1)
-            yield Finding.of((*here, "agent"), f"there is no robot {fault.agent}", f"name an existing one, e.g. {near}")
-            continue
-        step = scenario.fault_step(fault.at)
-        if step > last:
-            yield Finding.of(
-                (*here, "at"),
-                f"{fault.at!r} s is step {step}, after the last step {last}",
-                f"use a time within the duration of {scenario.duration!r} s",
-            )
-        kept = joined if isinstance(fault, JoinFault) else gone
-        if fault.agent in kept:
-            what = "joins twice" if isinstance(fault, JoinFault) else "is killed, frozen or leaves twice"
-            yield Finding.of(here, f"robot {fault.agent} {what}", "keep one of them", see=kept[fault.agent][1])
-        kept.setdefault(fault.agent, (step, here))
-    for number in sorted(joined.keys() & gone.keys()):
-        if 0 < joined[number][0] >= gone[number][0]:
-            yield Finding.of(
-                (*joined[number][1], "at"),
-                f"robot {number} joins at step {joined[number][0]}, but is out from step {gone[number][0]}",
-                "let it join at an earlier step",
-                see=gone[number][1],
-            )
-
-
-def _distance(wanted: int, known: int) -> tuple[int, int]:
-    return abs(known - wanted), known
 
 
 def _swarm_location(scenario: "Scenario") -> Location:

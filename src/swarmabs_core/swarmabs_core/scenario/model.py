@@ -9,7 +9,7 @@ from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
 from .controllers import DEFAULT_CONTROLLER, STEEPEST, Angle, ControllerConfig, PdConfig
 from .errors import describe
-from .faults import FAULT_KINDS, Fault, JoinFault
+from .faults import FAULT_KINDS, AgentFault, Fault, JoinFault, RobotFault
 from .fields import (
     AsPair,
     AsSix,
@@ -278,6 +278,20 @@ class Scenario(Model):
         """The robots that are there at step 0: all but those that join later."""
         later = {fault.agent for fault in self.faults if isinstance(fault, JoinFault) and self.fault_step(fault.at) > 0}
         return tuple(agent for agent in self.agents if agent.id not in later)
+
+    @property
+    def membership_faults(self) -> tuple[AgentFault, ...]:
+        """The faults that end a robot or let it join."""
+        return tuple(fault for fault in self.faults if isinstance(fault, AgentFault))
+
+    @property
+    def robot_faults(self) -> tuple[RobotFault, ...]:
+        """The faults of robots and their messages that act for a while."""
+        return tuple(fault for fault in self.faults if isinstance(fault, RobotFault))
+
+    def fault_steps(self, fault: RobotFault) -> tuple[int, int | None]:
+        """Return the first step in which a fault acts, and the first after it, None if it acts to the end."""
+        return self.fault_step(fault.begin), None if fault.to is None else self.fault_step(fault.to)
 
     def fault_step(self, at: float) -> int:
         """Return the step of a fault at time `at` (s): round(at/step) of the exact decimals, ties to even."""

@@ -76,7 +76,7 @@ class Difference(NamedTuple):
         return f"{self.field} is {self.recorded!r}, recomputed {self.recomputed!r}"
 
 
-def compare(stored: Stored, expected: Message, agent: int | None, tolerance: float) -> Difference | None:
+def compare(stored: Stored, expected: Message, time: int, agent: int | None, tolerance: float) -> Difference | None:
     """Return the first field by which a recorded message differs from the expected one, None if there is none.
 
     Parameters
@@ -85,13 +85,15 @@ def compare(stored: Stored, expected: Message, agent: int | None, tolerance: flo
         The recorded message.
     expected : Message
         What should stand there.
+    time : int
+        Log time that it should have, ns.
     agent : int, optional
         The robot to which the place belongs.
     tolerance : float
         A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
     """
     payload = encode(expected)
-    if stored.payload == payload and stored.time == expected.stamp:
+    if stored.payload == payload and stored.time == time:
         return None
     place = (stored.topic.name, expected.step, agent)
     recorded = stored.message
@@ -99,8 +101,8 @@ def compare(stored: Stored, expected: Message, agent: int | None, tolerance: flo
         was, should = getattr(recorded, name), getattr(expected, name)
         if not _same(was, should, tolerance):
             return Difference(*place, name, was, should)
-    if stored.time != expected.stamp:
-        return Difference(*place, LOG_TIME, stored.time, expected.stamp)
+    if stored.time != time:
+        return Difference(*place, LOG_TIME, stored.time, time)
     if tolerance:  # the values may differ
         payload = encode(recorded)
     if stored.payload != payload:

@@ -170,7 +170,11 @@ class Verification:
             self.difference = _unasked(found, step, "it stands there again, or in the wrong place")
 
     def _right(self, stored: Stored, expected: Message) -> bool:
-        return compare(stored, expected, None, self._tolerance) is None
+        return compare(stored, expected, self._time(expected), None, self._tolerance) is None
+
+    def _time(self, message: Message) -> int:
+        """Return the log time of a message, ns: that of its step, whatever its robot's clock says."""
+        return message.step * self._scenario.step_ns
 
     def _differences(self, slot: Slot, *, last: bool) -> Iterator[Difference]:
         """Yield what is wrong in a step; the machines are asked in the order in which they answer in a run."""
@@ -286,7 +290,7 @@ class Verification:
         return True
 
     def _compare(self, stored: Stored, expected: Message, agent: int | None) -> Iterator[Difference]:
-        difference = compare(stored, expected, agent, self._tolerance)
+        difference = compare(stored, expected, self._time(expected), agent, self._tolerance)
         if difference is not None:
             yield difference
         self.messages += 1
