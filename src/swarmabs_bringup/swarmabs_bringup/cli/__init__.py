@@ -18,6 +18,7 @@ from swarmabs_bringup.cli.replay import replay
 from swarmabs_bringup.cli.report import report
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
+from swarmabs_bringup.cli.soak import soak
 from swarmabs_bringup.cli.sweep import sweep
 from swarmabs_bringup.cli.test import test
 from swarmabs_bringup.cli.verify import verify
@@ -48,6 +49,7 @@ for command in (
     doctor,
     bench,
     sweep,
+    soak,
     figures,
     deploy,
     test,

@@ -1,0 +1,1 @@
+"""Long runs of random scenarios with random faults, watched step by step."""

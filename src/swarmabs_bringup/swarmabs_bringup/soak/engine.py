@@ -1,0 +1,58 @@
+"""What makes the steps of a soak."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from swarmabs_bringup.soak.invariants import NothingStale, Recovers, StaysInLane, WithinLimits
+from swarmabs_core.simulation import Simulation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from swarmabs_bringup.soak.invariants import Invariant
+    from swarmabs_core.recording import RecordedStep
+    from swarmabs_core.scenario import Scenario
+
+
+class Engine(Protocol):
+    """A way to run a scenario in this process, and what holds when it is run so."""
+
+    @property
+    def name(self) -> str:
+        """What the report, and the provenance of a bag, call it."""
+        ...
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether a second run has the same digest, and a bag can be verified."""
+        ...
+
+    def steps(self, scenario: Scenario) -> Iterator[RecordedStep]:
+        """Run a scenario and yield its steps.
+
+        Raises
+        ------
+        RunError
+            If the run fails.
+        """
+        ...
+
+    def invariants(self, scenario: Scenario) -> tuple[Invariant, ...]:
+        """Return what is to be checked."""
+        ...
+
+
+class LockstepEngine:
+    """The state machines of all nodes, connected by a queue, with the step as the clock."""
+
+    name = "simulate"
+    repeatable = True
+
+    def steps(self, scenario: Scenario) -> Iterator[RecordedStep]:
+        """Simulate a scenario."""
+        return Simulation(scenario).steps()
+
+    def invariants(self, scenario: Scenario) -> tuple[Invariant, ...]:
+        """Return all invariants."""
+        return StaysInLane(scenario), NothingStale(scenario), WithinLimits(scenario), Recovers(scenario)

@@ -1,0 +1,106 @@
+"""A soak: one random run after the other, until enough time is simulated."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from swarmabs_bringup.interruption import end_asked
+from swarmabs_bringup.run_folder import RunFolder
+from swarmabs_bringup.soak.draw import DURATION, drawn_scenario
+from swarmabs_bringup.soak.leaks import Growth, Sample, growth, sample
+from swarmabs_bringup.soak.trial import StoppedError, Trial, run_trial
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from swarmabs_bringup.soak.engine import Engine
+
+
+class Extent(NamedTuple):
+    """Which runs a soak has: `runs` of them from `first` on."""
+
+    seed: int
+    first: int
+    runs: int
+    robots: int | None = None
+
+    @classmethod
+    def of_hours(cls, seed: int, hours: float, robots: int | None) -> Extent:
+        """Return as many runs as take a number of hours, simulated."""
+        return cls(seed, 0, max(1, round(hours * 3600.0 / DURATION)), robots)
+
+    def command(self, number: int) -> str:
+        """Return the command that repeats one run."""
+        robots = "" if self.robots is None else f" --robots {self.robots}"
+        return f"swarm soak --seed {self.seed}{robots} --only {number}"
+
+
+@dataclass(slots=True)
+class Soak:
+    """What came of a soak so far."""
+
+    extent: Extent
+    engine: str
+    trials: list[Trial] = field(default_factory=list)
+    samples: list[Sample] = field(default_factory=list)
+    interrupted: bool = False
+
+    @property
+    def failed(self) -> list[Trial]:
+        """The runs in which something does not hold."""
+        return [trial for trial in self.trials if trial.violations]
+
+    @property
+    def growth(self) -> tuple[Growth, ...]:
+        """What the process held early and late."""
+        return growth(self.samples) if self.samples else ()
+
+    @property
+    def status(self) -> Literal["ok", "failed", "interrupted"]:
+        """How it ended."""
+        if self.failed or not all(one.ok for one in self.growth):
+            return "failed"
+        return "interrupted" if self.interrupted else "ok"
+
+
+def run_soak(extent: Extent, engine: Engine, folder: Path, on_trial: Callable[[Soak], None]) -> Soak:
+    """Run a soak; the folders of runs in which something does not hold are kept.
+
+    Parameters
+    ----------
+    extent : Extent
+        Which runs.
+    engine : Engine
+        What runs them.
+    folder : Path
+        An empty folder for what is kept.
+    on_trial : callable
+        Told after each run.
+
+    Raises
+    ------
+    OSError, BagWriteError
+        If a bag cannot be written.
+    """
+    soak = Soak(extent, engine.name)
+    with end_asked() as asked:
+        for number in range(extent.first, extent.first + extent.runs):
+            place = RunFolder(folder / f"run-{number:05d}")
+            place.path.mkdir()
+            trial = None
+            try:
+                scenario = drawn_scenario(extent.seed, number, extent.robots)
+                trial = run_trial(number, scenario, engine, place, asked)
+            except StoppedError:
+                soak.interrupted = True
+                break
+            finally:
+                if trial is None or not trial.violations:
+                    shutil.rmtree(place.path)
+            soak.trials.append(trial)
+            soak.samples.append(sample())
+            on_trial(soak)
+    return soak
