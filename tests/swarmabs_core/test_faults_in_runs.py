@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, Run, builtin
 
-from swarmabs_core import configure
+from swarmabs_core import configure, simulate
 from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
 from swarmabs_core.behaviours import Agent, Plane
 from swarmabs_core.drive import DoubleIntegratorDrive
@@ -254,6 +254,9 @@ def test_a_wrong_clock_shows_in_stamps_alone() -> None:
         assert run.of(kind) == usual.of(kind)
     assert [s._replace(stamp=0) for s in run.of(AgentState)] == [s._replace(stamp=0) for s in usual.of(AgentState)]
     assert run.digest() != usual.digest()
+    every = ", ".join(f"{{kind: clock_offset, agent: {robot}, offset: 5}}" for robot in (1, 2, 3, 4))
+    arrays = simulate(builtin("pd_het_4", "duration=0.1", f"faults=[{every}]"))
+    assert arrays.time.tolist() == [0.01 * k for k in range(11)]
 
 
 def test_a_liar_deceives_the_observer_and_not_the_plane() -> None:

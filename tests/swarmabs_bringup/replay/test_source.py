@@ -59,6 +59,25 @@ def test_a_run_that_ended_early_is_replayed_as_far_as_its_steps_are_complete(tmp
     assert [step.step for step in source.steps()] == list(range(20))
 
 
+def test_faults_of_what_comes_later_are_left_out(tmp_path: Path) -> None:
+    settings = (
+        "duration=0.6",
+        (
+            "faults=[{kind: join, at: 0.5, agent: 4}, {kind: loss, probability: 0.1, agents: [4]},"
+            " {kind: reordering, probability: 0.1, agents: [3, 4]}, {kind: delay, steps: 1, from: 0.4},"
+            " {kind: lie, agent: 4, mass_factor: 2}, {kind: clock_offset, agent: 1, offset: 2, from: 0.1, to: 0.4}]"
+        ),
+    )
+    steps = list(Simulation(find_scenario("pd_het_4", settings)).steps())[:21]
+    source = open_source(write(tmp_path / "bag", [record for step in steps for record in step.records], *settings))
+    scenario = source.scenario(NODE, ())
+    assert [agent.id for agent in scenario.agents] == [1, 2, 3]
+    assert [(fault.kind, fault.hits(3)) for fault in scenario.robot_faults] == [
+        ("reordering", True),
+        ("clock_offset", False),
+    ]
+
+
 def test_a_robot_that_would_have_joined_later_is_left_out(tmp_path: Path) -> None:
     settings = ("duration=0.6", "faults=[{at: 0.3, kind: join, agent: 3}]")
     steps = list(Simulation(find_scenario("pd_het_4", settings)).steps())

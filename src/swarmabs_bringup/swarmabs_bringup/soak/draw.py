@@ -19,6 +19,7 @@ FEWEST, MOST = 4, 10
 """Numbers of robots that are drawn if none is given."""
 
 _INERTIA = 0.0288  # kg m^2 of the robots at the start, as of the paper's four
+_SHORT = 0.42  # m; robots come to its ends now and then
 _CONTROLLERS: tuple[dict[str, Any], ...] = (
     {"type": "pd"},
     {"type": "lqr"},
@@ -65,6 +66,8 @@ def drawn_scenario(seed: int, number: int, robots: int | None = None) -> Scenari
         data["swarm"]["actuator_lag"] = 0.01
     if _chance(random, 0.3):
         data["limits"] = {"velocity": 1.0, "force": 5.0}
+    if _chance(random, 0.3):
+        data["plane"]["length"] = _SHORT
     return parse_scenario(dump_yaml(data), source=f"run {number} of seed {seed}").resolved()
 
 

@@ -3,7 +3,7 @@
 from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
-from swarmabs_core.behaviours.faulty import FaultyAgent
+from swarmabs_core.behaviours.faulty import FaultyAgent, with_faults
 from swarmabs_core.behaviours.group import AgentGroup
 from swarmabs_core.behaviours.imperfect import ImperfectAgent, make_agent
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
@@ -33,4 +33,5 @@ __all__ = [
     "Unpacking",
     "make_agent",
     "make_observer",
+    "with_faults",
 ]

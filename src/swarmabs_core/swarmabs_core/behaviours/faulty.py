@@ -74,3 +74,8 @@ class FaultyAgent:
         self._there = True
         kind = EventKind.FAULT_INJECTED
         return [SwarmEvent(state.stamp, state.step, self._agent_id, kind, value, text) for value, text in found]
+
+
+def with_faults(robot: Listener, config: AgentConfig) -> Listener:
+    """Return a robot with what is injected into it; the robot itself if that is nothing."""
+    return FaultyAgent(robot, config) if config.faults else robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.agent import Agent
-from swarmabs_core.behaviours.faulty import FaultyAgent
+from swarmabs_core.behaviours.faulty import with_faults
 from swarmabs_core.drive import Lag
 from swarmabs_core.messages import Kind
 
@@ -54,4 +54,4 @@ def make_agent(config: AgentConfig) -> Listener:
     """Return the state machine of a robot: the plain one if it is perfect and nothing is injected."""
     imperfect = config.actuator_lag or not config.sensor.perfect
     robot = ImperfectAgent(config) if imperfect else Agent(config)
-    return FaultyAgent(robot, config) if config.faults else robot
+    return with_faults(robot, config)
