@@ -13,6 +13,7 @@ from swarmabs_bringup.cli.export import export
 from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
+from swarmabs_bringup.cli.operate import drain, join, reset, status, stop
 from swarmabs_bringup.cli.repair import repair
 from swarmabs_bringup.cli.replay import replay
 from swarmabs_bringup.cli.report import report
@@ -52,6 +53,11 @@ for command in (
     soak,
     figures,
     deploy,
+    status,
+    stop,
+    reset,
+    drain,
+    join,
     test,
 ):
     swarm.add_command(command)
