@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abstraction_observer.memory import MemoryFile
 from abstraction_observer.node import PARAMETERS as LOCKSTEP
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS
@@ -36,6 +38,7 @@ PARAMETERS = (
         "how many robots must have been heard before the swarm moves: all, as many as quorum says, or two",
         choices=("wait", "quorum", "proceed"),
     ),
+    Parameter("memory", "", "file that keeps where silent robots stand for a node that begins anew; empty: none"),
     Parameter("quorum", 0, "robots that must have been heard with start quorum", minimum=0, maximum=65535),
 )
 
@@ -76,14 +79,19 @@ def config(settings: Settings) -> RealtimeObserverConfig:
     )
 
 
-def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
+def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return behaviour and endpoints."""
+    path = settings.text("memory")
+    memory = MemoryFile(Path(path), node.notes.warning) if path else None
     depth = max(100, 4 * len(settings.integers("members")))
     return RealtimeSpec(
-        RealtimeObserver(config(settings)),
+        RealtimeObserver(config(settings), memory),
         OBSERVER_PHASE,
         (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
-        {AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME)},
+        {
+            AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME),
+            EVENTS: requested(EVENTS, depth=1000, reliable=True, offers=REALTIME),
+        },
     )
 
 

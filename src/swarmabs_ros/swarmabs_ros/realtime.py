@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import MalformedMessageError, RunError
-from swarmabs_core.messages import TOPIC_OF
+from swarmabs_core.messages import EVENTS, TOPIC_OF
 from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.timing import Reading, StepClock
 
@@ -239,6 +239,8 @@ class RealtimeLoop:
         if self._engine is None:
             raise RunError("there is nothing to activate")
         for topic, depth in self._engine.depths.items():
+            if topic is EVENTS:  # kept for those who come late, whatever their age
+                continue
             for _ in range(depth):  # what has waited until now is old
                 if self._engine.receiver.take(topic) is None:
                     break

@@ -33,6 +33,13 @@ def says(fleet: Path) -> dict[str, str]:
     return {row["node"]: f"{row['level']}: {row['text']}" for row in answer["nodes"]}
 
 
+def left_by(fleet: Path) -> list[str]:
+    """Return the ids of the robots that the observer takes to have left."""
+    answer: dict[str, Any] = json.loads(operate("status", fleet, "--json").stdout)
+    (row,) = [row for row in answer["nodes"] if row["node"] == "abstraction_observer"]
+    return str(row["values"]["left"]).split()
+
+
 def until_all_say(fleet: Path, words: str, *nodes: str) -> None:
     def said() -> bool:
         heard = says(fleet)
@@ -70,10 +77,16 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             until_all_say(file, "follows", *robots[:2])
             assert operate("join", file, 3).returncode == 0
             until_all_say(file, "follows", *robots)
+            units["agent_003"].process.kill()
+            until_all_say(file, "2 of 3 robots follow", "abstraction_observer")
+            assert left_by(file) == []
+            assert operate("remove", file, 3).returncode == 0
+            until(lambda: "3" in left_by(file), "robot 3 counts as gone", PATIENCE)
+            del units["agent_003"]
             stopped = operate("stop", file)
             assert (stopped.returncode, stopped.stderr) == (0, "")
-            until_all_say(file, "stop commanded", *robots)
-            assert ended(units) == [0] * 6
+            until_all_say(file, "stop commanded", *robots[:2])
+            assert ended(units) == [0] * 5
         gone = operate("stop", file, "--timeout", "1")
         assert gone.returncode == 1
         assert "swarm/stop is not there" in gone.stderr

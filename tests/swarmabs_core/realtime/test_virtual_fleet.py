@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.realtime.controller import RealtimeController
+from swarmabs_core.realtime.observer import CARRIED_AWAY
 from swarmabs_core.realtime.virtual_fleet import CONTROLLER, OBSERVER, PLANE, Network, VirtualFleet, agent_name
 from swarmabs_core.scenario import load_scenario
 from swarmabs_core.simulation import Simulation
@@ -174,6 +175,51 @@ def test_a_robot_that_dies_stands_on_the_plane_and_may_come_back(name: str) -> N
     assert others <= {3}  # nobody else has stopped
 
 
+@pytest.mark.parametrize("outage", [0.05, 1.0])
+def test_an_observer_that_begins_anew_knows_of_the_weight_of_a_robot_that_died_before(outage: float) -> None:
+    """LQR has no integral part: a weight that nobody counts would tilt the plane for ever."""
+    fleet = VirtualFleet(scenario("pd_het_4", "controller={type: lqr}"))
+    fleet.run(4.0)
+    fleet.kill(ROBOTS[3])
+    fleet.run(3.0)
+    fleet.kill(OBSERVER)
+    fleet.run(outage)
+    fleet.revive(OBSERVER)
+    fleet.run(8.0)
+    assert [m for _, _, m in fleet.published if isinstance(m, AbstractState)][-1].agent_count == 4
+    assert abs(angle(fleet)) < 0.01
+
+
+def test_a_dead_robot_that_was_carried_away_counts_no_more_until_it_is_heard() -> None:
+    fleet = VirtualFleet(scenario("arise_het_4"))
+    fleet.run(4.0)
+    word = SwarmEvent(0, 400, 4, EventKind.LEFT, 0.0, CARRIED_AWAY)
+    fleet.inject(word, [OBSERVER])  # it lives, so this is not believed
+    fleet.run(1.0)
+    fleet.kill(ROBOTS[3])
+    fleet.run(1.0)
+    fleet.inject(word, [OBSERVER])
+    fleet.run(1.0)
+    counts = [m.agent_count for _, _, m in fleet.published if isinstance(m, AbstractState)]
+    assert (counts[480], counts[590], counts[-1]) == (4, 4, 3)
+    assert [e.agent_id for e in events(fleet, 6.0) if e.kind == EventKind.LEFT] == [4]
+    fleet.revive(ROBOTS[3])
+    fleet.run(2.0)
+    assert all_follow(fleet)
+
+
+def test_an_observer_whose_clock_was_wrong_does_not_wait_for_a_robot_that_died_before() -> None:
+    fleet = VirtualFleet(scenario("arise_het_4"))
+    fleet.run(4.0)
+    fleet.kill(ROBOTS[3])
+    fleet.set_clock(OBSERVER, -3600.0)
+    fleet.run(1.0)
+    fleet.set_clock(OBSERVER, 0.0)
+    fleet.run(2.0)
+    newest = {s.agent_id: s for s in states(fleet, fleet.time - 2 * PERIOD)}
+    assert [s.status for s in newest.values()] == [Status.ACTIVE] * 3
+
+
 def test_a_robot_that_leaves_takes_its_weight_along_and_brings_it_back() -> None:
     fleet = VirtualFleet(scenario("arise_het_4"))
     fleet.run(5.0)
@@ -203,13 +249,15 @@ def test_an_absent_robot_holds_up_only_who_waits_for_it(start: str, moves: bool)
     assert all_follow(fleet)
 
 
-def test_an_observer_that_begins_anew_does_not_wait_for_a_robot_that_died_before() -> None:
+@pytest.mark.parametrize("outage", [0.05, 1.0])
+def test_an_observer_that_begins_anew_does_not_wait_for_a_robot_that_died_before(outage: float) -> None:
+    """After a short outage robots still follow, after a long one all have stopped: then their events tell."""
     fleet = VirtualFleet(scenario("arise_het_4"))
     fleet.run(4.0)
     fleet.kill(ROBOTS[3])
     fleet.run(2.0)
     fleet.kill(OBSERVER)
-    fleet.run(0.05)
+    fleet.run(outage)
     fleet.revive(OBSERVER)
     fleet.run(2.0)
     newest = {s.agent_id: s for s in states(fleet, fleet.time - 2 * PERIOD)}

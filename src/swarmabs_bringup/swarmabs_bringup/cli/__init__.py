@@ -13,7 +13,7 @@ from swarmabs_bringup.cli.export import export
 from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
-from swarmabs_bringup.cli.operate import drain, join, reset, status, stop
+from swarmabs_bringup.cli.operate import drain, join, remove, reset, status, stop
 from swarmabs_bringup.cli.repair import repair
 from swarmabs_bringup.cli.replay import replay
 from swarmabs_bringup.cli.report import report
@@ -58,6 +58,7 @@ for command in (
     reset,
     drain,
     join,
+    remove,
     test,
 ):
     swarm.add_command(command)

@@ -107,6 +107,24 @@ def join(swarm: Path, robot: int, patience: float) -> int:
     return _call(swarm, lambda found: f"{found.robot(robot)}/join", patience, text)
 
 
+@click.command()
+@_swarm
+@click.argument("robot", type=int)
+@_patience
+def remove(swarm: Path, robot: int, patience: float) -> int:
+    """Say of a silent robot that it was carried off the plane, since it cannot say so itself."""
+    from swarmabs_bringup.operate.link import linked  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bringup.operate.target import target  # noqa: PLC0415
+    from swarmabs_core.realtime.observer import CARRIED_AWAY  # noqa: PLC0415
+
+    with target(swarm) as found:
+        found.robot(robot)
+        with linked(found) as link:
+            link.announce(robot, CARRIED_AWAY, patience)
+    click.echo(f"{found.name}: robot {robot} counts as off the plane, if it is silent")
+    return 0
+
+
 def _call(swarm: Path, service: Callable[[Any], str], patience: float, done: str) -> int:
     from swarmabs_bringup.operate.link import linked  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.operate.target import target  # noqa: PLC0415

@@ -22,6 +22,7 @@ HOURS = 1.0
 @click.option("--runs", type=click.IntRange(1, 10**7), help="Number of runs instead of hours.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all runs.")
 @click.option("--robots", type=click.IntRange(4, 1000), help="Robots in each run.  [default: drawn]")
+@click.option("--realtime", is_flag=True, help="A fleet in real time: bad networks, clocks, deaths, stops.")
 @click.option("--only", type=click.IntRange(0), metavar="NUMBER", help="Repeat the one run of this number.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the report.  [default: runs/soak-NNN]")
 @json_option
@@ -33,6 +34,7 @@ def soak(
     only: int | None,
     output: Path | None,
     *,
+    realtime: bool,
     as_json: bool,
 ) -> int:
     """Run random scenarios with random faults for hours of simulated time, and check what must hold in every step.
@@ -42,20 +44,21 @@ def soak(
     from swarmabs_bringup.cli.run import since_start  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
     from swarmabs_bringup.soak.engine import LockstepEngine  # noqa: PLC0415
+    from swarmabs_bringup.soak.fleet_engine import FleetEngine  # noqa: PLC0415
     from swarmabs_bringup.soak.report import to_dict, write_report  # noqa: PLC0415
     from swarmabs_bringup.soak.run import Extent, run_soak  # noqa: PLC0415
 
     if sum(given is not None for given in (hours, runs, only)) > 1:
         raise click.UsageError("give one of --hours, --runs and --only")
     if only is not None:
-        extent = Extent(seed, only, 1, robots)
+        extent = Extent(seed, only, 1, robots, realtime)
     elif runs is not None:
-        extent = Extent(seed, 0, runs, robots)
+        extent = Extent(seed, 0, runs, robots, realtime)
     else:
-        extent = Extent.of_hours(seed, hours or HOURS, robots)
+        extent = Extent.of_hours(seed, hours or HOURS, robots, realtime=realtime)
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, "soak")
     try:
-        done = run_soak(extent, LockstepEngine(), folder.path, _tell)
+        done = run_soak(extent, FleetEngine() if realtime else LockstepEngine(), folder.path, _tell)
         document = to_dict(done, since_start())
         write_report(document, folder.path)
     except OSError as error:

@@ -50,7 +50,7 @@ def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: s
     if node.name == CONTROLLER:
         return common | _controller(fleet, scenario)
     if node.name == OBSERVER:
-        return common | _observer(fleet, scenario)
+        return common | _observer(fleet, scenario) | {"memory": f"{state}/silent_robots.json"}
     return common | (_plane_driver(fleet) if node.name == PLANE_DRIVER else _plane(scenario))
 
 

@@ -8,7 +8,7 @@ from swarmabs_bringup.fleet.participants import DISCOVERY
 from swarmabs_bringup.fleet.places import Places, enclave, state_folder, target_name, unit_name
 from swarmabs_bringup.fleet.profile import DISCOVERY_GROUP, peers
 from swarmabs_bringup.fleet.robots import PluginDrive
-from swarmabs_bringup.orchestration.plan import RECORDER
+from swarmabs_bringup.orchestration.plan import OBSERVER, RECORDER
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -106,6 +106,7 @@ def _unit(fleet: Fleet, node: NodePlan) -> str:
     host = fleet.host(node.host)
     slow = node.name in {RECORDER, DISCOVERY}
     devices = node.robot is None or not isinstance(node.robot.drive, PluginDrive)
+    keeps = node.name in (OBSERVER, RECORDER)
     return _UNIT.format(
         fleet=fleet.name,
         node=node.name,
@@ -119,7 +120,7 @@ def _unit(fleet: Fleet, node: NodePlan) -> str:
         command=" ".join(_command(fleet, node, places)),
         refused=REFUSED,
         watchdog=SLOW_WATCHDOG if slow else WATCHDOG,
-        further=f"StateDirectory={state_folder(fleet)}\nStateDirectoryMode=0750\n" if node.name == RECORDER else "",
+        further=f"StateDirectory={state_folder(fleet)}\nStateDirectoryMode=0750\n" if keeps else "",
         private_devices="yes" if devices else "no",
         addresses=" ".join(_addresses(fleet, node)),
         interfaces=" ".join([fleet.interface(node.host), *host.further_interfaces]),

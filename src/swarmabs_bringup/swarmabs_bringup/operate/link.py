@@ -70,6 +70,33 @@ class Link:
         finally:
             self._node.destroy_client(client)
 
+    def announce(self, agent_id: int, detail: str, patience: float) -> None:
+        """Publish the event that a robot has left, and wait until whoever listens has it.
+
+        Raises
+        ------
+        RunError
+            If nobody listens in time (s), or it does not arrive.
+        """
+        from rclpy.duration import Duration  # noqa: PLC0415 - as above
+
+        from swarmabs_core.cdr import encode  # noqa: PLC0415 - as above
+        from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent  # noqa: PLC0415
+        from swarmabs_ros.endpoints import advertise  # noqa: PLC0415
+
+        publisher = advertise(self._node, EVENTS)
+        try:
+            deadline = time.monotonic() + patience
+            while not publisher.get_subscription_count():
+                if time.monotonic() > deadline:
+                    raise RunError(f"{self._swarm}: nobody hears {publisher.topic_name}; is the observer running?")
+                time.sleep(SLICE)
+            publisher.publish(encode(SwarmEvent(time.time_ns(), 0, agent_id, EventKind.LEFT, 0.0, detail)))
+            if not publisher.wait_for_all_acked(Duration(seconds=patience)):
+                raise RunError(f"{self._swarm}: the observer has not confirmed within {patience:g} s")
+        finally:
+            self._node.destroy_publisher(publisher)
+
     def listen(self, board: Board, patience: float, enough: Callable[[], bool]) -> None:
         """Let a board hear the diagnostics until it is enough, or the time (s) is over."""
         import rclpy  # noqa: PLC0415 - as above

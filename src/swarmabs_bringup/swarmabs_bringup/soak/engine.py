@@ -24,8 +24,16 @@ class Engine(Protocol):
         ...
 
     @property
-    def repeatable(self) -> bool:
-        """Whether a second run has the same digest, and a bag can be verified."""
+    def verifiable(self) -> bool:
+        """Whether `verify` can recompute a bag of it."""
+        ...
+
+    def prepare(self, scenario: Scenario) -> Scenario:
+        """Return a drawn scenario as it can be run here."""
+        ...
+
+    def kinds(self, scenario: Scenario) -> list[str]:
+        """Return what is done to the swarm, in words, ascending."""
         ...
 
     def steps(self, scenario: Scenario) -> Iterator[RecordedStep]:
@@ -47,7 +55,15 @@ class LockstepEngine:
     """The state machines of all nodes, connected by a queue, with the step as the clock."""
 
     name = "simulate"
-    repeatable = True
+    verifiable = True
+
+    def prepare(self, scenario: Scenario) -> Scenario:
+        """Return the scenario as it is."""
+        return scenario
+
+    def kinds(self, scenario: Scenario) -> list[str]:
+        """Return the kinds of the scenario's faults."""
+        return sorted(fault.kind for fault in scenario.faults)
 
     def steps(self, scenario: Scenario) -> Iterator[RecordedStep]:
         """Simulate a scenario."""

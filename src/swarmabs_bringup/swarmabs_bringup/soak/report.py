@@ -76,7 +76,7 @@ def markdown(document: dict[str, Any]) -> str:
         f"| runs with each fault | {', '.join(f'{kind} {n}' for kind, n in sorted(kinds.items())) or 'none'} |",
         f"| recovery to {RECOVERED_BELOW} rad after the last fault, s | {recovery} |",
         f"| oldest broadcasts acted on, steps | {max(_seen(trials, 'oldest_broadcasts'), default=0)} |",
-        f"| robots off the plane, each with an event | {sum(_seen(trials, 'crossings'))} |",
+        *_where(trials),
         "",
         "## Failures",
         "",
@@ -103,6 +103,14 @@ def _violation(violation: dict[str, Any]) -> str:
     where = "" if violation["step"] is None else f", step {violation['step']}"
     who = "" if violation["agent"] is None else f", robot {violation['agent']}"
     return f"{violation['invariant']}{where}{who}: {violation['text']}"
+
+
+def _where(trials: list[dict[str, Any]]) -> list[str]:
+    """Return the row that says how far robots have come."""
+    farthest = _seen(trials, "farthest")
+    if farthest:
+        return [f"| farthest from the axis, m | {farthest[-1]:.4g} |"]
+    return [f"| robots off the plane, each with an event | {sum(_seen(trials, 'crossings'))} |"]
 
 
 def _seen(trials: list[dict[str, Any]], figure: str) -> list[float]:

@@ -26,16 +26,18 @@ class Extent(NamedTuple):
     first: int
     runs: int
     robots: int | None = None
+    realtime: bool = False
 
     @classmethod
-    def of_hours(cls, seed: int, hours: float, robots: int | None) -> Extent:
+    def of_hours(cls, seed: int, hours: float, robots: int | None, *, realtime: bool = False) -> Extent:
         """Return as many runs as take a number of hours, simulated."""
-        return cls(seed, 0, max(1, round(hours * 3600.0 / DURATION)), robots)
+        return cls(seed, 0, max(1, round(hours * 3600.0 / DURATION)), robots, realtime)
 
     def command(self, number: int) -> str:
         """Return the command that repeats one run."""
         robots = "" if self.robots is None else f" --robots {self.robots}"
-        return f"swarm soak --seed {self.seed}{robots} --only {number}"
+        mode = " --realtime" if self.realtime else ""
+        return f"swarm soak{mode} --seed {self.seed}{robots} --only {number}"
 
 
 @dataclass(slots=True)
@@ -92,7 +94,7 @@ def run_soak(extent: Extent, engine: Engine, folder: Path, on_trial: Callable[[S
             place.path.mkdir()
             trial = None
             try:
-                scenario = drawn_scenario(extent.seed, number, extent.robots)
+                scenario = engine.prepare(drawn_scenario(extent.seed, number, extent.robots))
                 trial = run_trial(number, scenario, engine, place, asked)
             except StoppedError:
                 soak.interrupted = True

@@ -68,7 +68,7 @@ class Trial:
 
 
 def run_trial(number: int, scenario: Scenario, engine: Engine, folder: RunFolder, stop: Callable[[], bool]) -> Trial:
-    """Run a scenario once with everything checked, then, if it is repeatable, verify its bag and run it again.
+    """Run a scenario once with everything checked, then again, and verify the bag of the first run if that is possible.
 
     Parameters
     ----------
@@ -90,15 +90,16 @@ def run_trial(number: int, scenario: Scenario, engine: Engine, folder: RunFolder
     OSError, BagWriteError
         If the bag cannot be written.
     """
-    faults: list[str] = sorted(fault.kind for fault in scenario.faults)
+    faults = engine.kinds(scenario)
     trial = Trial(number, len(scenario.agents), scenario.steps, scenario.steps * scenario.period, faults)
     folder.fill(scenario)
     _watch(trial, scenario, engine, folder, stop)
-    if engine.repeatable and trial.digest is not None:
+    if trial.digest is not None:
         with suppress(RunError):  # the same as before, which is told already
             if (digest := _digest(scenario, engine, stop)) != trial.digest:
                 trial.violations.append(Violation("repetition", None, None, f"a second run has the digest {digest}"))
-        _verify(trial, folder)
+        if engine.verifiable:
+            _verify(trial, folder)
     return trial
 
 

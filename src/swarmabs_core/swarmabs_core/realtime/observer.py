@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
 from swarmabs_core.messages import (
@@ -22,8 +23,15 @@ from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 
+if TYPE_CHECKING:
+    from collections.abc import MutableMapping
+
 FEWEST = 2
 """Robots without which a swarm has no spread."""
+
+
+CARRIED_AWAY = "carried away"
+"""What an operator says of a robot that is no longer on the plane and cannot say so itself."""
 
 
 class Role(Enum):
@@ -77,6 +85,9 @@ class RealtimeObserver:
     ----------
     config : RealtimeObserverConfig
         Configuration.
+    memory : mutable mapping, optional
+        Last states of the robots that are silent, by id. Whoever wants a node that begins anew to know of weights of
+        which nobody speaks any more keeps them for it.
 
     Attributes
     ----------
@@ -84,20 +95,24 @@ class RealtimeObserver:
         Role of every member.
     """
 
-    def __init__(self, config: RealtimeObserverConfig) -> None:
+    def __init__(self, config: RealtimeObserverConfig, memory: MutableMapping[int, AgentState] | None = None) -> None:
         self._config = config
+        self._memory: MutableMapping[int, AgentState] = {} if memory is None else memory
         self._age = config.schedule.steps(config.state_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
-        self._states: dict[int, AgentState] = {}
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
+        self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
         self._refusals = Refusals()
         self._counter = StepCounter(config.schedule)
         self._started = False
-        self._running_since: int | None = None
+        self._under_way_since: int | None = None
 
     def hear(self, message: Message, now: int) -> Messages:
-        """Take a robot's state, if it is a member's, newer than the one known, and can be true."""
+        """Take a robot's state, if it is a member's, newer than the one known, and can be true; or a robot's event."""
         step = self._config.schedule.step(now)
+        if isinstance(message, SwarmEvent):
+            self._learn(message, step)
+            return ()
         problem = self._problem(message, step)
         if problem:
             return self._refusals.add(problem, step, now)
@@ -123,10 +138,8 @@ class RealtimeObserver:
         return (*events, *self._sum_up(step, now))
 
     def halt(self) -> None:
-        """Forget what was heard: it will be old when ticks go on."""
-        self._states.clear()
-        self.roles = dict.fromkeys(self.roles, Role.UNHEARD)
-        self._started, self._running_since = False, None
+        """Take all robots to stand where they were heard last, until they are heard again."""
+        self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
         """Return how many robots there are in each role."""
@@ -154,15 +167,25 @@ class RealtimeObserver:
         problem = self._config.bounds.problem(message)
         return f"{who}: {problem}" if problem else ""
 
+    def _learn(self, event: SwarmEvent, step: int) -> None:
+        """Learn that a robot has followed before, which late comers are told too, or that one was carried away."""
+        if event.agent_id not in self.roles:
+            return
+        if event.kind == EventKind.RECOVERED and self._under_way_since is None:
+            self._under_way_since = step
+        silent = self.roles[event.agent_id] is Role.SILENT
+        if silent and event.kind == EventKind.LEFT and event.detail == CARRIED_AWAY:
+            self._states[event.agent_id] = self._states[event.agent_id]._replace(status=Status.LEFT)
+
     def _may_start(self, step: int) -> bool:
         """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
         if len(self._states) >= self._config.needed:
             return True
-        if self._running_since is None:
+        if self._under_way_since is None:
             if any(state.broadcast_step != NEVER for state in self._states.values()):
-                self._running_since = step
+                self._under_way_since = step
             return False
-        return step - self._running_since > self._age and len(self._states) >= FEWEST
+        return step - self._under_way_since > self._age and len(self._states) >= FEWEST
 
     def _role(self, agent_id: int, step: int) -> Role:
         state = self._states.get(agent_id)
@@ -181,6 +204,7 @@ class RealtimeObserver:
             if role is before:
                 continue
             self.roles[agent_id] = role
+            self._memorise(agent_id, role)
             there, was_there = (r in (Role.ACTIVE, Role.STOPPED) for r in (role, before))
             if there and was_there:
                 continue  # the robot says so itself
@@ -188,6 +212,12 @@ class RealtimeObserver:
             position = self._states[agent_id].position
             events.append(SwarmEvent(now, step, agent_id, kind, position, "" if there else role.value))
         return tuple(events)
+
+    def _memorise(self, agent_id: int, role: Role) -> None:
+        if role is Role.SILENT:
+            self._memory[agent_id] = self._states[agent_id]
+        else:
+            self._memory.pop(agent_id, None)
 
     def _sum_up(self, step: int, now: int) -> Messages:
         config = self._config
@@ -208,3 +238,8 @@ class RealtimeObserver:
             AbstractState(now, step, len(weights), *sums),
             AuxiliaryState(now, step, *spread, *damping, q),
         )
+
+
+def _long_ago(state: AgentState) -> AgentState:
+    """Return a state that any newer one replaces."""
+    return state._replace(step=0)

@@ -17,6 +17,7 @@ from swarmabs_core.messages import (
     AGENT_STATE,
     AUXILIARY_STATE,
     DESIRED_ABSTRACT_STATE,
+    EVENTS,
     PLANE_STATE,
     TOPIC_OF,
     Mode,
@@ -32,7 +33,7 @@ from swarmabs_core.realtime.plane import RealtimePlane
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from swarmabs_core.messages import Message, Messages, Topic
+    from swarmabs_core.messages import AgentState, Message, Messages, Topic
     from swarmabs_core.realtime.base import RealtimeBehaviour
     from swarmabs_core.scenario import Scenario
 
@@ -89,6 +90,7 @@ class _Node:
     behaviour: RealtimeBehaviour | None
     clock_offset: int = 0
     life: int = 0
+    events: list[Message] = field(default_factory=list)
 
 
 class _Body(SimulatedDrive):
@@ -158,6 +160,7 @@ class VirtualFleet:
         self._sequence = 0
         self._queue: list[tuple[int, int, Callable[[], None]]] = []
         self._nodes: dict[str, _Node] = {}
+        self._memory: dict[int, AgentState] = {}
         self.drives: dict[int, SimulatedDrive] = {}
         self._add_coordinators(scenario, start_mode)
         self._add_robots(scenario)
@@ -173,8 +176,8 @@ class VirtualFleet:
         self._add(
             OBSERVER,
             OBSERVER_PHASE,
-            {AGENT_STATE},
-            lambda: RealtimeObserver(configure.observer_config(scenario, clock)),
+            {AGENT_STATE, EVENTS},
+            lambda: RealtimeObserver(configure.observer_config(scenario, clock), self._memory),
         )
         self._add(
             CONTROLLER,
@@ -218,11 +221,16 @@ class VirtualFleet:
             raise KeyError(f"{name} is not alive")
         return behaviour
 
+    def alive(self, name: str) -> bool:
+        """Tell whether a node is alive."""
+        return self._nodes[name].behaviour is not None
+
     def kill(self, name: str) -> None:
         """End a node without a word; the body of a robot stops, as its base does when commands cease."""
         node = self._nodes[name]
         node.behaviour = None
         node.life += 1
+        node.events.clear()
         if name.startswith(_ROBOT):
             self.drives[int(name.removeprefix(_ROBOT))].stop()
 
@@ -232,6 +240,9 @@ class VirtualFleet:
         if node.behaviour is None:
             node.behaviour = node.make()
             self._schedule_tick(node)
+            if EVENTS in node.listens:  # these are kept for those who come late
+                for event in [event for other in self._nodes.values() for event in other.events]:
+                    self._hear(node, event)
 
     def set_clock(self, name: str, offset: float) -> None:
         """Let a node's clock be ahead by so much, s."""
@@ -277,6 +288,8 @@ class VirtualFleet:
     def _publish(self, node: _Node, messages: Messages) -> None:
         for message in messages:
             self.published.append((self._now, node.name, message))
+            if TOPIC_OF[type(message)] is EVENTS:
+                node.events.append(message)
             for other in self._nodes.values():
                 if other is not node and TOPIC_OF[type(message)] in other.listens:
                     for after in self.network.arrivals(node.name, other.name, message.step, self._draw):

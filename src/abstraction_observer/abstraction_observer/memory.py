@@ -1,0 +1,87 @@
+"""What an observer that begins anew must know: where robots stand of which nobody speaks any more."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import MutableMapping
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import AgentState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+
+class MemoryFile(MutableMapping[int, AgentState]):
+    """Last states of silent robots by id, kept in a file that is replaced as a whole with each change.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it need not exist yet, its folder must.
+    on_problem : callable
+        Told why the file could not be written, which costs the memory and not the swarm.
+
+    Raises
+    ------
+    InputError
+        If the file is not one of these, or cannot be read.
+    """
+
+    def __init__(self, path: Path, on_problem: Callable[[str], None]) -> None:
+        self._path = path
+        self._on_problem = on_problem
+        self._states: dict[int, AgentState] = {}
+        try:
+            text = path.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"parameter memory: {path} cannot be read ({error}); remove it or give another") from error
+        try:
+            for item in json.loads(text)["silent"]:
+                state = _state(item)
+                self._states[state.agent_id] = state
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputError(
+                f"parameter memory: {path} holds no states of robots ({error}); remove it, or give another file"
+            ) from error
+
+    def __getitem__(self, agent_id: int) -> AgentState:
+        return self._states[agent_id]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._states)
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    def __setitem__(self, agent_id: int, state: AgentState) -> None:
+        self._states[agent_id] = state
+        self._write()
+
+    def __delitem__(self, agent_id: int) -> None:
+        del self._states[agent_id]
+        self._write()
+
+    def _write(self) -> None:
+        """Replace the file."""
+        new = self._path.with_name(f"{self._path.name}.new")
+        silent = [state._asdict() for _, state in sorted(self._states.items())]
+        try:
+            new.write_text(json.dumps({"silent": silent}) + "\n", encoding="utf-8")
+            new.replace(self._path)
+        except OSError as error:
+            self._on_problem(f"{self._path}: {error.strerror}: where silent robots stand is not remembered")
+            with suppress(OSError):
+                new.unlink(missing_ok=True)
+
+
+def _state(item: dict[str, float]) -> AgentState:
+    state = AgentState(**item)  # type: ignore[arg-type]  # checked below
+    if not all(type(value) in (int, float) for value in state):
+        raise ValueError(f"{item} is no robot's state")
+    return state
