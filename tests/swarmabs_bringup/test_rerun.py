@@ -141,6 +141,16 @@ def test_other_versions_and_another_library_are_named(remake: Remake, again: Cal
         assert text in said
 
 
+def test_what_is_told_of_the_origin_stays_in_its_line(remake: Remake) -> None:
+    bag = remake(versions={"\n\x1b[2J" * 99: "\n\x1b[2J" * 99}, libm_fingerprint="\n\x1b[2J" * 99)
+    differences = recorded_run(bag).differences
+    assert len(differences) == 2
+    assert all(line.isprintable() and len(line) < 500 for line in differences)
+    with pytest.raises(InputError) as error:
+        recorded_run(remake(driver="\n" * 9999))
+    assert str(error.value).isprintable() and len(str(error.value)) < 500
+
+
 def test_a_bag_that_says_nothing_of_its_origin_is_run_all_the_same(original: Path, tmp_path: Path) -> None:
     messages = [message for _, _, message in open_bag(original).decoded()]
     bag = write_bag(tmp_path / "silent", messages, {"scenario.yaml": dump_scenario(SCENARIO).encode()})

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
 
 from swarmabs_core import configure
-from swarmabs_core.behaviours.base import ConflictError, UnknownAgentError
+from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
 from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
@@ -121,6 +121,8 @@ def test_repeats_beyond_the_memory_are_not_compared() -> None:
 
 
 def test_strangers_are_refused() -> None:
+    with pytest.raises(NegativeTimeError, match=r"swarm/agent_state: .* step 0 has a time stamp of -1 ns"):
+        collector(short_run()).add(agent_state(1)._replace(stamp=-1))
     with pytest.raises(UnknownAgentError, match="robot 9 is not a member"):
         collector(short_run()).add(agent_state(9))
 

@@ -16,6 +16,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
 from swarmabs_core.recording import Digest
+from swarmabs_core.scenario.errors import printable, shorten, show
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -160,7 +161,8 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
     schema, driver = provenance.get("schema", SCHEMA_VERSION), provenance.get("driver", _REPEATABLE[0])
     if schema != SCHEMA_VERSION:
         raise InputError(
-            f"{bag.path}: its provenance is of schema {schema!r}, this version reads {SCHEMA_VERSION}; update swarmabs"
+            f"{bag.path}: its provenance is of schema {show(schema)}, this version reads {SCHEMA_VERSION}; "
+            "update swarmabs"
         )
     if driver == "realtime":
         raise InputError(
@@ -168,7 +170,7 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
             f"which cannot be repeated; {_REMEDY}"
         )
     if driver not in _REPEATABLE:
-        raise InputError(f"{bag.path} was made by {driver!r}, which run and simulate cannot repeat; {_REMEDY}")
+        raise InputError(f"{bag.path} was made by {show(driver)}, which run and simulate cannot repeat; {_REMEDY}")
     if "replay" in provenance:
         raise InputError(f"{bag.path} is the replay of another bag, and no run of its own; {_REMEDY}")
 
@@ -181,7 +183,7 @@ def _unrepeatable(bag: BagReader, step: RecordedStep) -> Iterator[str]:
             continue
         if event.kind == EventKind.STEERING:
             raise InputError(
-                f"{bag.path}: a setting was changed from outside at step {event.step} ({event.detail!r:.80}), "
+                f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "
                 f"which cannot be repeated; {_REMEDY}"
             )
         if event.kind == EventKind.DEAD and event.detail == "silent":
@@ -203,13 +205,19 @@ def _differences(provenance: Mapping[str, Any], scenario: Scenario) -> Iterator[
         here |= dict.fromkeys(made_with, "not installed") | versions() | plugin_versions(scenario)
     for name, value in there.items():
         if value is not None and value != here[name]:
-            yield f"the bag was made with {name} {value!s:.80}, here it is {here[name]}: its digest may not be reached"
+            made = f"{_text(name)} {_text(value)}"
+            yield f"the bag was made with {made}, here it is {here[name]}: its digest may not be reached"
     fingerprint = provenance.get("libm_fingerprint")
     if fingerprint not in libm_fingerprints():
         yield (
-            f"the bag was made with a mathematical library of fingerprint {fingerprint!s:.80}, "
+            f"the bag was made with a mathematical library of fingerprint {_text(fingerprint)}, "
             f"here it is {libm_fingerprints()[0]}: its digest may not be reached"
         )
+
+
+def _text(value: object) -> str:
+    """Return what a file says such that it fits into a line."""
+    return printable(shorten(str(value)))
 
 
 def _main_steps(bag: BagReader) -> Iterator[RecordedStep]:

@@ -12,6 +12,7 @@ from swarmabs_bringup.provenance import plugin_versions, versions
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.scenario.errors import show
 from swarmabs_core.verification import Difference, Ending, Verification
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ class BagToVerify:
         driver = self._provenance.get("driver", DRIVERS[0])
         if driver not in DRIVERS:
             raise InputError(
-                f"{self._bag.path} was recorded by driver {str(driver)!r}; only runs in lockstep can be verified: "
+                f"{self._bag.path} was recorded by driver {show(driver)}; only runs in lockstep can be verified: "
                 "there every message follows from those of the step before, and not from when it arrived"
             )
 

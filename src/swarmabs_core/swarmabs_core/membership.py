@@ -125,6 +125,11 @@ class Membership:
         span = self._spans.get(agent_id)
         return span is not None and span.covers(step)
 
+    def span(self, agent_id: int) -> tuple[int, int | None]:
+        """Return the first and the last step of which a robot publishes its state; None: no last one is known."""
+        span = self._spans[agent_id]
+        return span.first, span.last
+
     def stays(self, agent_id: int) -> bool:
         """Tell whether a robot that publishes no more remains on the plane."""
         return self._spans[agent_id].stays

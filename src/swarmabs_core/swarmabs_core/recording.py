@@ -10,7 +10,7 @@ from hashlib import sha256
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from swarmabs_core.behaviours.base import ConflictError, UnknownAgentError
+from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
 from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
@@ -195,11 +195,15 @@ class RunCollector:
             If it differs from the message that stands in its place.
         UnknownAgentError
             If it comes from a robot that is no member.
+        NegativeTimeError
+            If its time is before the beginning of the run.
         """
         topic = TOPIC_OF[type(message)]
         step = message.step
         if step > self._last_step or step < self._step - self._memory:
             return []
+        if message.stamp < 0:
+            raise NegativeTimeError(topic.name, step, message.stamp)
         slot = self._slots.get(step)
         if slot is None:
             slot = self._slots[step] = _Slot()

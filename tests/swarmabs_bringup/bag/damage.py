@@ -176,9 +176,17 @@ def text(value: bytes) -> bytes:
     return struct.pack("<I", len(value)) + value
 
 
-def chunk(data: bytes, compression: str = "zstd", *, size: int | None = None, crc: int | None = None) -> bytes:
+def chunk(
+    data: bytes,
+    compression: str = "zstd",
+    *,
+    size: int | None = None,
+    crc: int | None = None,
+    times: tuple[int, int] = (0, 2**40),
+) -> bytes:
     packed = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(compression, bytes)(data)
-    head = struct.pack("<QQQI", 0, 2**40, len(data) if size is None else size, zlib.crc32(data) if crc is None else crc)
+    said = (len(data) if size is None else size, zlib.crc32(data) if crc is None else crc)
+    head = struct.pack("<QQQI", *times, *said)
     return record(Opcode.CHUNK, head + text(compression.encode()) + struct.pack("<Q", len(packed)) + packed)
 
 

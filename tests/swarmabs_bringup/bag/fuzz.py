@@ -1,208 +1,187 @@
 """Feed damaged bags to everything that reads bags; started as a program, since it limits its own memory.
 
-``python fuzz.py BAG FOLDER FIRST NUMBER`` tries the seeds from FIRST on, prints those with an answer that should not
-be, and exits 1 if there are any.
+``python -m tests.swarmabs_bringup.bag.fuzz WHAT FOLDER FIRST NUMBER`` tries the seeds from FIRST on, prints those with
+an answer that should not be, and exits 1 if there are any. WHAT is one of `KINDS`, FOLDER an empty folder.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
+import random
 import resource
+import shutil
 import signal
 import sys
 import traceback
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
-import numpy as np
+from tests.swarmabs_bringup.bag.answers import WrongAnswerError, check_line, command, content
+from tests.swarmabs_bringup.bag.attempts import Commands, Reading, Repairing
+from tests.swarmabs_bringup.bag.damage import Damage, damage
+from tests.swarmabs_bringup.bag.forgery import forge
+from tests.swarmabs_bringup.bag.split_damage import FolderDamage, damage_folder
 
-from swarmabs_bringup.bag import bag_info, load_arrays, open_bag
-from swarmabs_bringup.cli import main
-from swarmabs_bringup.figures.runs import find_runs
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_core.arrays import RunArrays
-from swarmabs_core.errors import InputError, SwarmabsError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from damage import Damage, damage
+from swarmabs_bringup.bag import BagWriter, load_arrays
+from swarmabs_bringup.splitting import ONE_FILE, Split
+from swarmabs_core.errors import SwarmabsError
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.scenario import parse_scenario
+from swarmabs_core.simulation import simulated_steps
 
 MEMORY = 2**28
 """Bytes that an answer may take beyond what the program has when it starts."""
+MEMORY_OF_COMMANDS = 2**29
+"""The same of commands: to compare scenarios of 65535 robots takes as much."""
 SECONDS = 60.0
 """Processor time, s, after which an answer counts as none."""
+WAITING = 600.0
+"""Time, s, after which it counts as none without any work, such as behind a pipe that nobody writes."""
 
-Content = tuple[str, dict[str, bytes | None]]
-"""Digest of all messages in file order, and the attachments."""
-
-
-class WrongAnswerError(Exception):
-    """Something read a damaged bag and gave an answer that should not be."""
-
-
-def content(path: Path, *, damaged: bool = False) -> Content:
-    bag = open_bag(path, damaged=damaged)
-    digest = hashlib.sha256()
-    for channel, message in bag.stored_messages():
-        digest.update(f"{channel.name} {message.log_time} {len(message.payload)} ".encode() + message.payload)
-    attachments = {name: bag.attachment(name) for name in bag.attachment_names()}
-    bag.rosbag2_metadata()
-    bag.aborted()
-    return digest.hexdigest(), attachments
-
-
-def command(*arguments: str) -> tuple[int, str]:
-    """Return exit code and standard output of a command; what it says besides is one line of error."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = main(list(arguments))
-    said = err.getvalue()
-    one_line = said.startswith("error: ") and said.endswith("\n") and said[:-1].isprintable() and len(said) < 2000
-    if code not in {0, 1, 2} or (not one_line if said else code != 0 and not out.getvalue()):
-        raise WrongAnswerError(f"swarm {' '.join(arguments)} exits {code} and says {said[:500]!r}")
-    return code, out.getvalue()
+SCENARIO = """schema: 1
+name: sample
+duration: 0.4
+seed: 5
+swarm:
+  agents:
+    - {id: 1, kind: single_integrator, mass: 0.4, position: 0.1}
+    - {id: 2, kind: single_integrator, mass: 0.5, position: -0.1}
+    - {id: 7, kind: double_integrator, mass: 0.6, damping: 0.7, position: 0.2}
+    - {id: 9, kind: double_integrator, mass: 0.3, damping: 0.7, position: -0.15}
+faults:
+  - {at: 0.1, kind: join, agent: 9}
+  - {at: 0.2, kind: kill, agent: 2}
+  - {at: 0.3, kind: leave, agent: 1}
+"""
+PROVENANCE = b'{"versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123", "driver": "simulate"}'
 
 
-def same(one: RunArrays, other: RunArrays) -> bool:
-    """Say whether two runs have the same states of robots and plane."""
-    return all(
-        np.array_equal(getattr(one.agents, name), getattr(other.agents, name), equal_nan=True)
-        for name in ("ids", "status", "position", "command")
-    ) and np.array_equal(one.angle, other.angle, equal_nan=True)
+class Trial(Protocol):
+    """Damages of one kind of bag, and what is tried with them."""
+
+    def make(self, seed: int) -> str:
+        """Make the damage of a seed, and return what it is."""
+        ...
+
+    def attempt(self, seed: int) -> None:
+        """Try it; raise what is no proper answer."""
+        ...
 
 
-class Fuzzer:
-    """Tries damages on one bag.
+def write_bag(folder: Path, split: Split = ONE_FILE) -> Path:
+    """Write the bag of a run, with the chunks of a long one."""
+    with BagWriter(
+        folder,
+        topics=(*MAIN_TOPICS, EVENTS),
+        attachments={"scenario.yaml": SCENARIO.encode(), "provenance.json": PROVENANCE},
+        chunk_bytes=4000,
+        chunk_seconds=1e9,
+        split=split,
+    ) as writer:
+        for step in simulated_steps(parse_scenario(SCENARIO)):
+            for topic, stamp, payload in step.stored():
+                writer.write(topic, stamp, payload)
+        writer.close({"run.log": b"all went well\n"})
+    return folder
 
-    Parameters
-    ----------
-    bag : bytes
-        The whole bag.
-    folder : Path
-        Where the damaged ones are put, one at a time.
-    """
 
-    def __init__(self, bag: bytes, folder: Path) -> None:
-        self._bag = bag
-        self._file = folder / "x.mcap"
-        self._output = folder / "output"
-        self._file.write_bytes(bag)
-        self._content = content(self._file)
-        self._arrays = load_arrays(self._file)
-        self._scenario = find_scenario(str(self._file))
+class _OneFile:
+    """Damages to one file, of which a part is forged."""
 
-    def attempt(self, damaged: Damage) -> None:
-        """Try one damage.
+    def __init__(self, folder: Path, attempt: type[Reading | Commands | Repairing], forged: float) -> None:
+        whole = write_bag(folder / "whole") / "bag_0.mcap"
+        self._data = whole.read_bytes()
+        self._attempt = attempt(whole, folder)
+        self._forged = forged
+        self._damage = Damage("", self._data, sealed=True)
 
-        Raises
-        ------
-        Exception
-            Whatever is no proper answer.
-        """
-        self._file.write_bytes(damaged.data)
-        noticed = self._read(damaged)
-        self._scan()
-        self._commands(noticed=noticed or damaged.sealed)
+    def make(self, seed: int) -> str:
+        make = forge if random.Random(-1 - seed).random() < self._forged else damage
+        self._damage = make(self._data, seed)
+        return self._damage.name
 
-    def _read(self, damaged: Damage) -> bool:
-        """Read a bag as one that is whole, and say whether the damage was noticed."""
-        noticed = False
-        for read, expected in ((content, self._content), (load_arrays, self._arrays)):
-            try:
-                found = read(self._file)
-            except SwarmabsError as error:
-                check_line(error)
-                noticed = True
-                continue
-            equal = same(found, expected) if isinstance(found, RunArrays) else found == expected
-            if not equal and not damaged.sealed:
-                raise WrongAnswerError(f"{read.__name__} reads something else")
-        try:
-            open_bag(self._file).check()
-        except SwarmabsError as error:
-            check_line(error)
-            return True
-        if not damaged.sealed and damaged.data != self._bag:
-            raise WrongAnswerError("the damage is not found")
-        return noticed
+    def attempt(self, seed: int) -> None:
+        self._attempt(self._damage, seed)
 
-    def _scan(self) -> None:
-        """Read what can be read of a bag whose damage is known."""
+
+class _Split:
+    """Damages to a bag of five files."""
+
+    def __init__(self, folder: Path) -> None:
+        self._whole = write_bag(folder / "whole", Split(nanoseconds=100_000_000))
+        self._bag = folder / "run" / "bag"
+        self._bag.parent.mkdir()
+        self._content = content(self._whole)
+        self._commands = Commands(self._whole, folder, report_every=60)
+        self._repairing = Repairing(self._whole, folder)
+        self._damage = FolderDamage("", in_files=False)
+
+    def make(self, seed: int) -> str:
+        shutil.rmtree(self._bag, ignore_errors=True)
+        shutil.copytree(self._whole, self._bag)
+        self._damage = damage_folder(self._bag, seed)
+        return self._damage.name
+
+    def attempt(self, seed: int) -> None:
         for read in (content, load_arrays):
             try:
-                read(self._file, damaged=True)
+                found = read(self._bag)
             except SwarmabsError as error:
                 check_line(error)
-        try:
-            for _ in open_bag(self._file, damaged=True).decoded():
-                pass
-            find_runs([self._file], {"sample"})
-        except SwarmabsError as error:
-            check_line(error)
-        try:
-            info = bag_info(self._file)
-        except SwarmabsError as error:
-            check_line(error)
-        else:
-            if not info.complete and not info.problem:
-                raise WrongAnswerError("a bag is not complete, but there is no problem")
-
-    def _commands(self, *, noticed: bool) -> None:
-        code, _ = command("info", str(self._file))
-        again, document = command("info", "--json", str(self._file))
-        if code != again or (code == 0 and not noticed and self._file.read_bytes() != self._bag):
-            raise WrongAnswerError(f"swarm info exits {code}, with --json {again}")
-        if document:
-            json.loads(document)
-        command("verify", str(self._file))
-        try:
-            scenario = find_scenario(str(self._file))
-        except SwarmabsError as error:
-            check_line(error)
-            for name in ("run", "simulate"):
-                code, _ = command(name, str(self._file), "-o", str(self._output))
-                if code != (2 if isinstance(error, InputError) else 1) or self._output.exists():
-                    raise WrongAnswerError(f"swarm {name} exits {code} after: {error}") from error
-        else:
-            if not noticed and scenario != self._scenario:
-                raise WrongAnswerError("the scenario is another one")
+            else:
+                if self._damage.in_files and read is content and found != self._content:
+                    raise WrongAnswerError("something else is read")
+        code, _ = command("info", self._bag)
+        if code == 0 and self._damage.in_files:
+            raise WrongAnswerError("the damage is not found")
+        if seed % 3 == 0:
+            self._commands.on(self._bag, seed)
+        self._repairing.on(self._bag, sealed=not self._damage.in_files, in_place=seed % 4 == 0)
 
 
-def check_line(error: SwarmabsError) -> None:
-    """Make sure that an error is one short line that cannot steer a terminal."""
-    if not str(error).isprintable() or len(str(error)) > 1000:
-        raise WrongAnswerError(f"an error of {len(str(error))} characters: {str(error)[:300]!r}")
+KINDS: dict[str, Callable[[Path], Trial]] = {
+    "reading": lambda folder: _OneFile(folder, Reading, 0.3),
+    "commands": lambda folder: _OneFile(folder, Commands, 0.8),
+    "repair": lambda folder: _OneFile(folder, Repairing, 0.3),
+    "split": _Split,
+}
+"""What is tried: reading of one file; verify, compare, replay, export, report; repair; a bag of several files."""
 
 
 def give_up(*_: object) -> NoReturn:
-    raise WrongAnswerError(f"no answer after {SECONDS:g} s of processor time")
+    raise WrongAnswerError(f"no answer after {SECONDS:g} s of processor time, or {WAITING:g} s of waiting")
 
 
-def main_program(bag: Path, folder: Path, first: int, number: int) -> int:
+def main_program(what: str, folder: Path, first: int, number: int) -> int:
     """Try a range of seeds, and return the exit code."""
-    fuzzer = Fuzzer(bag.read_bytes(), folder)
+    trial = KINDS[what](folder)
+    Commands(folder / "whole", folder, report_every=1).on(folder / "whole", 0)  # loads what is loaded later
+    Repairing(folder / "whole", folder).on(folder / "whole", sealed=False)
     used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    signal.signal(signal.SIGPROF, give_up)
-    wrong = 0
+    for limit in (signal.SIGPROF, signal.SIGALRM):
+        signal.signal(limit, give_up)
+    wrong, most = 0, MEMORY_OF_COMMANDS if what == "commands" else MEMORY
     for seed in range(first, first + number):
-        made = damage(bag.read_bytes(), seed)
-        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, hard))
+        name = trial.make(seed)
+        resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
+        signal.setitimer(signal.ITIMER_REAL, WAITING)
         try:
-            fuzzer.attempt(made)
+            trial.attempt(seed)
         except Exception:  # noqa: BLE001 - whatever it is, it is reported
             wrong += 1
-            sys.stdout.write(f"seed {seed}, {made.name}: {traceback.format_exc(limit=-6)}\n")
+            sys.stdout.write(f"seed {seed}, {name}: {traceback.format_exc(limit=-6)[-3000:]}\n")
             sys.stdout.flush()
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
             resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
-    sys.stdout.write(f"{number} damages, {wrong} wrong answers\n")
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    time = usage.ru_utime + usage.ru_stime
+    sys.stdout.write(f"{what}: {number} damages from seed {first} on, {wrong} wrong answers, {time:.0f} s\n")
     return 1 if wrong else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main_program(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])))
+    sys.exit(main_program(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])))

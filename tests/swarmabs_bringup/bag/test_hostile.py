@@ -14,10 +14,12 @@ from tests.swarmabs_bringup.bag.damage import MAGIC, chunk, joined, record, seal
 
 from swarmabs_bringup.bag import BagWriter, DamagedBagError, NotABagError, bag_info, index, load_arrays, open_bag
 from swarmabs_bringup.bag.index import FileIndex
+from swarmabs_bringup.bag.steps import recorded_steps
 from swarmabs_bringup.figures.runs import find_runs
 from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import MAIN_TOPICS, Message
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
 
 HEADER = record(Opcode.HEADER, text(b"ros2") + text(b""))
 TERABYTE = 2**40
@@ -195,6 +197,18 @@ def test_message_index_that_cannot_be(content: bytes, file: Path) -> None:
     file.write_bytes(MAGIC + HEADER + chunk(b"") + record(Opcode.MESSAGE_INDEX, content) + bytes(40))
     with pytest.raises(DamagedBagError, match="malformed MessageIndex record"):
         open_bag(file)
+
+
+def test_a_robot_that_joins_after_a_lifetime(tmp_path: Path, run: list[Message]) -> None:
+    robots = b", ".join(b"{id: %d, kind: single_integrator, mass: 1.0, position: 0.0%d}" % (i, i) for i in (1, 2, 7, 9))
+    scenario = b"schema: 1\nduration: 2147483647.0\nstep: 1.0e-9\nswarm: {agents: [%s]}\n" % robots
+    scenario += b"faults: [{kind: join, at: 2147483000.0, agent: 9}]\n"
+    with BagWriter(tmp_path / "bag", topics=(*MAIN_TOPICS, EVENTS), attachments={"scenario.yaml": scenario}) as writer:
+        for message in run:
+            writer.write(TOPIC_OF[type(message)], message.stamp, encode(message))
+    found = recorded_steps(tmp_path / "bag")
+    assert found is not None
+    assert (found.first, found.last_complete, found.last_planned) == (0, 40, 2147483647 * 10**9)
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])

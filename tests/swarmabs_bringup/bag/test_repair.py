@@ -15,9 +15,11 @@ import pytest
 import yaml
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Channel, Header, Message as McapMessage, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
+from tests.swarmabs_bringup.bag.damage import MAGIC, chunk as packed, sealed
 
 from swarmabs_bringup.bag import (
     BagFolderError,
@@ -30,6 +32,7 @@ from swarmabs_bringup.bag import (
     open_bag,
     repair_bag,
 )
+from swarmabs_bringup.bag.index import encoded
 from swarmabs_bringup.bag.output import RecordFile
 from swarmabs_bringup.splitting import Split
 from swarmabs_core.cdr import encode
@@ -374,6 +377,54 @@ def test_a_file_of_a_split_bag_that_is_missing_closes_the_row(split: Path, tmp_p
     assert report.problems == ("bag_1.mcap is missing",)
     assert found == [encode(message) for message in run if not 10 <= message.step < 20]
     assert len(list((tmp_path / "new").glob("*.mcap"))) == 4
+
+
+def test_an_empty_file_within_a_split_bag_cannot_be_left_out_in_place(split: Path, tmp_path: Path) -> None:
+    os.truncate(split / "bag_1.mcap", 0)
+    with pytest.raises(BagFolderError, match=r"cannot be repaired in place: bag_1\.mcap has only 0 bytes"):
+        repair_bag(split, in_place=True)
+    repaired(split, tmp_path / "new")
+
+
+def test_what_is_no_file_is_not_waited_for(split: Path, tmp_path: Path, run: list[Message]) -> None:
+    (split / "metadata.yaml").unlink()
+    os.mkfifo(split / "metadata.yaml")
+    report, found = repaired(split, tmp_path / "new")
+    assert (report.problems, found) == (("metadata.yaml cannot be read",), payloads(run))
+    (split / "bag_2.mcap").unlink()
+    os.mkfifo(split / "bag_2.mcap")
+    with pytest.raises(NotABagError, match=r"bag_2\.mcap is no file: move it away"):
+        repair_bag(split)
+
+
+def test_a_folder_in_the_place_of_the_metadata_is_not_half_replaced(copy: Path) -> None:
+    os.truncate(copy / "bag_0.mcap", 20_000)
+    (copy / "metadata.yaml").unlink()
+    (copy / "metadata.yaml").mkdir()
+    with pytest.raises(BagFolderError, match=r"metadata\.yaml is a folder: move it away"):
+        repair_bag(copy, in_place=True)
+    assert {path.name for path in copy.iterdir()} == {"bag_0.mcap", "metadata.yaml"}
+    assert (copy / "bag_0.mcap").stat().st_size == 20_000
+
+
+@pytest.mark.parametrize("in_summary", [True, False])
+def test_a_schema_that_was_lost_before_its_channel(tmp_path: Path, in_summary: bool) -> None:  # noqa: FBT001
+    """It comes from the summary, else its topic has none: the mcap library reads no channel whose schema is nowhere."""
+    definition = Schema(id=3, name="std_msgs/msg/String", encoding="ros2msg", data=b"string data")
+    channel = Channel(id=4, schema_id=3, topic="/chatter", message_encoding="cdr", metadata={})
+    messages = [McapMessage(4, 10 * number, b"\0\1\0\0%04d" % number, 7, number) for number in range(5)]
+    lost, kept = (packed(b"".join(map(encoded, found))) for found in ([definition], [channel, *messages]))
+    data = sealed(MAGIC + encoded(Header("ros2", "somebody else")) + lost + kept)
+    place = data.index(lost) + len(lost) - 5
+    data = data[:place] + b"\xff\xff" + data[place + 2 :]
+    (tmp_path / "x.mcap").write_bytes(data if in_summary else data[: data.index(kept) + len(kept)])
+    report = repair_bag(tmp_path / "x.mcap")
+    with (tmp_path / "x_repaired" / "x.mcap").open("rb") as stream:
+        found = [(schema, message.data) for schema, _, message in make_reader(stream).iter_messages()]
+    assert found == [(definition if in_summary else None, message.data) for message in messages]
+    lacks = "1 topics whose definition is nowhere in the file"
+    assert (lacks in report.files[0].problems) == (not in_summary)
+    assert repair_bag(tmp_path / "x_repaired").output is None
 
 
 def test_records_that_were_kept_are_the_same_bytes(copy: Path, tmp_path: Path) -> None:

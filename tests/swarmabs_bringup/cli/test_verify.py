@@ -212,6 +212,7 @@ def test_what_cannot_be_verified_is_refused(capfd: pytest.CaptureFixture[str], r
     assert "recorded by driver 'realtime'" in refused(
         capfd, with_attachment("provenance.json", b'{"driver": "realtime"}')
     )
+    assert len(refused(capfd, with_attachment("provenance.json", b'{"driver": "' + b"x" * 9999 + b'"}'))) < 500
     plane_only = rewritten(run, tmp_path / "plane.mcap", lambda topic, _, data: data if "plane" in topic else None)
     assert "it has no topic swarm/agent_state" in refused(capfd, plane_only)
     assert "is not a bag" in refused(capfd, Path(__file__))

@@ -73,6 +73,14 @@ def test_a_bag_of_no_use_is_left_out_among_others_and_refused_alone(short_runs: 
             find_runs([tmp_path / name], NAMES)
 
 
+def test_why_a_run_ended_stays_in_its_line(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", topics=MAIN_TOPICS, attachments={}) as writer:
+        writer.abort("\n\x1b[2J" * 9999)
+    with pytest.raises(InputError, match="is not complete: ") as error:
+        find_runs([tmp_path / "bag"], NAMES)
+    assert str(error.value).isprintable() and len(str(error.value)) < 3000
+
+
 def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotABagError, match="holds neither a bag nor folders of runs"):
         find_runs([tmp_path], NAMES)

@@ -64,6 +64,26 @@ def test_what_cannot_be_played_is_left_out_and_named(tmp_path: Path) -> None:
     assert "/text is left out: its messages are in the encoding 'json'" in told
 
 
+def test_names_that_no_topic_of_ros_can_have(tmp_path: Path) -> None:
+    long = "std_msgs/msg/" + "S" * 500
+    bag = foreign_bag(
+        tmp_path,
+        ("/chatter", TEXT.name, "cdr", {}),
+        ("/a\n\x1b[2J", TEXT.name, "cdr", {}),
+        ("/" + "x" * 5000, TEXT.name, "cdr", {}),
+        ("/long_type", long, "cdr", {}),
+        ("/encoded", TEXT.name, "\x1b[2J" * 99, {}),
+    )
+    playable, warnings = choose_topics(bag)
+    assert [topic.channel.name for topic in playable] == ["/chatter"]
+    assert r"/a\n\x1b[2J is left out: no topic of ROS can have this name" in warnings
+    assert all(line.isprintable() and len(line) < 300 for line in warnings)
+    assert len(warnings) == 4
+    with pytest.raises(InputError, match=r"/chatter, /encoded, ") as error:
+        choose_topics(bag, ["/nothing"])
+    assert str(error.value).isprintable() and len(str(error.value)) < 500
+
+
 def test_a_topic_that_is_asked_for_is_not_left_out_in_silence(tmp_path: Path) -> None:
     bag = foreign_bag(tmp_path, ("/chatter", TEXT.name, "cdr", {}), ("/scan", "their_msgs/msg/Scan", "cdr", {}))
     assert [topic.channel.name for topic in choose_topics(bag, ["chatter"])[0]] == ["/chatter"]

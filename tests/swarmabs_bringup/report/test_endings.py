@@ -46,6 +46,14 @@ def test_bag_without_its_end(tmp_path: Path) -> None:
     Page(report.html)
 
 
+def test_bag_without_its_end_and_a_topic(tmp_path: Path) -> None:
+    """Nothing of a topic came before the end was lost."""
+    file = write(tmp_path / "bag", [m for m in messages(40) if not isinstance(m, AgentState)]) / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-200])
+    report = make_report(file)
+    assert (report.numbers["status"], report.numbers["agents"], report.numbers["steps"]) == ("damaged", 0, 40)
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_nothing_or_one_step_recorded(tmp_path: Path, count: int) -> None:
     write(tmp_path / "bag", messages(0)[: 7 * count], aborted="interrupted")

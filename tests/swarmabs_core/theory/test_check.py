@@ -172,6 +172,9 @@ def test_too_long_periods_and_delays_fail() -> None:
     assert condition(late.beyond, "period, SI errors").verdict is Verdict.FAILS
     old = check_scenario(builtin("pd_si_4", "faults=[{kind: delay, steps: 16}]"))
     assert condition(old.beyond, "delay, SI errors").verdict is Verdict.FAILS
+    oldest = check_scenario(builtin("pd_si_4", "faults=[{kind: delay, steps: 2147483647}]"))
+    assert condition(oldest.beyond, "delay, SI errors").verdict is Verdict.FAILS
+    assert condition(oldest.beyond, "period, SI errors").verdict is Verdict.FAILS
     (line,) = theory_warnings(old)
     assert line.startswith("sampled time: ")
 

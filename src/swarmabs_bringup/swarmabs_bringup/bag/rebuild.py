@@ -69,6 +69,8 @@ class Rebuilt:
         Chunks whose message indexes were missing or wrong, or whose stated times were wrong.
     repacked : int
         Messages that stand in a new chunk, since they were outside of any or in one that was cut off.
+    unschemed : int
+        Channels whose schema was nowhere, and which have none in the new file.
     gaps : dict
         Messages missing between those that are there, by number of the channel, from the sequence numbers that this
         project's writer gives.
@@ -82,6 +84,7 @@ class Rebuilt:
     ended: bool = False
     reindexed: int = 0
     repacked: int = 0
+    unschemed: int = 0
     gaps: dict[int, int] = field(default_factory=dict)
     description: dict[str, str] = field(default_factory=dict)
 
@@ -151,7 +154,7 @@ class _Rebuilder:
             self.result.description = dict(metadata.metadata)
         else:
             self._flush()
-            self._put(record.opcode, record.content)
+            self._put_other(record.opcode, record.content)
 
     def finish(self, describe: Callable[[Rebuilt], str]) -> Rebuilt:
         """Write the end of the file."""
@@ -201,12 +204,16 @@ class _Rebuilder:
         self._put_chunk(record, data)
 
     def _is_described(self, data: bytes, offset: int) -> bool:
-        """Tell whether the channels of all messages in a chunk are known."""
-        known = set(self.result.index.channels)
+        """Tell whether the channels of all messages in a chunk, and the schemas of its channels, are known."""
+        known, schemas = set(self.result.index.channels), {0, *self.result.index.schemas}
         for opcode, begin, _ in inner_records(data, offset):
             number = int.from_bytes(data[begin : begin + 2], "little")
-            if opcode == Opcode.CHANNEL:
+            if opcode == Opcode.SCHEMA:
+                schemas.add(number)
+            elif opcode == Opcode.CHANNEL:
                 known.add(number)
+                if int.from_bytes(data[begin + 2 : begin + 4], "little") not in schemas:
+                    return False
             elif opcode == Opcode.MESSAGE and number not in known:
                 return False
         return True
@@ -216,7 +223,20 @@ class _Rebuilder:
             if opcode == Opcode.MESSAGE:
                 self._take_loose(data[begin:end], offset)
             else:
-                self._put(opcode, data[begin:end])
+                self._put_other(opcode, data[begin:end])
+
+    def _put_other(self, opcode: int, content: bytes) -> None:
+        """Write a record outside of a chunk; a channel whose schema is nowhere has none then."""
+        if opcode == Opcode.CHANNEL and not self._has_schema(content):
+            self._define()
+            if not self._has_schema(content):
+                self.result.unschemed += 1
+                content = content[:2] + bytes(2) + content[4:]
+        self._put(opcode, content)
+
+    def _has_schema(self, channel: bytes) -> bool:
+        number = int.from_bytes(channel[2:4], "little")
+        return number == 0 or number in self.result.index.schemas
 
     def _take_loose(self, content: bytes, offset: int) -> None:
         (channel,) = struct.unpack_from("<H", content)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ from swarmabs_bringup.bag.rebuild import Nowhere, rebuild
 from swarmabs_bringup.bag.records import MAGIC, RecordError, parse, read_record
 from swarmabs_bringup.bag.split_reader import split_files
 from swarmabs_bringup.bag.steps import recorded_steps
+from swarmabs_core.scenario.errors import ScenarioError
+from swarmabs_core.scenario.text_file import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -191,7 +194,8 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
     if damaged and not any(part.found.index.statistics.message_count for part in kept if part.found is not None):
         raise DamagedBagError(f"{damaged[0].path}: no message can be saved: {damaged[0].problems[0]}")
     if in_place and any(part.name != part.path.name for part in kept):
-        raise BagFolderError(f"{found} cannot be repaired in place: {problems[0]}; repair it into a new folder with -o")
+        gap = next(iter(problems), None) or next(part.problems[0] for part in parts if part.found is None)
+        raise BagFolderError(f"{found} cannot be repaired in place: {gap}; repair it into a new folder with -o")
     unfinished = kept[-1] is not parts[-1] or (kept[-1].found is not None and not kept[-1].found.ended)
     if folder is not None:
         problem = _metadata_problem(folder, kept)
@@ -239,6 +243,8 @@ def _refuse_earlier(parts: Sequence[_Part], folder: Path) -> None:
     for kept in (folder / (name + _KEPT_SUFFIX) for name in names):
         if kept.exists():
             raise BagFolderError(f"{kept} is there from an earlier repair: move it away, or name a folder with -o")
+    if (folder / METADATA_FILE).is_dir():
+        raise BagFolderError(f"{folder / METADATA_FILE} is a folder: move it away, or name a folder with -o")
 
 
 def _examine(bag: Path) -> tuple[list[_Part], list[str]]:
@@ -248,6 +254,8 @@ def _examine(bag: Path) -> tuple[list[_Part], list[str]]:
     if bag.is_dir():
         stem = next(iter(files.values())).stem.rpartition("_")[0]
         problems = [f"{stem}_{number}.mcap is missing" for number in range(max(files)) if number not in files][:5]
+    for path in files.values():
+        _refuse_waiting(path)
     definitions = _definitions(files.values()) if len(files) > 1 else None
     parts: list[_Part] = []
     for path in files.values():
@@ -256,6 +264,16 @@ def _examine(bag: Path) -> tuple[list[_Part], list[str]]:
             part.name = f"{stem}_{sum(other.found is not None for other in parts)}.mcap"
         parts.append(part)
     return parts, problems
+
+
+def _refuse_waiting(path: Path) -> None:
+    """Refuse what is opened only when somebody writes into it, or never ends."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
+    if not stat.S_ISREG(mode):
+        raise NotABagError(f"{path} is no file: move it away, or name one of the files beside it")
 
 
 def _examined(path: Path, definitions: FileIndex | None) -> _Part:
@@ -310,6 +328,8 @@ def _problems(stream: BinaryIO, size: int, found: Rebuilt) -> list[str]:
         problems.append("it ends before it says what it holds")
     if found.reindexed:
         problems.append(f"{found.reindexed} chunks without right message indexes or times")
+    if found.unschemed:
+        problems.append(f"{found.unschemed} topics whose definition is nowhere in the file")
     if found.repacked and not found.damage:
         problems.append(f"{found.repacked} messages outside of any chunk")
     if not problems:
@@ -357,11 +377,11 @@ def _numbers(statistics: Statistics) -> tuple[object, ...]:
 
 def _metadata_problem(folder: Path, parts: Sequence[_Part]) -> str | None:
     """Return what is wrong with ``metadata.yaml``, as far as it would mislead a reader."""
-    try:
-        text = (folder / METADATA_FILE).read_text(encoding="utf-8")
-    except FileNotFoundError:
+    if not (folder / METADATA_FILE).exists():
         return f"{METADATA_FILE} is missing"
-    except (OSError, UnicodeDecodeError):
+    try:
+        text = read_text(folder / METADATA_FILE, "description")
+    except ScenarioError:
         return f"{METADATA_FILE} cannot be read"
     document = load_yaml(text)
     stated = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None

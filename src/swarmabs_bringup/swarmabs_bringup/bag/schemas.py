@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag.errors import UnknownTypeError
+from swarmabs_core.scenario.errors import show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
+_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]{,99})/msg/([A-Z][A-Za-z0-9]{,99})")
 _SEPARATOR = "=" * 80
 
 
@@ -112,7 +113,7 @@ def _read(ros_type: str, suffix: str, prefixes: Sequence[Path]) -> str:
 def _split(ros_type: str) -> tuple[str, str]:
     match = _TYPE_NAME.fullmatch(ros_type)
     if match is None:
-        raise UnknownTypeError(f"{ros_type!r} is not the full name of a message type, such as std_msgs/msg/Header")
+        raise UnknownTypeError(f"{show(ros_type)} is not the full name of a message type, such as std_msgs/msg/Header")
     return match[1], match[2]
 
 

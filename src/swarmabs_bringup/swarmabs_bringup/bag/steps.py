@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
@@ -16,7 +15,6 @@ from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Status,
 from swarmabs_core.scenario import parse_scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from swarmabs_core.messages import Topic
@@ -67,14 +65,13 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
         return None
 
     def first_missing(topic: Topic, start: int) -> int:
-        if topic is not AGENT_STATE:
-            return found.get((topic, 0), _Spans()).first_missing(lambda _: True, start, scenario.steps)
-        return min(
-            found.get((topic, agent), _Spans()).first_missing(
-                partial(membership.publishes, agent), start, scenario.steps
-            )
-            for agent in members
-        )
+        missing = []
+        for agent in members if topic is AGENT_STATE else (0,):
+            begin, end = membership.span(agent) if agent else (0, None)
+            last = scenario.steps if end is None else min(end, scenario.steps)
+            step = found.get((topic, agent), _Spans()).first_missing(max(begin, start))
+            missing.append(step if step <= last else scenario.steps + 1)
+        return min(missing)
 
     # The file may begin within a step, which then is not the first.
     first = max((spans.first for (topic, _), spans in found.items() if topic is not AGENT_STATE), default=0)
@@ -102,12 +99,11 @@ class _Spans:
         else:
             self._spans.append((step, step))
 
-    def first_missing(self, expected: Callable[[int], bool], start: int, last: int) -> int:
-        """Return the first expected step from `start` on that is not there, one behind `last` if none is missing."""
+    def first_missing(self, start: int) -> int:
+        """Return the first step from `start` on that is not there."""
         position = start
-        for first, end in (*sorted(self._spans), (last + 1, last + 1)):
-            for step in range(position, min(first, last + 1)):
-                if expected(step):
-                    return step
+        for first, end in sorted(self._spans):
+            if first > position:
+                break
             position = max(position, end + 1)
-        return last + 1
+        return position

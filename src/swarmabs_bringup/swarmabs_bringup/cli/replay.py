@@ -147,7 +147,7 @@ def _play(
     if not network:  # who has set a range has decided already, such as the environment of a run
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with tracing_files_removed():
-        from swarmabs_bringup.replay.playback import choose_topics, play  # noqa: PLC0415 - needs the whole of ROS
+        from swarmabs_bringup.replay.playback import choose_topics, play, shown  # noqa: PLC0415 - needs the whole of ROS
 
         wanted = topics.split(",") if topics else ()
         playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)
@@ -155,7 +155,9 @@ def _play(
             click.echo(f"warning: {warning}", err=True)
         names = [topic.channel.name for topic in playable]
         with end_asked() as asked:
-            click.echo(f"playing {', '.join(names)} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True)
+            click.echo(
+                f"playing {', '.join(map(shown, names))} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True
+            )
             count = play(bag, playable, pace, wait=wait, asked_to_end=asked)
     if as_json:
         print_json({"bag": str(bag.path), "topics": names, "messages": count})

@@ -17,6 +17,7 @@ from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.scenario import Scenario, dump_scenario
+from swarmabs_core.scenario.errors import printable, shorten
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from swarmabs_bringup.run_folder import RunFolder
 
     Execute = Callable[[Scenario, RunFolder], Outcome]
+
+_LONGEST_REASON = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +191,7 @@ def _source(bag: Path) -> Source:
     opened = open_bag(bag, damaged=True)
     reason = opened.problem or opened.aborted()
     if reason is not None:
-        raise InputError(f"{bag} is not complete: {reason}")
+        raise InputError(f"{bag} is not complete: {printable(shorten(reason, _LONGEST_REASON))}")
     scenario = attached_scenario(opened)
     states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
     if states != scenario.steps + 1:

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from swarmabs_bringup.bag import UnknownTypeError, message_schema
 from swarmabs_bringup.replay.qos import recorded_profiles
 from swarmabs_core.errors import InputError
+from swarmabs_core.scenario.errors import printable, shorten, show
 from swarmabs_ros.runner import SwarmNode
 
 if TYPE_CHECKING:
@@ -33,6 +36,8 @@ ACKNOWLEDGED = 2.0
 USUAL_QOS = 10
 """What a topic is published with if the bag does not say: reliable, volatile, this depth."""
 NAME = "replay"
+_LONGEST_NAME = 100
+_MOST_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +82,7 @@ def choose_topics(
     names = [channel.name for channel in channels]
     chosen = {f"/{name.lstrip('/')}" for name in wanted}
     for name in sorted(chosen - set(names)):
-        raise InputError(f"--topics: {bag.path} has no topic {name}; it has {', '.join(sorted(names))}")
+        raise InputError(f"--topics: {bag.path} has no topic {name}; it has {listed(sorted(names))}")
     playable, warnings = [], []
     for channel in channels:
         if chosen and channel.name not in chosen:
@@ -87,12 +92,14 @@ def choose_topics(
         except InputError as error:
             if chosen:
                 raise
-            warnings.append(f"{channel.name} is left out: {error}")
+            warnings.append(f"{shown(channel.name)} is left out: {error}")
         else:
             playable.append(found)
             warnings.extend(notes)
     if not playable:
-        raise InputError(f"{bag.path} has no topic that can be played" + "".join(f"; {text}" for text in warnings))
+        first = warnings[:_MOST_NAMED]
+        more = [f"{len(warnings) - len(first)} more are left out"] if len(warnings) > len(first) else []
+        raise InputError("; ".join([f"{bag.path} has no topic that can be played", *first, *more]))
     return playable, warnings
 
 
@@ -102,10 +109,25 @@ def _of_swarm(bag: BagReader, name: str) -> bool:
     return inmost is not None and inmost == bag.namespace
 
 
+def listed(names: Collection[str]) -> str:
+    """Return the first names of many, such that they fit into a line."""
+    more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
+    return ", ".join([*map(shown, list(names)[:_MOST_NAMED]), *more])
+
+
+def shown(name: str) -> str:
+    """Return a name from a bag such that it cannot leave the line."""
+    return printable(shorten(name, _LONGEST_NAME))
+
+
 def _playable(channel: BagChannel) -> tuple[Playable, list[str]]:
     """Find type and QoS of a topic; refuse one whose type is not installed as it was recorded."""
     if channel.encoding != "cdr":
-        raise InputError(f"its messages are in the encoding {channel.encoding!r}, and only cdr can be published")
+        raise InputError(f"its messages are in the encoding {show(channel.encoding)}, and only cdr can be published")
+    try:
+        validate_full_topic_name(channel.name)
+    except InvalidTopicNameException as error:
+        raise InputError("no topic of ROS can have this name") from error
     schema = message_schema(channel.ros_type)
     if channel.type_hash and channel.type_hash != schema.type_hash:
         raise InputError(f"the installed definition of {channel.ros_type} is not the one that was recorded")
@@ -117,7 +139,7 @@ def _playable(channel: BagChannel) -> tuple[Playable, list[str]]:
     profiles = recorded_profiles(channel.qos_profiles)
     notes = []
     if len(profiles) > 1:
-        notes.append(f"{channel.name}: its publishers offered {len(profiles)} different QoS; the first is taken")
+        notes.append(f"{shown(channel.name)}: its publishers offered {len(profiles)} different QoS; the first is taken")
     return Playable(channel, message_class, profiles[0] if profiles else USUAL_QOS), notes
 
 

@@ -56,6 +56,13 @@ class ConflictError(ProtocolError):
         super().__init__(f"{source}: two different messages of step {step}; is a second swarm in this namespace?")
 
 
+class NegativeTimeError(ProtocolError):
+    """A message from before the beginning of the run."""
+
+    def __init__(self, source: str, step: int, stamp: int) -> None:
+        super().__init__(f"{source}: the message of step {step} has a time stamp of {stamp} ns; no run begins before 0")
+
+
 def refuse_conflict(known: Message, message: Message, source: str) -> None:
     """Accept a message that repeats the known one.
 

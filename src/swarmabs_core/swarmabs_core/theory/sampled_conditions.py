@@ -22,14 +22,16 @@ def sampled_conditions(setting: Setting) -> Iterator[Condition]:
     scenario = setting.scenario
     delay = max((fault.steps for fault in scenario.faults if fault.kind == "delay"), default=0)
     for name, loop, note in _loops(setting):
-        period = sampled_data.largest_period(loop, delay)
+        # Beyond the longest one no delay is within its limit, and the matrix of the loop may be too large.
+        considered = min(delay, sampled_data.LONGEST_DELAY)
+        period = sampled_data.largest_period(loop, considered)
         steps = sampled_data.largest_delay(loop, scenario.period)
         bound = sampled_data.LONGEST_PERIOD if period is None else period
         yield Condition(
             f"period, {name}",
             None,
-            Form(f"step < limit with a delay of {delay}", scenario.period, bound, "<"),
-            {"period": scenario.period, "largest_period": bound, "delay": delay},
+            Form(f"step < limit with a delay of {considered}", scenario.period, bound, "<"),
+            {"period": scenario.period, "largest_period": bound, "delay": considered},
             note if period is not None else f"stable up to {bound:g} s; {note}",
         )
         longest = sampled_data.LONGEST_DELAY if steps is None else steps
