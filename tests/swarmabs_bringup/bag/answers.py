@@ -11,10 +11,15 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Channel, Schema
 from rosbags.rosbag2 import Reader
+from tests.swarmabs_bringup.bag.damage import split
 
 from swarmabs_bringup.bag import BagReader, open_bag
+from swarmabs_bringup.bag.index import encoded
+from swarmabs_bringup.bag.records import HEAD_SIZE, Record, inner_records, parse, uncompress
 from swarmabs_bringup.cli import main
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import SwarmabsError
@@ -92,6 +97,20 @@ def check_with_mcap(files: list[Path]) -> Counter[bytes]:
             for one in (*reader.iter_attachments(), *reader.iter_metadata()):
                 assert one.name is not None
     return found
+
+
+def extended(file: Path) -> bool:
+    """Tell whether a schema or channel in a chunk has fields of a later version of MCAP.
+
+    The format allows it, but the mcap library (1.6) reads on behind the fields that it knows.
+    """
+    records = [found for found in split(file.read_bytes()) if found.opcode == Opcode.CHUNK]
+    for data in map(uncompress, records):
+        for opcode, begin, end in inner_records(data, 0):
+            kind = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(opcode)
+            if kind and len(encoded(parse(kind, Record(0, opcode, data[begin:end])))) != HEAD_SIZE + end - begin:
+                return True
+    return False
 
 
 def check_with_rosbags(folder: Path) -> Counter[bytes]:

@@ -16,6 +16,7 @@ from tests.swarmabs_bringup.bag.answers import (
     check_with_rosbags,
     command,
     content,
+    extended,
     files_below,
     kept,
     same,
@@ -304,6 +305,7 @@ class Repairing:
         if any(topic["lost"] < 0 for topic in said["topics"]):
             raise WrongAnswerError("fewer than no message lost")
         code, shown = command("repair", self._output)
+        shutil.rmtree(self._output.with_name("repaired_repaired"), ignore_errors=True)
         if code or "nothing to do" not in shown:
             raise WrongAnswerError(f"a repaired bag is repaired again: {shown[:500]}")
 
@@ -323,7 +325,8 @@ class Repairing:
         if invented and not sealed:
             raise WrongAnswerError(f"{len(invented)} messages are in the repaired bag alone, such as {min(invented)}")
         payloads = Counter(payload for _, _, _, payload in found.elements())
-        if check_with_mcap(sorted(folder.glob("*.mcap"))) != payloads:
+        files = sorted(folder.glob("*.mcap"))
+        if not (sealed and any(map(extended, files))) and check_with_mcap(files) != payloads:
             raise WrongAnswerError("the mcap library finds other messages")
         if _described(bag) <= self._described and check_with_rosbags(folder) != payloads:
             raise WrongAnswerError("rosbags finds other messages")

@@ -195,6 +195,15 @@ def test_a_chunk_that_is_damaged_is_named_with_its_times(copy: Path, tmp_path: P
     assert "1 place could not be saved" in (bag_info(tmp_path / "new").repaired or "")
 
 
+def test_a_message_index_with_the_head_of_a_message_is_none(copy: Path, tmp_path: Path, run: list[Message]) -> None:
+    file = copy / "bag_0.mcap"
+    for _, begin, _ in [found for found in records(file) if found[0] == Opcode.MESSAGE_INDEX][:12]:
+        overwrite(file, begin, bytes([Opcode.MESSAGE]))
+    report, found = repaired(copy, tmp_path / "new")
+    assert found == payloads(run)
+    assert "outside of the chunks, where no CRC says that it is one" in report.files[0].problems[0]
+
+
 def test_topics_that_stood_in_a_lost_chunk_come_from_the_summary(copy: Path, tmp_path: Path) -> None:
     first = open_bag(copy).index.chunks[0]
     overwrite(copy / "bag_0.mcap", first.chunk_start_offset + 60, b"\0\0\0\0\0\0")
@@ -424,6 +433,17 @@ def test_a_schema_that_was_lost_before_its_channel(tmp_path: Path, in_summary: b
     assert found == [(definition if in_summary else None, message.data) for message in messages]
     lacks = "1 topics whose definition is nowhere in the file"
     assert (lacks in report.files[0].problems) == (not in_summary)
+    assert repair_bag(tmp_path / "x_repaired").output is None
+
+
+def test_a_schema_that_is_in_the_summary_neither(tmp_path: Path) -> None:
+    channel = Channel(id=4, schema_id=3, topic="/chatter", message_encoding="cdr", metadata={})
+    messages = [McapMessage(4, 10 * number, b"\0\1\0\0", 7, number) for number in range(5)]
+    data = b"".join(map(encoded, [channel, *messages]))
+    (tmp_path / "x.mcap").write_bytes(sealed(MAGIC + encoded(Header("ros2", "somebody else")) + packed(data)))
+    assert "1 topics whose definition is nowhere in the file" in repair_bag(tmp_path / "x.mcap").files[0].problems
+    with (tmp_path / "x_repaired" / "x.mcap").open("rb") as stream:
+        assert len(list(make_reader(stream).iter_messages())) == 5
     assert repair_bag(tmp_path / "x_repaired").output is None
 
 

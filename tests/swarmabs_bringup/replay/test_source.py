@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
 from tests.swarmabs_bringup.replay.conftest import SETTINGS
 
-from swarmabs_bringup.bag import BagWriter, open_bag
+from swarmabs_bringup.bag import BagReader, BagWriter, open_bag
+from swarmabs_bringup.replay import source as source_module
 from swarmabs_bringup.replay.source import open_source
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.behaviours.player import NodeName
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind
-from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, SwarmEvent, Topic
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, Message, SwarmEvent, Topic
 from swarmabs_core.recording import Digest, Record
 from swarmabs_core.scenario import dump_scenario
 from swarmabs_core.simulation import Simulation
@@ -78,6 +80,29 @@ def test_faults_of_what_comes_later_are_left_out(tmp_path: Path) -> None:
     ]
 
 
+def test_what_stands_far_behind_a_step_that_is_not_complete_is_not_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bag may be larger than the memory, and all of it stand behind a gap."""
+    bag = write(tmp_path / "bag", [*records(5), *records(61)[len(records(6)) :]], *SETTINGS)
+    read = 0
+    decoded = BagReader.decoded
+
+    def counted(self: BagReader, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
+        nonlocal read
+        for found in decoded(self, topics):
+            read += 1
+            yield found
+
+    monkeypatch.setattr(BagReader, "decoded", counted)
+    assert open_source(bag).last_step == 4
+    assert read == len(records(61)) - 8
+    read = 0
+    monkeypatch.setattr(source_module, "_WINDOW", 3)
+    assert open_source(bag).last_step == 4
+    assert read == len(records(5)) + 3 * 9 + 1
+
+
 def test_a_robot_that_would_have_joined_later_is_left_out(tmp_path: Path) -> None:
     settings = ("duration=0.6", "faults=[{at: 0.3, kind: join, agent: 3}]")
     steps = list(Simulation(find_scenario("pd_het_4", settings)).steps())
@@ -85,6 +110,13 @@ def test_a_robot_that_would_have_joined_later_is_left_out(tmp_path: Path) -> Non
     scenario = open_source(bag).scenario(NODE, ())
     assert [agent.id for agent in scenario.agents] == [1, 2, 4]
     assert scenario.faults == ()
+
+
+def test_a_stranger_that_fell_silent_is_refused(tmp_path: Path) -> None:
+    event = SwarmEvent(0, 5, 9, EventKind.DEAD, 0.0, SILENT)
+    told = [*records(21), Record(EVENTS, 9, event, encode(event)), *records(61)[len(records(21)) :]]
+    with pytest.raises(InputError, match="robot 9 fell silent, which its scenario does not have"):
+        open_source(write(tmp_path / "bag", told, "duration=0.6"))
 
 
 def test_an_unplanned_end_is_found(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def digest_of(tables: Tables) -> str:
         head = np.frombuffer(digest_head(topic, rows.dtype.itemsize), dtype=np.uint8)
         texts = np.empty((len(rows), len(head) + rows.dtype.itemsize), dtype=np.uint8)
         texts[:, : len(head)] = head
-        texts[:, len(head) :] = np.frombuffer(rows.tobytes(), dtype=np.uint8).reshape(len(rows), -1)
+        texts[:, len(head) :] = np.frombuffer(rows.tobytes(), dtype=np.uint8).reshape(texts[:, len(head) :].shape)
         parts.append((texts, [*np.searchsorted(rows["step"], steps).tolist(), len(rows)]))
     for number in range(len(steps)):
         for texts, begins in parts:

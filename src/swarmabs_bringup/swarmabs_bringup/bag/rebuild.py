@@ -69,8 +69,8 @@ class Rebuilt:
         Chunks whose message indexes were missing or wrong, or whose stated times were wrong.
     repacked : int
         Messages that stand in a new chunk, since they were outside of any or in one that was cut off.
-    unschemed : int
-        Channels whose schema was nowhere, and which have none in the new file.
+    unschemed : set of int
+        Numbers of the channels whose schema was nowhere, and which have none in the new file.
     gaps : dict
         Messages missing between those that are there, by number of the channel, from the sequence numbers that this
         project's writer gives.
@@ -84,7 +84,7 @@ class Rebuilt:
     ended: bool = False
     reindexed: int = 0
     repacked: int = 0
-    unschemed: int = 0
+    unschemed: set[int] = field(default_factory=set)
     gaps: dict[int, int] = field(default_factory=dict)
     description: dict[str, str] = field(default_factory=dict)
 
@@ -118,7 +118,7 @@ def rebuild(
         stated = read_index(stream, size)
     except RecordError:
         stated = None
-    salvage = Salvage(stream, size)
+    salvage = Salvage(stream, size, chunked=stated is not None and bool(stated.chunks))
     rebuilder = _Rebuilder(output, Rebuilt(FileIndex(), stated, salvage.damage), stated or definitions)
     for saved in salvage.records():
         rebuilder.take(saved)
@@ -226,12 +226,16 @@ class _Rebuilder:
                 self._put_other(opcode, data[begin:end])
 
     def _put_other(self, opcode: int, content: bytes) -> None:
-        """Write a record outside of a chunk; a channel whose schema is nowhere has none then."""
+        """Write a record outside of a chunk."""
         if opcode == Opcode.CHANNEL and not self._has_schema(content):
             self._define()
-            if not self._has_schema(content):
-                self.result.unschemed += 1
-                content = content[:2] + bytes(2) + content[4:]
+        self._put_definition(opcode, content)
+
+    def _put_definition(self, opcode: int, content: bytes) -> None:
+        """Write a schema, or a channel, which has none if its own is nowhere."""
+        if opcode == Opcode.CHANNEL and not self._has_schema(content):
+            self.result.unschemed.add(int.from_bytes(content[:2], "little"))
+            content = content[:2] + bytes(2) + content[4:]
         self._put(opcode, content)
 
     def _has_schema(self, channel: bytes) -> bool:
@@ -262,7 +266,7 @@ class _Rebuilder:
             for number, record in sorted(records.items()):
                 if number not in own:
                     content = encoded(record)
-                    self._put(content[0], content[9:])
+                    self._put_definition(content[0], content[9:])
 
     def _flush(self) -> None:
         """Write the messages without a chunk into a new one."""

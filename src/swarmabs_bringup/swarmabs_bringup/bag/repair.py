@@ -329,7 +329,7 @@ def _problems(stream: BinaryIO, size: int, found: Rebuilt) -> list[str]:
     if found.reindexed:
         problems.append(f"{found.reindexed} chunks without right message indexes or times")
     if found.unschemed:
-        problems.append(f"{found.unschemed} topics whose definition is nowhere in the file")
+        problems.append(f"{len(found.unschemed)} topics whose definition is nowhere in the file")
     if found.repacked and not found.damage:
         problems.append(f"{found.repacked} messages outside of any chunk")
     if not problems:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import re
 import struct
+from functools import cached_property
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import lz4.frame
@@ -12,7 +13,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Header, Metadata, Schema
 
-from swarmabs_bringup.bag.index import read_attachment
+from swarmabs_bringup.bag.index import read_attachment, scan_index
 from swarmabs_bringup.bag.records import (
     HEAD_SIZE,
     MAGIC,
@@ -74,7 +75,9 @@ class Saved(NamedTuple):
 class Salvage:
     """The whole records of a file's data section, in file order, each checked as far as the format allows.
 
-    Behind damage the search goes on at the next chunk, attachment, or end of the data section that is whole.
+    Behind damage the search goes on at the next chunk, attachment, or end of the data section that is whole. Beside
+    chunks, a message outside of them is believed only if the CRC of the data section is right: no other CRC covers it,
+    and one wrong bit makes a message of a message index.
 
     Parameters
     ----------
@@ -82,6 +85,8 @@ class Salvage:
         The file, open for reading.
     size : int
         Its size in bytes.
+    chunked : bool
+        Whether the file is known to have chunks.
 
     Attributes
     ----------
@@ -91,9 +96,10 @@ class Salvage:
         Whether the end of the data section was found.
     """
 
-    def __init__(self, stream: BinaryIO, size: int) -> None:
+    def __init__(self, stream: BinaryIO, size: int, *, chunked: bool = False) -> None:
         self._stream = stream
         self._size = size
+        self._chunked = chunked
         self._unchunked = False
         self.damage: list[Damage] = []
         self.ended = False
@@ -118,6 +124,7 @@ class Salvage:
             if saved.record.opcode == Opcode.DATA_END:
                 self.ended = True
                 return
+            self._chunked |= saved.record.opcode == Opcode.CHUNK
             self._unchunked |= saved.record.opcode == Opcode.MESSAGE
             yield saved
             offset = saved.record.end
@@ -151,7 +158,19 @@ class Salvage:
                 raise RecordError(offset, "an end of the data section behind which no summary section begins")
         else:
             _check_inner(opcode, record.content, offset)
+            if opcode == Opcode.MESSAGE and self._chunked and not self._section_is_right:
+                raise RecordError(offset, "outside of the chunks, where no CRC says that it is one")
         return Saved(record)
+
+    @cached_property
+    def _section_is_right(self) -> bool:
+        """Whether the data section has a CRC, and the right one."""
+        try:
+            found = scan_index(self._stream, self._size)
+            end: DataEnd = parse(DataEnd, read_record(self._stream, found.data_end, self._size))
+        except RecordError:
+            return False
+        return found.problem is None and end.data_section_crc == found.crc
 
     def _leads_on(self, offset: int) -> bool:
         """Tell whether a record can begin here, or the file ends."""

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from swarmabs_core.behaviours.player import NodeName
     from swarmabs_core.scenario import Scenario
 
+_WINDOW = 1000
+"""How many steps are held in memory while one before them is not complete."""
+
 
 @dataclass(frozen=True, slots=True)
 class Source:
@@ -115,6 +118,7 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
     if missing:
         raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")
     scenario = attached_scenario(bag).resolved()
+    members = frozenset(configure.members(scenario))
     ends: list[Change] = []
     robots: set[int] = set()
     digest, last = Digest(), -1
@@ -125,6 +129,8 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
         for record in step.records:
             silent = silent_since(record.message)
             if silent is not None:
+                if silent[0] not in members:
+                    raise InputError(f"{bag.path}: robot {silent[0]} fell silent, which its scenario does not have")
                 ends.append(Change(silent[1] - 1, silent[0], ChangeKind.KILL))
             elif record.topic is AGENT_STATE:
                 robots.add(record.agent_id)
@@ -134,7 +140,7 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
 
 
 def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
-    """Yield the complete steps of a bag, in order.
+    """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `_WINDOW` steps.
 
     Parameters
     ----------
@@ -148,8 +154,13 @@ def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] 
     schedule = with_ends(configure.schedule(scenario), ends)
     collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
     held: RecordedStep | None = None  # the events of a step stand behind its other messages
+    waiting = 0
     for _, _, message in bag.decoded((*MAIN_TOPICS, EVENTS)):
-        for step in collector.add(message):
+        complete = collector.add(message)
+        waiting = 0 if complete else waiting + 1
+        if waiting > _WINDOW * (len(scenario.agents) + len(MAIN_TOPICS)):
+            break
+        for step in complete:
             if held is not None and step.step == held.step:
                 held = _with_events(held, step)
             elif held is not None and step.step < held.step:
