@@ -238,6 +238,15 @@ def test_index_has_an_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     open_bag(file).check()
 
 
+@pytest.mark.parametrize("chunked", [True, False])
+def test_field_that_reaches_beyond_its_record(chunked: bool, file: Path) -> None:  # noqa: FBT001
+    """A reader that does not stop there takes the next records for its content."""
+    schema = record(Opcode.SCHEMA, struct.pack("<H", 1) + text(b"x") + text(b"y") + struct.pack("<I", 9) + b"12345678")
+    file.write_bytes(MAGIC + HEADER + (chunk(schema) if chunked else schema) + bytes(40))
+    with pytest.raises(DamagedBagError, match="malformed Schema record: a field of 9 bytes, but 8 are left"):
+        open_bag(file)
+
+
 def test_schema_larger_than_any(file: Path) -> None:
     content = struct.pack("<H", 1) + text(b"x" * 2**24) + text(b"") + text(b"")
     file.write_bytes(MAGIC + HEADER + record(Opcode.SCHEMA, content) + bytes(40))

@@ -135,6 +135,16 @@ def read_records(stream: BinaryIO, offset: int, size: int) -> Iterator[Record]:
         offset = record.end
 
 
+class _Content(ReadDataStream):
+    """The content of a record, of which no field is taken that reaches beyond it."""
+
+    def read(self, length: int) -> bytes:
+        data: bytes = super().read(length)
+        if len(data) < length:
+            raise ValueError(f"a field of {length} bytes, but {len(data)} are left")
+        return data
+
+
 def parse(record_class: type[Parsable], record: Record) -> Any:
     """Read the content of a record with the mcap library.
 
@@ -146,7 +156,7 @@ def parse(record_class: type[Parsable], record: Record) -> Any:
     if len(record.content) > MAX_PARSED and record.opcode != Opcode.ATTACHMENT:
         raise RecordError(record.offset, f"a {record_class.__name__} record of more than {MAX_PARSED} bytes")
     try:
-        return record_class.read(ReadDataStream(BytesIO(record.content)))
+        return record_class.read(_Content(BytesIO(record.content)))
     except (McapError, struct.error, ValueError, OverflowError) as error:
         raise RecordError(record.offset, f"malformed {record_class.__name__} record: {error}") from error
 
