@@ -23,6 +23,7 @@ from swarmabs_bringup.bag import (
     find_bag,
     load_arrays,
     open_bag,
+    repair_bag,
 )
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.splitting import Split
@@ -149,6 +150,14 @@ def test_a_file_that_is_missing_is_named(files: list[Path], run: list[Message]) 
     info = bag_info(files[0].parent)
     assert info.problem == "bag_1.mcap is missing"
     assert info.message_count == len(run) - 70
+
+
+def test_a_number_far_behind_the_others(files: list[Path], tmp_path: Path) -> None:
+    files[4].rename(files[4].with_name("bag_999999999.mcap"))
+    named = r"bag_4\.mcap is missing, bag_5\.mcap is missing, bag_6\.mcap is missing; name one"
+    with pytest.raises(DamagedBagError, match=named):
+        open_bag(files[0].parent)
+    assert len(repair_bag(files[0].parent, tmp_path / "new").problems) == 3
 
 
 @pytest.mark.parametrize("left", [0, 20, 1000])

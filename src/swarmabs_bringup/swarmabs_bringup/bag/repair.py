@@ -31,7 +31,7 @@ from swarmabs_bringup.bag.output import RecordFile
 from swarmabs_bringup.bag.reader import find_bag, load_yaml
 from swarmabs_bringup.bag.rebuild import Nowhere, rebuild
 from swarmabs_bringup.bag.records import MAGIC, RecordError, parse, read_record
-from swarmabs_bringup.bag.split_reader import split_files
+from swarmabs_bringup.bag.split_reader import missing_files, split_files
 from swarmabs_bringup.bag.steps import recorded_steps
 from swarmabs_core.scenario.errors import ScenarioError
 from swarmabs_core.scenario.text_file import read_text
@@ -253,7 +253,7 @@ def _examine(bag: Path) -> tuple[list[_Part], list[str]]:
     problems = []
     if bag.is_dir():
         stem = next(iter(files.values())).stem.rpartition("_")[0]
-        problems = [f"{stem}_{number}.mcap is missing" for number in range(max(files)) if number not in files][:5]
+        problems = missing_files(files)
     for path in files.values():
         _refuse_waiting(path)
     definitions = _definitions(files.values()) if len(files) > 1 else None

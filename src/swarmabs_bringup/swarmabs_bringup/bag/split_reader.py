@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag.errors import DamagedBagError
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from mcap.records import Channel
 
     from swarmabs_bringup.bag.records import StoredMessage
+
+_MOST_NAMED = 3
 
 
 class SplitBagReader(BagReader):
@@ -69,11 +72,16 @@ def split_files(files: Iterable[Path]) -> dict[int, Path] | None:
     return dict(sorted(found.items())) if len(names) == 1 else None
 
 
+def missing_files(files: dict[int, Path]) -> list[str]:
+    """Return what is missing in the row of a split bag's files; not more than the first few, of what may be many."""
+    name = next(iter(files.values())).stem.rpartition("_")[0]
+    missing = (number for number in range(max(files)) if number not in files)
+    return [f"{name}_{number}.mcap is missing" for number in islice(missing, _MOST_NAMED)]
+
+
 def open_split(folder: Path, files: dict[int, Path], *, namespace: str | None, damaged: bool) -> SplitBagReader:
     """Open all files of a split bag; parameters and errors as of `open_bag`."""
-    name = next(iter(files.values())).stem.rpartition("_")[0]
-    missing = [number for number in range(max(files)) if number not in files]
-    problems = [f"{name}_{number}.mcap is missing" for number in missing[:3]]
+    problems = missing_files(files)
     if problems and not damaged:
         raise DamagedBagError(f"{folder} is incomplete: {', '.join(problems)}; name one of its files to read that one")
     parts = []
