@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.bag.errors import UnknownTypeError
-from swarmabs_core.scenario.errors import show
+from swarmabs_core.scenario.errors import printable, shorten
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -39,6 +39,6 @@ def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
         known = READABLE.get(channel.ros_type)
         if channel.topic is not None and channel.type_hash and known is not None and channel.type_hash not in known:
             raise UnknownTypeError(
-                f"{path}: {show(channel.name)} has a definition of {channel.ros_type} that this version does not know "
-                f"({show(channel.type_hash)}); use the version that wrote it (see the command info), or a newer one"
+                f"{path}: {printable(shorten(channel.name))} has a definition of {channel.ros_type} that this version "
+                f"does not know ({channel.type_hash[:80]!r}); use the version that wrote it (see the command info), or a newer one"
             )
