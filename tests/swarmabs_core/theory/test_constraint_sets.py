@@ -389,3 +389,10 @@ def test_box_samples_lie_between_the_curves() -> None:
     positions = box_positions(PAPER, 1.0, 2000, seed=4)
     for torque, inertia in zip(*(x.tolist() for x in abstract_states(positions, PAPER, G)), strict=True):
         assert smallest_inertia(torque, PAPER, G) <= inertia <= largest_inertia(torque, PAPER, 1.0, G).upper
+
+
+def test_as_many_robots_as_there_are_ids() -> None:
+    """All with another mass: the edges are not even counted one by one."""
+    masses = [1.0 + number * 1e-6 for number in range(65_535)]
+    reach = manifold_reach(1e-4, 0.025, masses, 1.0, G)
+    assert 0.0 < reach.admissible <= reach.reachable.lower <= reach.reachable.upper <= reach.nonempty

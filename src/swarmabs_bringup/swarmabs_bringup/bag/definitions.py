@@ -40,5 +40,6 @@ def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
         if channel.topic is not None and channel.type_hash and known is not None and channel.type_hash not in known:
             raise UnknownTypeError(
                 f"{path}: {printable(shorten(channel.name))} has a definition of {channel.ros_type} that this version "
-                f"does not know ({channel.type_hash[:80]!r}); use the version that wrote it (see the command info), or a newer one"
+                f"does not know ({channel.type_hash[:80]!r}); use the version that wrote it (see the command info), "
+                "or a newer one"
             )

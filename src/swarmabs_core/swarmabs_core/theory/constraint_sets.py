@@ -294,7 +294,8 @@ def _sums(groups: Counter[float]) -> int:
 
 def _edge_count(masses: Sequence[float]) -> int:
     groups = Counter(masses)
-    return sum(_sums(groups) // (count + 1) * count for count in groups.values())
+    sums = _sums(groups)
+    return sum(sums // (count + 1) * count for count in groups.values())
 
 
 def _halves(masses: Sequence[float]) -> tuple[Counter[float], Counter[float]]:
