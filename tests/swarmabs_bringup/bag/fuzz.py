@@ -155,8 +155,8 @@ def give_up(*_: object) -> NoReturn:
 def main_program(what: str, folder: Path, first: int, number: int) -> int:
     """Try a range of seeds, and return the exit code."""
     trial = KINDS[what](folder)
-    Commands(folder / "whole", folder, report_every=1).on(folder / "whole", 0)  # loads what is loaded later
-    Repairing(folder / "whole", folder).on(folder / "whole", sealed=False)
+    if what in {"commands", "split"}:  # loads what else would count as memory that an answer takes
+        Commands(folder / "whole", folder, report_every=1).on(folder / "whole", 0)
     used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     for limit in (signal.SIGPROF, signal.SIGALRM):

@@ -36,6 +36,6 @@ def test_no_damage_has_a_wrong_answer(what: str, number: int, tmp_path: Path) ->
 
 @pytest.mark.full
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize(("what", "number"), [("reading", 6000), ("commands", 1200), ("repair", 5000), ("split", 1500)])
+@pytest.mark.parametrize(("what", "number"), [("reading", 4000), ("commands", 600), ("repair", 2000), ("split", 600)])
 def test_no_damage_of_many_has_a_wrong_answer(what: str, number: int, tmp_path: Path) -> None:
     assert wrong_answers(what, tmp_path, 100_000, number) == ""
