@@ -17,6 +17,7 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Basis,
     Broadcast,
     DesiredAbstractState,
     Message,
@@ -72,6 +73,13 @@ CASES = [
         (3, 5),
     ),
     Case(RecordingProgress(STAMP, STEP, 1230), b"\xce\x04\x00\x00\x00\x00\x00\x00"),
+    Case(
+        Basis(STAMP, STEP, 1, NEVER, 2, (4, 5, 2**32), (1, 258, 65535)),
+        b"\x01" + b"\x00" * 7 + b"\xff" * 8 + b"\x02\x00\x00\x00" + b"\x03\x00\x00\x00"
+        b"\x04" + b"\x00" * 7 + b"\x05" + b"\x00" * 7 + b"\x00\x00\x00\x00\x01\x00\x00\x00"
+        b"\x03\x00\x00\x00" + b"\x01\x00\x02\x01\xff\xff",
+        (17, 3),
+    ),
 ]
 PARTS = [CASES[2], CASES[3], CASES[4]]
 CASES.append(
@@ -94,6 +102,11 @@ messages = st.one_of(
     st.builds(DesiredAbstractState, stamps, u64, u8, *[f64] * 8),
     st.builds(SwarmEvent, stamps, u64, u16, u8, f64, st.text(max_size=30)),
     st.builds(RecordingProgress, stamps, u64, u64),
+    st.lists(st.tuples(u16, u64), max_size=9).flatmap(
+        lambda pairs: st.builds(
+            Basis, stamps, u64, u64, u64, u8, st.just(tuple(s for _, s in pairs)), st.just(tuple(i for i, _ in pairs))
+        )
+    ),
     st.builds(
         Broadcast,
         stamps,
@@ -191,6 +204,30 @@ def test_wrong_head_is_refused(case: Case, offset: int, put: bytes, problem: str
 def test_wrong_detail_is_refused(tail: bytes, problem: str) -> None:
     with pytest.raises(MalformedMessageError, match=problem):
         decode(SwarmEvent, HEAD + b"\x07\x00\x03" + b"\x00" * 5 + doubles(0.5) + tail)
+
+
+def test_a_basis_without_robots_ends_with_their_number() -> None:
+    basis = Basis(STAMP, STEP, 1, 2, 3, (), ())
+    data = HEAD + b"\x01" + b"\x00" * 7 + b"\x02" + b"\x00" * 7 + b"\x03" + b"\x00" * 11
+    assert encode(basis) == data
+    assert decode(Basis, data) == basis
+
+
+@pytest.mark.parametrize(
+    ("tail", "problem"),
+    [
+        (b"\xff\xff\xff\xff" + b"\x00" * 4, "bytes, expected"),
+        (b"\x01\x00\x00\x00" + b"\x00" * 8 + b"\x02\x00\x00\x00" + b"\x00" * 2, "1 steps, but 2 robots"),
+    ],
+)
+def test_wrong_numbers_of_robots_are_refused(tail: bytes, problem: str) -> None:
+    with pytest.raises(MalformedMessageError, match=problem):
+        decode(Basis, HEAD + b"\x00" * 16 + b"\x01\x00\x00\x00" + tail)
+
+
+def test_a_basis_whose_lists_differ_in_length_cannot_be_sent() -> None:
+    with pytest.raises(MalformedMessageError, match="1 robots, but 2 steps"):
+        encode(Basis(STAMP, STEP, 1, 2, 3, (1, 2), (3,)))
 
 
 @given(message_types, st.binary(max_size=200))

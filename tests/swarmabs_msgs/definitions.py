@@ -57,7 +57,7 @@ def read_definition(path: Path) -> Definition:
 DEFINITIONS = {path.stem: read_definition(path) for path in FILES}
 
 
-def significant_bytes(definition: Definition, detail: bytes) -> list[bool]:
+def significant_bytes(definition: Definition, detail: bytes, robots: int = 0) -> list[bool]:
     """Tell of every byte of a message in CDR whether it carries content, by the rules of CDR alone.
 
     Parameters
@@ -66,21 +66,27 @@ def significant_bytes(definition: Definition, detail: bytes) -> list[bool]:
         The message.
     detail : bytes
         Content of its string, where it has one.
+    robots : int
+        Length of its arrays, where it has some.
     """
     content: list[bool] = []  # the encapsulation apart, from where alignment counts
-    _add_message(content, definition, detail)
+    _add_message(content, definition, detail, robots)
     # Of the encapsulation's two option bytes the last may say how much padding follows.
     return [True, True, True, False, *content]
 
 
-def _add_message(content: list[bool], definition: Definition, detail: bytes) -> None:
+def _add_message(content: list[bool], definition: Definition, detail: bytes, robots: int) -> None:
     content += [False] * (-len(content) % 4)
     content += [True] * (4 + 4 + 4 + len("plane") + 1)  # seconds, nanoseconds, length and characters of the frame id
     for field in definition.fields[1:]:
         if field.type in DEFINITIONS:
-            _add_message(content, DEFINITIONS[field.type], detail)
+            _add_message(content, DEFINITIONS[field.type], detail, robots)
         elif field.type == "string":
             content += [False] * (-len(content) % 4) + [True] * (4 + len(detail) + 1)
+        elif field.type.endswith("[]"):
+            size = SIZES[field.type.removesuffix("[]")]
+            content += [False] * (-len(content) % 4) + [True] * 4
+            content += [False] * (-len(content) % size if robots else 0) + [True] * (size * robots)
         else:
             size = SIZES[field.type]
             content += [False] * (-len(content) % size) + [True] * size

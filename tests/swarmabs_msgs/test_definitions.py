@@ -10,14 +10,16 @@ from typing import get_type_hints
 import pytest
 from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
 
-from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Status
+from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Source, Status
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
+PYTHON_TYPE |= {f"{name}[]": tuple[int, ...] for name in ("uint16", "uint64")}
 CONSTANTS: dict[str, tuple[type[IntEnum], ...]] = {
     "AgentState": (Kind, Status),
     "DesiredAbstractState": (Mode,),
     "SwarmEvent": (EventKind,),
+    "Basis": (Source,),
 }
 CONTRACT = {
     "PlaneState": ["angle", "angular_velocity"],
@@ -34,6 +36,7 @@ CONTRACT = {
     "SwarmEvent": ["agent_id", "kind", "value", "detail"],
     "RecordingProgress": ["written_step"],
     "Broadcast": ["abstract", "auxiliary", "desired"],
+    "Basis": ["since", "begun", "source", "state_steps", "agent_ids"],
 }
 UNIT = re.compile(r"^(kg|m|rad|N|s|1)\b[\w^/() ]*(,| along|$)|\bkg\^?\d?\b|\bm/s\b|\bN\b|\bin the unit\b")
 
@@ -74,6 +77,8 @@ def test_constants_are_those_of_the_core(definition: Definition) -> None:
     expected = {member.name: int(member) for enum in CONSTANTS.get(definition.name, ()) for member in enum}
     if definition.name == "AgentState":
         expected["NO_BROADCAST"] = NEVER
+    if definition.name == "Basis":
+        expected["NO_STEP"] = NEVER
     assert {constant.name: constant.value for constant in definition.constants} == expected
 
 

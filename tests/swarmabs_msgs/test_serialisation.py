@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from array import array
 from typing import Any
 
 import pytest
@@ -25,16 +26,26 @@ topics = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.messag
 def messages(message: type[Message]) -> st.SearchStrategy[Message]:
     """Return all messages of a class."""
     values: dict[str, st.SearchStrategy[Any]] = {"stamp": stamps}
+    arrays: dict[str, st.SearchStrategy[int]] = {}
     for field in DEFINITIONS[message.__name__].fields[1:]:
         if field.type == "float64":
             values[field.name] = numbers
         elif field.type == "string":
             values[field.name] = texts
+        elif field.type.endswith("[]"):
+            arrays[field.name] = st.integers(0, 2 ** (8 * SIZES[field.type.removesuffix("[]")]) - 1)
         elif field.type in PARTS:
             values[field.name] = messages(PARTS[field.type].message)
         else:
             values[field.name] = st.integers(0, 2 ** (8 * SIZES[field.type]) - 1)
-    return st.builds(message, **values)
+    if not arrays:
+        return st.builds(message, **values)
+
+    def of_length(length: int) -> st.SearchStrategy[Message]:
+        lists = {name: st.lists(one, min_size=length, max_size=length).map(tuple) for name, one in arrays.items()}
+        return st.builds(message, **values, **lists)
+
+    return st.integers(0, 9).flatmap(of_length)
 
 
 def to_ros(message: Message, topic: Topic) -> Any:
@@ -56,11 +67,13 @@ def from_ros(ros: Any, topic: Topic) -> Message:
     for name in topic.message._fields[1:]:
         value = getattr(ros, name)
         part = PARTS.get(type(value).__name__)
+        if isinstance(value, array):
+            value = tuple(value)
         values.append(value if part is None else from_ros(value, part))
     return topic.message(*values)
 
 
-def bits(message: Message) -> list[object]:
+def bits(message: Any) -> list[object]:
     """Return the fields such that a NaN equals itself and 0 differs from -0."""
     values: list[object] = [bits(value) if type(value).__name__ in PARTS else value for value in message]
     return [struct.pack("<d", value) if isinstance(value, float) else value for value in values]
@@ -72,7 +85,11 @@ def bits(message: Message) -> list[object]:
 def test_bytes_are_those_of_ros(topic: Topic, data: st.DataObject) -> None:
     message = data.draw(messages(topic.message))
     ours, theirs = encode(message), serialize_message(to_ros(message, topic))
-    content = significant_bytes(DEFINITIONS[topic.message.__name__], str(getattr(message, "detail", "")).encode())
+    content = significant_bytes(
+        DEFINITIONS[topic.message.__name__],
+        str(getattr(message, "detail", "")).encode(),
+        len(getattr(message, "agent_ids", ())),
+    )
     assert len(ours) == len(theirs) == len(content)
     assert [a for a, c in zip(ours, content, strict=True) if c] == [
         b for b, c in zip(theirs, content, strict=True) if c

@@ -1,9 +1,9 @@
 """Canonical little-endian CDR of the swarm's messages, every padding byte zero.
 
 A message is encapsulation header, ``std_msgs/Header``, ``uint64 step`` and the message's own fields; since
-the frame id is always ``plane``, all but `SwarmEvent` have a fixed layout, and one `struct.Struct` each says
-it all; a `Broadcast` is three of them in a row. That these layouts are what ROS 2 itself writes for ``swarmabs_msgs``
-is a test.
+the frame id is always ``plane``, all but `SwarmEvent` and `Basis` have a fixed layout, and one `struct.Struct` each
+says it all; a `Broadcast` is three of them in a row. That these layouts are what ROS 2 itself writes for
+``swarmabs_msgs`` is a test.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Basis,
     Broadcast,
     DesiredAbstractState,
     SwarmEvent,
@@ -44,6 +45,7 @@ _FIELDS = {
     "DesiredAbstractState": "B7x8d",
     "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
     "RecordingProgress": "Q",
+    "Basis": "QQB3xI",  # then so many steps, which are aligned, the number of robots, and the robots
 }
 _PARTS = ("AbstractState", "AuxiliaryState", "DesiredAbstractState")
 _FIELDS["Broadcast"] = "".join(_HEAD + _FIELDS[part] for part in _PARTS)
@@ -52,6 +54,7 @@ _LAYOUT: dict[type[Message], struct.Struct] = {
 }
 _EVENT = _LAYOUT[SwarmEvent]
 _BROADCAST = _LAYOUT[Broadcast]
+_BASIS = _LAYOUT[Basis]
 _new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` and `_make` are Python functions around it
 
 
@@ -73,7 +76,9 @@ def encode(message: Message) -> bytes:
     MalformedMessageError
         If a field does not fit its type.
     """
-    if isinstance(message, (SwarmEvent, Broadcast)):
+    if isinstance(message, (SwarmEvent, Broadcast, Basis)):
+        if isinstance(message, Basis):
+            return _encode_basis(message)
         return _encode_event(message) if isinstance(message, SwarmEvent) else _encode_broadcast(message)
     seconds, nanoseconds = divmod(message[0], _SECOND)
     try:
@@ -117,7 +122,9 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     MalformedMessageError
         If the length, the encapsulation or the frame id is not that of a message of this swarm.
     """
-    if message_type is SwarmEvent or message_type is Broadcast:
+    if message_type is SwarmEvent or message_type is Broadcast or message_type is Basis:
+        if message_type is Basis:
+            return _decode_basis(data)
         return _decode_event(data) if message_type is SwarmEvent else _decode_broadcast(data)
     layout = _LAYOUT[message_type]
     size = layout.size
@@ -170,6 +177,34 @@ def _decode_event(data: bytes) -> SwarmEvent:
     except UnicodeDecodeError as error:
         raise MalformedMessageError("SwarmEvent", "`detail` is not UTF-8") from error
     return SwarmEvent(seconds * _SECOND + nanoseconds, step, agent_id, kind, value, detail)
+
+
+def _encode_basis(basis: Basis) -> bytes:
+    number = len(basis.agent_ids)
+    if len(basis.state_steps) != number:
+        raise MalformedMessageError("Basis", f"{number} robots, but {len(basis.state_steps)} steps")
+    head = (*divmod(basis.stamp, _SECOND), _FRAME, basis.step, basis.since, basis.begun, basis.source, number)
+    try:
+        return _BASIS.pack(_ENCAPSULATION, *head) + struct.pack(
+            f"<{number}QI{number}H", *basis.state_steps, number, *basis.agent_ids
+        )
+    except struct.error as error:
+        raise MalformedMessageError("Basis", f"{error} in {basis}") from error
+
+
+def _decode_basis(data: bytes) -> Basis:
+    if len(data) < _BASIS.size:
+        raise MalformedMessageError("Basis", f"{len(data)} bytes, expected at least {_BASIS.size}")
+    encapsulation, seconds, nanoseconds, frame, step, since, begun, source, number = _BASIS.unpack_from(data)
+    _check_head(Basis, encapsulation, frame)
+    size = _BASIS.size + 4 + 10 * number
+    if not size <= len(data) < size + _TRANSPORT_PADDING:
+        raise MalformedMessageError("Basis", f"{len(data)} bytes, expected {size} for {number} robots")
+    values = struct.unpack_from(f"<{number}QI{number}H", data, _BASIS.size)
+    if values[number] != number:
+        raise MalformedMessageError("Basis", f"{number} steps, but {values[number]} robots")
+    stamp = seconds * _SECOND + nanoseconds
+    return Basis(stamp, step, since, begun, source, values[:number], values[number + 1 :])
 
 
 def _check_head(message_type: type[Message], encapsulation: bytes, frame: bytes) -> None:

@@ -40,6 +40,10 @@ class DesiredStateGenerator:
         self._state: tuple[float, float] | None = None
         self._clipped = False
 
+    def resume(self, torque: float, rate: float) -> None:
+        """Go on as if the filter were in this state: torque (N m) and its rate (N m/s)."""
+        self._state = (torque, rate)
+
     def advance(self, time_ns: int, plane: PlaneState, mode: Mode = Mode.RUN) -> tuple[Messages, DesiredAbstractState]:
         """Return events, and the desired abstract state that follows a state of the plane.
 

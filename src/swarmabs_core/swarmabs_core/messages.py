@@ -59,6 +59,14 @@ class EventKind(IntEnum):
     HELD = 12
 
 
+class Source(IntEnum):
+    """Whose answer a basis belongs to (``Basis.source``)."""
+
+    OBSERVER = 1
+    PLANE = 2
+    CONTROLLER = 3
+
+
 class PlaneState(NamedTuple):
     """Angle (rad) and angular velocity (rad/s) of the plane."""
 
@@ -166,6 +174,23 @@ class Broadcast(NamedTuple):
     desired: DesiredAbstractState
 
 
+class Basis(NamedTuple):
+    """From what a coordinator in real time computed its answer of a step.
+
+    ``since`` is the step of the answer from which it went on (`NEVER`: it began anew). ``begun`` is the step in which
+    the simulated plane was let go (`NEVER`: it is held), or the one with which the time of the parent controller's law
+    began. ``state_steps`` and ``agent_ids``, ascending, say which robots' states entered it.
+    """
+
+    stamp: int
+    step: int
+    since: int
+    begun: int
+    source: int
+    state_steps: tuple[int, ...]
+    agent_ids: tuple[int, ...]
+
+
 Message = (
     PlaneState
     | AgentState
@@ -175,6 +200,7 @@ Message = (
     | SwarmEvent
     | RecordingProgress
     | Broadcast
+    | Basis
 )
 """Any message of the swarm."""
 
@@ -201,6 +227,7 @@ DESIRED_ABSTRACT_STATE = Topic(
 EVENTS = Topic("swarm/events", SwarmEvent, "swarmabs_msgs/msg/SwarmEvent")
 RECORDING_PROGRESS = Topic("recording/progress", RecordingProgress, "swarmabs_msgs/msg/RecordingProgress")
 BROADCAST = Topic("swarm/broadcast", Broadcast, "swarmabs_msgs/msg/Broadcast")
+BASIS = Topic("recording/basis", Basis, "swarmabs_msgs/msg/Basis")
 
 MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """The five topics that make up a run, in the order in which a bag holds them within a step."""
@@ -208,6 +235,6 @@ MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRE
 BROADCASTS = (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """All that a robot hears from the swarm."""
 
-TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST)
+TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS)
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
 """The topic on which a message of a class is published."""

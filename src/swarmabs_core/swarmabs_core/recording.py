@@ -312,17 +312,24 @@ class Metrics:
 
     def update(self, step: Step) -> None:
         """Add the next step."""
-        self._messages += step.messages
-        reach = step.max_abs_position
-        if reach is not None and (self._max_abs_position is None or not reach <= self._max_abs_position):
-            self._max_abs_position = reach  # also if it is NaN
-        plane = step.plane
-        if plane is not None:
-            self._plane(plane)
+        self.count(step.messages)
+        if step.max_abs_position is not None:
+            self.reach(step.max_abs_position)
+        if step.plane is not None:
+            self.follow(step.plane.step, step.plane.stamp / 1e9, step.plane.angle)
 
-    def _plane(self, plane: PlaneState) -> None:
-        time = plane.stamp / 1e9
-        error = self._reference(time) - plane.angle
+    def count(self, messages: int) -> None:
+        """Add so many messages."""
+        self._messages += messages
+
+    def reach(self, distance: float) -> None:
+        """Note how far a robot was from the axis, m."""
+        if self._max_abs_position is None or not distance <= self._max_abs_position:
+            self._max_abs_position = distance  # also if it is NaN
+
+    def follow(self, step: int, time: float, angle: float) -> None:
+        """Compare the plane's angle (rad) of a step with the reference at a time (s)."""
+        error = self._reference(time) - angle
         if not abs(error) < self._tolerance:  # NaN is no small error
             self._settled_at = None
         elif self._settled_at is None:
@@ -330,7 +337,7 @@ class Metrics:
         self._error = error
         self._squares += error * error
         self._steps += 1
-        self.latest = Latest(plane.step, plane.angle, error)
+        self.latest = Latest(step, angle, error)
 
     def summary(self) -> dict[str, float | int | None]:
         """Return the figures under their names in ``summary.json``; None where there is no finite one."""

@@ -17,6 +17,7 @@ from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
+    BASIS,
     BROADCAST,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
@@ -52,6 +53,7 @@ OFFERED: dict[Topic, Qos] = {
     EVENTS: Qos("reliable", 1000, "transient_local"),
     RECORDING_PROGRESS: Qos("best_effort", 10),
     BROADCAST: Qos("best_effort", 10),
+    BASIS: Qos("reliable", 100),
 }
 """What the publishers of a topic offer."""
 

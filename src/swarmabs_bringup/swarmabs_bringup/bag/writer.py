@@ -196,8 +196,8 @@ class BagWriter:
         else:
             self.abort(reason=str(error) or type(error).__name__)
 
-    def write(self, topic: Topic, log_time_ns: int, payload: bytes) -> None:
-        """Write a message; log and publish time are the same.
+    def write(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None) -> None:
+        """Write a message.
 
         Parameters
         ----------
@@ -207,6 +207,8 @@ class BagWriter:
             Time in ns, not negative; in lockstep that of the message's header.
         payload : bytes
             CDR with its encapsulation header.
+        publish_time_ns : int, optional
+            Time in ns, not negative; by default the log time.
 
         Raises
         ------
@@ -225,7 +227,7 @@ class BagWriter:
             channel_id=channel,
             log_time=log_time_ns,
             data=payload,
-            publish_time=log_time_ns,
+            publish_time=log_time_ns if publish_time_ns is None else publish_time_ns,
             sequence=self._counts[channel] & _SEQUENCE_MASK,
         )
         self._counts[channel] += 1

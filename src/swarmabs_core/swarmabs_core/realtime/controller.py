@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING
 from swarmabs_core.desired_state import DesiredStateGenerator
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
+    NEVER,
     AbstractState,
+    Basis,
     DesiredAbstractState,
     EventKind,
     Message,
     Messages,
     Mode,
     PlaneState,
+    Source,
     SwarmEvent,
 )
 from swarmabs_core.realtime.base import Health, Level, Schedule
@@ -194,8 +197,10 @@ class RealtimeController:
             return ()
         if self._first_step is not None and not 0 < plane.step - self._law_step <= MOST_STEPS:
             self._begin_anew()
+        since = NEVER if self._first_step is None else self._law_step
         if self._first_step is None:
             self._first_step, self._law_step = plane.step, plane.step - 1
+        basis = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, (), ())
         events: list[Message] = []
         period = self._config.schedule.period_ns
         try:
@@ -207,7 +212,7 @@ class RealtimeController:
         except RunError as error:
             return self._change(Mode.STOP, now, str(error))
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
-        return (*events, self._asked)
+        return (*events, basis, self._asked)
 
     def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
         """Return the wish that robots keep still, of a step."""

@@ -12,10 +12,12 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Basis,
     EventKind,
     Kind,
     Message,
     Messages,
+    Source,
     Status,
     SwarmEvent,
 )
@@ -24,7 +26,7 @@ from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 
 if TYPE_CHECKING:
-    from collections.abc import MutableMapping
+    from collections.abc import Mapping, MutableMapping
 
 FEWEST = 2
 """Robots without which a swarm has no spread."""
@@ -75,6 +77,49 @@ class RealtimeObserverConfig:
     clock_tolerance: float = 0.02
 
 
+class RealtimeSums:
+    """Roles and sums, without any memory: the same states give the same bits, here and in a check.
+
+    Parameters
+    ----------
+    config : RealtimeObserverConfig
+        Configuration.
+    """
+
+    def __init__(self, config: RealtimeObserverConfig) -> None:
+        self._config = config
+        self._age = config.schedule.steps(config.state_age_limit)
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
+
+    def role(self, state: AgentState | None, step: int) -> Role:
+        """Return how a robot, of which this state is the newest, enters the sums of a step."""
+        if state is None:
+            return Role.UNHEARD
+        if state.status == Status.LEFT:
+            return Role.LEFT
+        if not -self._ahead <= step - state.step <= self._age:
+            return Role.SILENT
+        return Role.ACTIVE if state.status == Status.ACTIVE else Role.STOPPED
+
+    def sum_up(self, states: Mapping[int, AgentState], step: int, now: int) -> tuple[AbstractState, AuxiliaryState]:
+        """Return what the swarm is to the plane and to its robots at a step, made at a time (ns)."""
+        config = self._config
+        weights, active = [], []
+        for _, state in sorted(states.items()):
+            role = self.role(state, step)
+            if role is Role.LEFT:
+                continue
+            weights.append(Weight(state.mass, state.position, 0.0 if role is Role.SILENT else state.velocity))
+            if role is Role.ACTIVE:
+                active.append(state)
+        *sums, q = abstraction(weights, config.bounds.gravity)
+        spread = spread_sums((s.mass, s.position) for s in active)
+        damping = damping_sums(
+            ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
+        )
+        return AbstractState(now, step, len(weights), *sums), AuxiliaryState(now, step, *spread, *damping, q)
+
+
 class RealtimeObserver:
     """Publishes abstract and auxiliary state once per period, whoever is silent.
 
@@ -98,10 +143,12 @@ class RealtimeObserver:
     def __init__(self, config: RealtimeObserverConfig, memory: MutableMapping[int, AgentState] | None = None) -> None:
         self._config = config
         self._memory: MutableMapping[int, AgentState] = {} if memory is None else memory
+        self._sums = RealtimeSums(config)
         self._age = config.schedule.steps(config.state_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
-        self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
+        self._states = {i: state for i, state in self._memory.items() if i in self.roles}
+        self._carried_away: set[int] = set()
         self._refusals = Refusals()
         self._counter = StepCounter(config.schedule)
         self._started = False
@@ -118,8 +165,9 @@ class RealtimeObserver:
             return self._refusals.add(problem, step, now)
         assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
         known = self._states.get(message.agent_id)
-        if known is None or message.step > known.step:
+        if known is None or message.step > known.step or known.step > step + self._ahead:
             self._states[message.agent_id] = message
+            self._carried_away.discard(message.agent_id)
         elif message.step == known.step and message != known:
             return self._refusals.add(f"robot {message.agent_id}: two different states of a step", step, now)
         return ()
@@ -128,18 +176,15 @@ class RealtimeObserver:
         """Say whose role has changed, and sum up."""
         step = self._counter.next(now)
         if step is None:
-            if self._counter.last is None and self._started:
-                self.halt()
             return ()
         events = self._update_roles(step, now)
         if not self._started and not self._may_start(step):
             return events
         self._started = True
-        return (*events, *self._sum_up(step, now))
+        return (*events, self._basis(step, now), *self._sums.sum_up(self._on_plane(), step, now))
 
     def halt(self) -> None:
-        """Take all robots to stand where they were heard last, until they are heard again."""
-        self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
+        """Keep what was heard: it will be old when ticks go on, and then the robots stand where they were."""
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
         """Return how many robots there are in each role."""
@@ -175,7 +220,17 @@ class RealtimeObserver:
             self._under_way_since = step
         silent = self.roles[event.agent_id] is Role.SILENT
         if silent and event.kind == EventKind.LEFT and event.detail == CARRIED_AWAY:
-            self._states[event.agent_id] = self._states[event.agent_id]._replace(status=Status.LEFT)
+            self._carried_away.add(event.agent_id)
+
+    def _on_plane(self) -> dict[int, AgentState]:
+        """Return the newest states of the robots that nobody has carried away."""
+        return {i: state for i, state in self._states.items() if i not in self._carried_away}
+
+    def _basis(self, step: int, now: int) -> Basis:
+        """Return of which steps the states are that are summed up."""
+        ids = tuple(sorted(self._on_plane()))
+        steps = tuple(self._states[agent_id].step for agent_id in ids)
+        return Basis(now, step, NEVER, NEVER, Source.OBSERVER, steps, ids)
 
     def _may_start(self, step: int) -> bool:
         """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
@@ -187,20 +242,11 @@ class RealtimeObserver:
             return False
         return step - self._under_way_since > self._age and len(self._states) >= FEWEST
 
-    def _role(self, agent_id: int, step: int) -> Role:
-        state = self._states.get(agent_id)
-        if state is None:
-            return Role.UNHEARD
-        if state.status == Status.LEFT:
-            return Role.LEFT
-        if step - state.step > self._age:
-            return Role.SILENT
-        return Role.ACTIVE if state.status == Status.ACTIVE else Role.STOPPED
-
     def _update_roles(self, step: int, now: int) -> Messages:
         events = []
         for agent_id, before in self.roles.items():
-            role = self._role(agent_id, step)
+            gone = agent_id in self._carried_away
+            role = Role.LEFT if gone else self._sums.role(self._states.get(agent_id), step)
             if role is before:
                 continue
             self.roles[agent_id] = role
@@ -218,28 +264,3 @@ class RealtimeObserver:
             self._memory[agent_id] = self._states[agent_id]
         else:
             self._memory.pop(agent_id, None)
-
-    def _sum_up(self, step: int, now: int) -> Messages:
-        config = self._config
-        weights, active = [], []
-        for agent_id, role in self.roles.items():
-            if role in (Role.UNHEARD, Role.LEFT):
-                continue
-            state = self._states[agent_id]
-            weights.append(Weight(state.mass, state.position, 0.0 if role is Role.SILENT else state.velocity))
-            if role is Role.ACTIVE:
-                active.append(state)
-        *sums, q = abstraction(weights, config.bounds.gravity)
-        spread = spread_sums((s.mass, s.position) for s in active)
-        damping = damping_sums(
-            ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
-        )
-        return (
-            AbstractState(now, step, len(weights), *sums),
-            AuxiliaryState(now, step, *spread, *damping, q),
-        )
-
-
-def _long_ago(state: AgentState) -> AgentState:
-    """Return a state that any newer one replaces."""
-    return state._replace(step=0)

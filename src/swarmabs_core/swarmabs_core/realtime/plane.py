@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import copysign
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 from swarmabs_core.desired_state import STEEPEST
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import (
     NEVER,
     AgentState,
+    Basis,
     EventKind,
     Kind,
     Message,
     Messages,
     PlaneState,
+    Source,
     Status,
     SwarmEvent,
 )
@@ -24,6 +26,9 @@ from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.sensing import Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 MOST_STEPS = 1000
 """Periods that the plane catches up after a pause of its process; beyond, it has been held."""
@@ -76,12 +81,83 @@ class RealtimePlaneConfig:
     clock_tolerance: float = 0.02
 
 
-class _Load(NamedTuple):
-    """A robot on the plane: where it was at the last step, and the newest that is known of it."""
+class PlaneMotion:
+    """How the plane moves under the robots, without any memory: the same input gives the same bits, also in a check.
 
-    position: float
-    velocity: float
-    newest: AgentState
+    Parameters
+    ----------
+    config : RealtimePlaneConfig
+        Configuration.
+
+    Attributes
+    ----------
+    impact : float or None
+        Angular velocity (rad/s) with which the plane has run into an end stop, if it has not rested there before.
+    """
+
+    def __init__(self, config: RealtimePlaneConfig) -> None:
+        self._config = config
+        self._period = config.schedule.period_ns / 1e9
+        self._dynamics = PlaneDynamics(
+            inertia=config.inertia,
+            friction=config.friction,
+            disturbance=config.disturbance,
+            period=self._period,
+            substep=config.substep,
+            end_stop=config.end_stop,
+        )
+        self.impact: float | None = None
+
+    def advance(
+        self,
+        state: tuple[float, float],
+        before: Mapping[int, AgentState],
+        newest: Mapping[int, AgentState],
+        passed: int,
+        since_release: int,
+    ) -> tuple[float, float]:
+        """Return angle (rad) and angular velocity (rad/s) some periods later.
+
+        Parameters
+        ----------
+        state : tuple of float
+            Angle and angular velocity now.
+        before, newest : mapping of int to AgentState
+            The robots on the plane by id: as they were known now, and as they are known then. One that was not known
+            has been where it is then.
+        passed : int
+            Periods to go on; beyond `MOST_STEPS` the plane has been held.
+        since_release : int
+            Periods since the plane was let go.
+        """
+        config, (angle, rate) = self._config, state
+        passed = min(passed, MOST_STEPS)
+        self.impact = None
+        for index in range(passed):
+            resting = abs(angle) == config.end_stop and not rate
+            paths = [self._path(before.get(i, robot), robot, index, passed) for i, robot in sorted(newest.items())]
+            time = max(0, since_release + index) * self._period
+            angle, rate = self._dynamics.advance(angle, rate, time, swarm_load(paths, config.bounds.gravity))
+            if self._dynamics.impact is not None and not resting:
+                self.impact = self._dynamics.impact[1]
+        return angle, rate
+
+    def measured(self, angle: float, angular_velocity: float, step: int) -> tuple[float, float]:
+        """Return what the sensor tells of angle (rad) and angular velocity (rad/s) at a step."""
+        config = self._config
+        if config.sensor.perfect:
+            return angle, angular_velocity
+        return config.sensor.measure(angle, angular_velocity, f"{config.seed}:{step}:plane")
+
+    def _path(self, start: AgentState, end: AgentState, index: int, passed: int) -> RobotPath:
+        """Return a robot's path over one of the periods that have passed since it was last looked at."""
+        if start.position == end.position:
+            return standing(end.mass, end.position)
+        if passed == 1 and end.kind == Kind.DOUBLE_INTEGRATOR:
+            ends = (start.position, start.velocity), (end.position, end.velocity)
+            return hermite(end.mass, *ends, self._period)
+        way = end.position - start.position
+        return straight(end.mass, start.position + way * index / passed, start.position + way * (index + 1) / passed)
 
 
 class RealtimePlane:
@@ -98,17 +174,10 @@ class RealtimePlane:
 
     def __init__(self, config: RealtimePlaneConfig) -> None:
         self._config = config
-        self._period = config.schedule.period_ns / 1e9
-        self._dynamics = PlaneDynamics(
-            inertia=config.inertia,
-            friction=config.friction,
-            disturbance=config.disturbance,
-            period=self._period,
-            substep=config.substep,
-            end_stop=config.end_stop,
-        )
+        self._motion = PlaneMotion(config)
         self._angle, self._angular_velocity = config.angle, config.angular_velocity
-        self._loads: dict[int, _Load] = {}
+        self._newest: dict[int, AgentState] = {}
+        self._before: dict[int, AgentState] = {}
         self._ahead = config.schedule.ahead(config.clock_tolerance)
         self._members = frozenset(config.members)
         self._released: int | None = None
@@ -126,51 +195,44 @@ class RealtimePlane:
             problem = "a state from the future; the clocks differ, or it is of another swarm"
         if problem:
             return self._refusals.add(f"robot {message.agent_id}: {problem}", step, now)
-        known = self._loads.get(message.agent_id)
-        if known is not None and message.step <= known.newest.step:
+        known = self._newest.get(message.agent_id)
+        if known is not None and message.step <= known.step:
             return ()
-        if message.status == Status.LEFT:
-            self._loads.pop(message.agent_id, None)
-            return ()
-        start = (message.position, message.velocity) if known is None else known[:2]
-        self._loads[message.agent_id] = _Load(*start, message)
+        self._newest[message.agent_id] = message
         if self._released is None and message.broadcast_step != NEVER:
             self._released = step
         return ()
 
     def tick(self, now: int) -> Messages:
         """Move the plane up to this step and tell its state."""
-        config = self._config
         step = self._counter.next(now)
         if step is None:
             if self._counter.last is None:
                 self._last_step = None
             return ()
+        since, robots = self._last_step, self._robots()
         events: Messages = ()
-        if self._released is not None and self._last_step is not None:
-            passed = min(step - self._last_step, MOST_STEPS)
-            events = self._advance(passed, self._last_step - self._released, now, step)
-        self._loads = {
-            i: _Load(load.newest.position, load.newest.velocity, load.newest) for i, load in self._loads.items()
-        }
-        self._last_step = step
-        angle, rate = self._angle, self._angular_velocity
-        if self._released is None:
-            rate = 0.0
-        if not config.sensor.perfect:
-            angle, rate = config.sensor.measure(angle, rate, f"{config.seed}:{step}:plane")
-        return (*events, PlaneState(now, step, angle, rate))
+        if self._released is not None and since is not None:
+            self._angle, self._angular_velocity = self._motion.advance(
+                (self._angle, self._angular_velocity), self._before, robots, step - since, since - self._released
+            )
+            events = self._hit(step, now)
+        self._before, self._last_step = robots, step
+        rate = 0.0 if self._released is None else self._angular_velocity
+        state = PlaneState(now, step, *self._motion.measured(self._angle, rate, step))
+        return (*events, self._basis(step, now, since), state)
 
     def halt(self) -> None:
         """Hold the plane where it is."""
         self._released = self._last_step = None
+        self._angular_velocity = self._config.angular_velocity
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - a simulation knows no age
         """Return where the plane is."""
         values = (
             ("angle, rad", f"{self._angle:.4f}"),
             ("angular velocity, rad/s", f"{self._angular_velocity:.4f}"),
-            ("robots on it", str(len(self._loads))),
+            ("robots on it", str(len(self._robots()))),
             ("refused", str(self._refusals.total)),
             ("last refusal", self._refusals.latest),
         )
@@ -180,32 +242,27 @@ class RealtimePlane:
             return Health(Level.ERROR, "rests at its end stop", values)
         return Health(Level.OK, "moves", values)
 
-    def _advance(self, passed: int, since_release: int, now: int, step: int) -> Messages:
-        """Integrate over the periods that have passed."""
-        config = self._config
-        hit: Messages = ()
-        for index in range(passed):
-            resting = abs(self._angle) == config.end_stop and not self._angular_velocity
-            load = swarm_load(
-                [self._path(load, index, passed) for _, load in sorted(self._loads.items())], config.bounds.gravity
-            )
-            time = max(0, since_release + index) * self._period
-            self._angle, self._angular_velocity = self._dynamics.advance(
-                self._angle, self._angular_velocity, time, load
-            )
-            if self._dynamics.impact is not None and not resting:
-                speed = self._dynamics.impact[1]
-                detail = f"end stop hit with {speed:.4g} rad/s"
-                hit = (SwarmEvent(now, step, 0, EventKind.LIMIT_HIT, copysign(config.end_stop, speed), detail),)
-        return hit
+    def _robots(self) -> dict[int, AgentState]:
+        """Return the newest states of those who are on the plane."""
+        return {i: state for i, state in self._newest.items() if state.status != Status.LEFT}
 
-    def _path(self, load: _Load, index: int, passed: int) -> RobotPath:
-        """Return a robot's path over one of the periods that have passed since it was last looked at."""
-        newest = load.newest
-        if load.position == newest.position:
-            return standing(newest.mass, newest.position)
-        if passed == 1 and newest.kind == Kind.DOUBLE_INTEGRATOR:
-            start, end = (load.position, load.velocity), (newest.position, newest.velocity)
-            return hermite(newest.mass, start, end, self._period)
-        way = newest.position - load.position
-        return straight(newest.mass, load.position + way * index / passed, load.position + way * (index + 1) / passed)
+    def _basis(self, step: int, now: int, since: int | None) -> Basis:
+        """Return from where the plane has moved, and under which states of the robots."""
+        states = sorted(self._before.items())
+        return Basis(
+            now,
+            step,
+            NEVER if since is None else since,
+            NEVER if self._released is None else self._released,
+            Source.PLANE,
+            tuple(state.step for _, state in states),
+            tuple(agent_id for agent_id, _ in states),
+        )
+
+    def _hit(self, step: int, now: int) -> Messages:
+        speed = self._motion.impact
+        if speed is None:
+            return ()
+        detail = f"end stop hit with {speed:.4g} rad/s"
+        stop = copysign(self._config.end_stop, speed)
+        return (SwarmEvent(now, step, 0, EventKind.LIMIT_HIT, stop, detail),)

@@ -1,0 +1,142 @@
+"""What a recorder has of a virtual fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache
+from random import Random
+from typing import NamedTuple
+
+from tests.swarmabs_core.helpers import builtin
+
+from swarmabs_core import configure as lockstep
+from swarmabs_core.cdr import decode, encode
+from swarmabs_core.messages import TOPIC_OF, Message, Mode, Topic
+from swarmabs_core.realtime import configure
+from swarmabs_core.realtime.recording import RealtimeCollector, RealtimeFigures
+from swarmabs_core.realtime.virtual_fleet import CONTROLLER, EPOCH, OBSERVER, PLANE, Network, VirtualFleet
+from swarmabs_core.scenario import Scenario
+
+LATENCY = 400_000
+"""Time, ns, that a message takes to the recorder."""
+
+
+class Stored(NamedTuple):
+    """A message of a bag: topic, log time in ns, bytes."""
+
+    topic: Topic
+    time: int
+    payload: bytes
+
+    @property
+    def message(self) -> Message:
+        return decode(self.topic.message, self.payload)
+
+
+class Recorded(NamedTuple):
+    """What a recorder has at the end."""
+
+    scenario: Scenario
+    bag: tuple[Stored, ...]
+    collector: RealtimeCollector
+    figures: RealtimeFigures
+
+
+def record(fleet: VirtualFleet, scenario: Scenario, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
+    """Record what a fleet has published; on the way, messages are lost (probability) and late (s)."""
+    clock = configure.schedule(scenario, EPOCH)
+    collector = RealtimeCollector(lockstep.members(scenario), clock)
+    figures = RealtimeFigures(lockstep.parent_controller(scenario).reference, clock)
+    draw = Random("recorder")
+    arrived = [
+        (EPOCH + time + LATENCY + round(draw.random() * jitter * 1e9), message)
+        for time, _, message in fleet.published
+        if draw.random() >= loss
+    ]
+    bag = []
+    for time, message in sorted(arrived, key=lambda found: found[0]):
+        for kept in collector.add(message, time):
+            figures.add(kept)
+            bag.append(Stored(TOPIC_OF[type(kept)], time, encode(kept)))
+    return Recorded(scenario, tuple(bag), collector, figures)
+
+
+def quiet(fleet: VirtualFleet) -> None:
+    """Let nothing happen."""
+    fleet.run(2.0)
+
+
+def brief(fleet: VirtualFleet) -> None:
+    """Let nothing happen, not for long."""
+    fleet.run(0.5)
+
+
+def deaths(fleet: VirtualFleet) -> None:
+    """Let every kind of node die and come back."""
+    for name in ("agent_002", OBSERVER, PLANE, CONTROLLER):
+        fleet.run(0.6)
+        fleet.kill(name)
+        fleet.run(0.4)
+        fleet.revive(name)
+    fleet.run(0.6)
+
+
+def operator(fleet: VirtualFleet) -> None:
+    """Stop, reset, let a robot leave and join."""
+    fleet.run(0.7)
+    fleet.call(CONTROLLER, lambda node, now: node.stop(now))  # type: ignore[attr-defined]
+    fleet.run(0.5)
+    fleet.call(CONTROLLER, lambda node, now: node.reset(now))  # type: ignore[attr-defined]
+    fleet.run(1.5)
+    fleet.call("agent_003", lambda node, now: node.leave(now))  # type: ignore[attr-defined]
+    fleet.run(0.4)
+    fleet.call("agent_003", lambda node, now: node.join(now))  # type: ignore[attr-defined]
+    fleet.run(0.7)
+
+
+def clocks(fleet: VirtualFleet) -> None:
+    """Set clocks forward and back."""
+    for name in ("agent_001", OBSERVER, PLANE, CONTROLLER):
+        for offset in (0.004, 0.3, -0.3, 0.0):
+            fleet.run(0.25)
+            fleet.set_clock(name, offset)
+    fleet.run(1.0)
+
+
+BAD = Network(jitter=0.012, loss=0.1, duplication=0.1, fading=0.02)
+WORLDS: dict[str, tuple[tuple[str, ...], Network, Callable[[VirtualFleet], None], Mode]] = {
+    "quiet": (("pd_het_4",), Network(), quiet, Mode.RUN),
+    "brief": (("pd_het_4",), Network(), brief, Mode.RUN),
+    "brief on a bad network": (("pd_het_4",), BAD, brief, Mode.RUN),
+    "adaptive": (("arise_het_4",), Network(), quiet, Mode.RUN),
+    "bad network": (("pd_het_4",), BAD, quiet, Mode.RUN),
+    "deaths": (("pd_het_4",), Network(), deaths, Mode.RUN),
+    "deaths on a bad network": (("arise_het_4",), BAD, deaths, Mode.RUN),
+    "operator": (("pd_het_4",), Network(), operator, Mode.RUN),
+    "operator on a bad network": (("pd_het_4",), BAD, operator, Mode.RUN),
+    "begun in a stop": (("pd_het_4",), Network(), operator, Mode.STOP),
+    "clocks": (("pd_het_4",), Network(), clocks, Mode.RUN),
+    "limits": (("pd_het_4", "limits={velocity: 0.05, force: 0.1}"), Network(loss=0.05), quiet, Mode.RUN),
+    "noisy plane": (("pd_het_4", "plane.sensor={noise: [1.0e-4, 1.0e-3]}"), Network(loss=0.05), quiet, Mode.RUN),
+    "end stop": (
+        ("pd_het_4", "plane.angle=0.05", "plane.angular_velocity=4", "plane.end_stop=0.06"),
+        Network(),
+        quiet,
+        Mode.RUN,
+    ),
+}
+
+
+@cache
+def world(name: str, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
+    """Return the recording of a world."""
+    named, network, story, mode = WORLDS[name]
+    scenario = builtin(*named)
+    fleet = VirtualFleet(scenario, network=network, start_mode=mode)
+    story(fleet)
+    return record(fleet, scenario, loss=loss, jitter=jitter)
+
+
+def messages(bag: Iterable[Stored]) -> list[Message]:
+    """Return the messages of a bag."""
+    return [stored.message for stored in bag]
