@@ -24,7 +24,7 @@ from tests.system.helpers import (
     swarm,
 )
 
-from swarmabs_bringup.orchestration import lockstep_run
+from swarmabs_bringup.orchestration import process_run
 from swarmabs_bringup.orchestration.plan import ProcessPlan
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
@@ -86,7 +86,7 @@ def test_the_public_executor_gives_the_same(folder: Path) -> None:
 
 
 def test_a_machine_without_multicast_gives_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lockstep_run, "multicast_works", lambda: False)
+    monkeypatch.setattr(process_run, "multicast_works", lambda: False)
     same_as_simulated(folder, "arise_het_4", seconds(2.0))
     assert "<defaultMulticastLocatorList>" not in (folder / "logs" / "fastdds.xml").read_text(encoding="utf-8")
 

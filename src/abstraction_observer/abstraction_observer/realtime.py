@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from abstraction_observer.memory import MemoryFile
 from abstraction_observer.node import PARAMETERS as LOCKSTEP
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS
+from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, BASIS, EVENTS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import OBSERVER_PHASE
 from swarmabs_core.realtime.observer import FEWEST, RealtimeObserver, RealtimeObserverConfig
@@ -87,7 +87,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     return RealtimeSpec(
         RealtimeObserver(config(settings), memory),
         OBSERVER_PHASE,
-        (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
+        (EVENTS, BASIS, ABSTRACT_STATE, AUXILIARY_STATE),
         {
             AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME),
             EVENTS: requested(EVENTS, depth=1000, reliable=True, offers=REALTIME),

@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from parent_controller.node import PARAMETERS as LOCKSTEP, law_of, manifold_of, with_law
-from swarmabs_core.messages import ABSTRACT_STATE, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, Mode
+from swarmabs_core.messages import ABSTRACT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, Mode
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import CONTROLLER_PHASE
 from swarmabs_core.realtime.controller import RealtimeController, RealtimeControllerConfig
@@ -54,7 +54,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     return RealtimeSpec(
         controller,
         CONTROLLER_PHASE,
-        (EVENTS, DESIRED_ABSTRACT_STATE),
+        (EVENTS, BASIS, DESIRED_ABSTRACT_STATE),
         {topic: requested(topic, depth=10, offers=REALTIME) for topic in (PLANE_STATE, ABSTRACT_STATE)},
         wakes=(PLANE_STATE,),
         services={"swarm/stop": controller.stop, "swarm/reset": controller.reset},

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from plane_sim.node import PARAMETERS as LOCKSTEP
 from swarmabs_core.desired_state import STEEPEST
 from swarmabs_core.friction import Friction
-from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.messages import AGENT_STATE, BASIS, EVENTS, PLANE_STATE
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.realtime.base import PLANE_PHASE
 from swarmabs_core.realtime.plane import RealtimePlane, RealtimePlaneConfig
@@ -45,6 +45,7 @@ def config(settings: Settings) -> RealtimePlaneConfig:
         end_stop=settings.number("end_stop") or STEEPEST,
         sensor=Sensor(settings.pair("sensor.noise"), settings.pair("sensor.resolution")),
         seed=settings.integer("seed"),
+        clock_tolerance=settings.number("clock_tolerance"),
     )
 
 
@@ -54,7 +55,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     return RealtimeSpec(
         RealtimePlane(config(settings)),
         PLANE_PHASE,
-        (EVENTS, PLANE_STATE),
+        (EVENTS, BASIS, PLANE_STATE),
         {AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME)},
     )
 

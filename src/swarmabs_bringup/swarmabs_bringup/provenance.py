@@ -40,7 +40,13 @@ def plugin_versions(scenario: Scenario) -> dict[str, str]:
     return dict(package for package in packages if package is not None)
 
 
-def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None) -> dict[str, object]:
+def provenance(
+    scenario: Scenario,
+    *,
+    driver: str,
+    replay: Mapping[str, object] | None = None,
+    realtime: Mapping[str, object] | None = None,
+) -> dict[str, object]:
     """Return the provenance of a run.
 
     Parameters
@@ -48,9 +54,11 @@ def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] 
     scenario : Scenario
         What was run.
     driver : str
-        What moved the state machines: ``lockstep`` or ``simulate``.
+        What moved the state machines: ``lockstep``, ``simulate`` or ``realtime``.
     replay : mapping, optional
         What of which bag was replayed, if it is no run of its own.
+    realtime : mapping, optional
+        How time became steps, and what was simulated, of a run in real time.
     """
     own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
@@ -62,9 +70,18 @@ def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] 
         "byte_order": sys.byteorder,
         "libm_fingerprint": libm_fingerprint(),
     }
+    if realtime is not None:
+        own["realtime"] = dict(realtime)
     return own if replay is None else own | {"replay": dict(replay)}
 
 
-def provenance_json(scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None) -> bytes:
+def provenance_json(
+    scenario: Scenario,
+    *,
+    driver: str,
+    replay: Mapping[str, object] | None = None,
+    realtime: Mapping[str, object] | None = None,
+) -> bytes:
     """Return the provenance as a bag's attachment; parameters as of `provenance`."""
-    return json.dumps(provenance(scenario, driver=driver, replay=replay), indent=2, sort_keys=True).encode() + b"\n"
+    found = provenance(scenario, driver=driver, replay=replay, realtime=realtime)
+    return json.dumps(found, indent=2, sort_keys=True).encode() + b"\n"

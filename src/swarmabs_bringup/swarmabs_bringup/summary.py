@@ -58,6 +58,7 @@ def summarise(
         "status": status,
         "reason": reason,
         "rerun_of": dict(rerun_of) if rerun_of is not None else None,
+        **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
     }
 
 
@@ -87,6 +88,9 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
         "digest": summary["digest"] or "-",
         "folder": str(folder.path),
     }
+    if "realtime" in summary:
+        del rows["digest"]  # nobody expects one
+        rows |= _realtime_rows(summary["realtime"])
     if summary["rerun_of"] is not None:
         rows["rerun of"] = _rerun(summary["rerun_of"])
     if (folder.bag / "metadata.yaml").exists():
@@ -94,6 +98,23 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
     for name, value in rows.items():
         table.add_row(name, Text(str(value)))
     return table
+
+
+def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
+    """Return what there is to say of a run in real time only."""
+    missed, longest = realtime.get("missed_periods", {}), realtime.get("longest_us", {})
+    losses, ages = realtime.get("losses", {}), realtime.get("broadcast_ages", {})
+    missing = {topic: found["missing"] for topic, found in losses.items() if found["missing"]}
+    rows = {
+        "missed periods": ", ".join(f"{name} {n}" for name, n in missed.items() if n) or "none",
+        "latest step": f"{max(longest.values()) / 1000:.1f} ms late" if longest else "-",
+        "missing messages": ", ".join(f"{topic} {n}" for topic, n in missing.items()) or "none",
+        "broadcasts used": ", ".join(f"{n} after {age} steps" for age, n in ages.items()) or "none",
+        "safe stops": str(realtime.get("safe_stops", 0)),
+    }
+    if realtime.get("died"):
+        rows["died"] = ", ".join(f"{name} {how}" for name, how in realtime["died"].items())
+    return rows
 
 
 def _rerun(rerun: Mapping[str, Any]) -> str:

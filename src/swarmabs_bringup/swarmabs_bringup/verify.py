@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag import SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.provenance import plugin_versions, versions
+from swarmabs_bringup.recorder.realtime_recording import DRIVER
+from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.recording import RECORDED
 from swarmabs_core.scenario.errors import show
 from swarmabs_core.verification import Difference, Ending, Verification
+from swarmabs_core.verification.realtime import RealtimeVerification
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from swarmabs_bringup.bag import BagReader
     from swarmabs_core.scenario import Scenario
 
-DRIVERS = ("lockstep", "simulate")
+DRIVERS = ("lockstep", "simulate", DRIVER)
 """What moved the state machines of a bag that can be verified, as its provenance says."""
+NOT_VERIFIED = "events, and when within its step a robot was measured, do not follow from other messages"
+"""What is never verified of a run in real time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +59,8 @@ class Verdict:
         As given to `BagToVerify.verify`.
     notes : tuple of str
         What people should know besides.
+    not_checkable : mapping of str to int
+        How many messages of a run in real time could not be checked, by the reason.
     """
 
     bag: str
@@ -65,11 +74,18 @@ class Verdict:
     digest: str | None = None
     tolerance: float = 0.0
     notes: tuple[str, ...] = ()
+    not_checkable: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
         """Whether nothing is wrong."""
         return self.difference is None and self.problem is None
+
+    @property
+    def complete(self) -> bool:
+        """Whether all of the run is there and right; in real time the bag says itself whether it ended early."""
+        whole = self.ended_early is None if self.expected_steps is None else self.steps == self.expected_steps
+        return self.ok and whole
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data for JSON."""
@@ -79,7 +95,7 @@ class Verdict:
             "problem": self.problem,
             "bag": self.bag,
             "scenario": self.scenario,
-            "complete": self.ok and self.steps == self.expected_steps,
+            "complete": self.complete,
             "ended_early": self.ended_early,
             "steps": self.steps,
             "expected_steps": self.expected_steps,
@@ -87,6 +103,7 @@ class Verdict:
             "digest": self.digest,
             "tolerance": self.tolerance,
             "notes": list(self.notes),
+            "not_checkable": dict(self.not_checkable),
         }
 
 
@@ -103,7 +120,7 @@ class BagToVerify:
     Raises
     ------
     InputError
-        If it is no bag of a swarm, has no scenario, or was not recorded in lockstep.
+        If it is no bag of a swarm, has no scenario, or it is not known how its messages were made.
     DamagedBagError
         If nothing of it can be read.
     """
@@ -118,9 +135,10 @@ class BagToVerify:
         driver = self._provenance.get("driver", DRIVERS[0])
         if driver not in DRIVERS:
             raise InputError(
-                f"{self._bag.path} was recorded by driver {show(driver)}; only runs in lockstep can be verified: "
-                "there every message follows from those of the step before, and not from when it arrived"
+                f"{self._bag.path} was recorded by driver {show(driver)}, and it is not known how its messages follow "
+                f"from each other; this version knows {', '.join(DRIVERS)}"
             )
+        self._realtime = _realtime(self._bag, self._provenance) if driver == DRIVER else None
 
     def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
         """Verify the bag; damage does not raise, it is part of the answer.
@@ -132,6 +150,8 @@ class BagToVerify:
         on_step : callable, optional
             Told the first step that is not verified yet, at every message.
         """
+        if self._realtime is not None:
+            return self._verify_realtime(self._realtime, tolerance, on_step)
         bag, verification = self._bag, Verification(self.scenario, tolerance=tolerance)
         problem = self._follow(verification, on_step)
         cut, aborted = problem is not None, None
@@ -160,10 +180,53 @@ class BagToVerify:
             notes=() if difference is None else self._elsewhere(),
         )
 
-    def _follow(self, verification: Verification, on_step: Callable[[int], None] | None) -> str | None:
+    def _verify_realtime(
+        self, world: _RealtimeWorld, tolerance: float, on_step: Callable[[int], None] | None
+    ) -> Verdict:
+        """Verify a bag of a run in real time."""
+        verification = RealtimeVerification(
+            self.scenario,
+            world.schedule,
+            simulated=world.robots,
+            simulated_plane=world.plane,
+            tolerance=tolerance,
+        )
+        problem, aborted = self._follow(verification, on_step), None
+        if problem is None:
+            try:
+                aborted = self._bag.aborted()
+                self._bag.check()
+            except DamagedBagError as error:
+                problem = str(error)
+        verification.finish()
+        difference = verification.difference
+        measured = sorted(set(configure.members(self.scenario)) - set(world.robots))
+        notes = [NOT_VERIFIED]
+        if measured:
+            notes.append(f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured")
+        if not world.plane:
+            notes.append("not checked: the motion of the plane, which was measured")
+        return Verdict(
+            bag=str(self._bag.path),
+            scenario=self.scenario.name,
+            difference=difference,
+            problem=problem,
+            steps=verification.steps,
+            messages=verification.messages,
+            expected_steps=None,
+            ended_early=aborted,
+            tolerance=tolerance,
+            notes=(*notes, *(() if difference is None else self._elsewhere())),
+            not_checkable=dict(verification.not_checkable.most_common()),
+        )
+
+    def _follow(
+        self, verification: Verification | RealtimeVerification, on_step: Callable[[int], None] | None
+    ) -> str | None:
         """Hand the bag's messages over, as long as they matter; return what is wrong with the file."""
         try:
-            for topic, time, payload in self._bag.messages((*MAIN_TOPICS, EVENTS)):
+            topics = RECORDED if isinstance(verification, RealtimeVerification) else (*MAIN_TOPICS, EVENTS)
+            for topic, time, payload in self._bag.messages(topics):
                 verification.add(topic, time, payload)
                 if verification.decided:
                     return None
@@ -191,6 +254,35 @@ class BagToVerify:
             if changed:
                 notes.append(f"the bag was recorded with {'; '.join(changed)}")
         return tuple(notes)
+
+
+@dataclass(frozen=True, slots=True)
+class _RealtimeWorld:
+    """What the provenance says of a run in real time: how time became steps, and what was simulated."""
+
+    schedule: Schedule
+    robots: tuple[int, ...]
+    plane: bool
+
+
+def _realtime(bag: BagReader, provenance: Mapping[str, Any]) -> _RealtimeWorld:
+    found = provenance.get("realtime")
+    said = found if isinstance(found, dict) else {}
+    period, epoch, robots, plane = (said.get(name) for name in _WORLD)
+    if (
+        isinstance(robots, list)
+        and isinstance(plane, bool)
+        and all(type(number) is int and number >= 0 for number in (period, epoch, *robots))
+        and period
+    ):
+        return _RealtimeWorld(Schedule(int(period), int(epoch or 0)), tuple(robots), plane)
+    raise InputError(
+        f"{bag.path}: its provenance does not say how time became steps (realtime: {', '.join(_WORLD)}), so nothing "
+        "can be verified"
+    )
+
+
+_WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane")
 
 
 def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify | Verdict:

@@ -67,6 +67,7 @@ REALTIME: dict[Topic, Qos] = {
     AUXILIARY_STATE: Qos("reliable", 10, lease=LEASE),
     DESIRED_ABSTRACT_STATE: Qos("reliable", 10, lease=LEASE),
     EVENTS: Qos("reliable", 1000, "transient_local"),
+    BASIS: Qos("reliable", 10),
 }
 """What is offered in real time, where the next message makes the one before worthless.
 

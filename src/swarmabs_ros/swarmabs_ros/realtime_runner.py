@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 COMMON = (
     *(parameter for parameter in LOCKSTEP if parameter.name == "period_ns"),
     Parameter("epoch_ns", 0, "time at which step 0 begins, ns since 1970", minimum=0),
+    Parameter("await_epoch", default=False, description="whether whoever starts the node tells it the epoch"),
     Parameter("clock_tolerance", 0.02, "how far a message may come from the future by this clock, s", minimum=0.0),
     Parameter("autostart", default=True, description="whether to configure and activate the node at once"),
     *scheduling.PARAMETERS,
@@ -86,7 +87,7 @@ def run_realtime(
     node = RealtimeNode(name)
     status = StatusChannel(node.get_name())
     try:
-        settings = _settings(node, table(node) if callable(table) else table)
+        settings = _settings(node, table(node) if callable(table) else table, status)
         _run(node, settings, lambda: make(settings, node), status)
     except InputError as error:
         return fail(status, error, 2)
@@ -98,10 +99,14 @@ def run_realtime(
     return 0
 
 
-def _settings(node: RealtimeNode, own: Table) -> Settings:
+def _settings(node: RealtimeNode, own: Table, status: StatusChannel) -> Settings:
     if node.get_parameter("use_sim_time").value:
         raise InputError("parameter use_sim_time: in real time the system's clock makes the steps; leave it out")
-    return Settings(declare(node, (*COMMON, *own)), node.get_namespace())
+    values = declare(node, (*COMMON, *own))
+    if values["await_epoch"]:
+        status.send("ready")
+        values["epoch_ns"] = status.wait_for_epoch()
+    return Settings(values, node.get_namespace())
 
 
 def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel) -> None:

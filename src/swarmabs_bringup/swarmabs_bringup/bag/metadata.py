@@ -64,8 +64,8 @@ def qos_profile(qos: Qos) -> dict[str, object]:
         "durability": qos.durability,
         "deadline": _infinite(),
         "lifespan": _infinite(),
-        "liveliness": "automatic",
-        "liveliness_lease_duration": _infinite(),
+        "liveliness": "manual_by_topic" if qos.lease else "automatic",
+        "liveliness_lease_duration": _duration(qos.lease) if qos.lease else _infinite(),
         "avoid_ros_namespace_conventions": False,
     }
 
@@ -105,6 +105,11 @@ def _completed(stated: Mapping[object, object]) -> dict[str, object]:
         elif type(value) is type(default):
             profile[key] = value
     return profile
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    sec, nsec = divmod(round(seconds * 1e9), 10**9)
+    return {"sec": sec, "nsec": nsec}
 
 
 def _infinite() -> dict[str, int]:

@@ -18,7 +18,7 @@ import psutil
 
 from swarmabs_bringup.bench.processes import Memory, crew_of, memory_of
 from swarmabs_bringup.bench.scenarios import swarm_of
-from swarmabs_bringup.orchestration.lockstep_run import STARTED_AGAIN
+from swarmabs_bringup.orchestration.process_run import STARTED_AGAIN
 from swarmabs_bringup.parent_death import die_with_parent
 from swarmabs_core.errors import RunError
 from swarmabs_core.scenario import dump_scenario

@@ -12,12 +12,13 @@ import click
 from swarmabs_bringup.cli.display import shown_progress
 from swarmabs_bringup.cli.interrupts import no_more_interrupts
 from swarmabs_bringup.cli.output import json_option, print_json
-from swarmabs_core.errors import RunError
+from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bringup.orchestration.progress import Outcome, Progress
+    from swarmabs_bringup.rerun import RecordedRun
     from swarmabs_bringup.run_folder import RunFolder
     from swarmabs_bringup.splitting import Split
     from swarmabs_core.scenario import Scenario
@@ -87,11 +88,15 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
     help="Robots that share a process, for large simulations.",
 )
 @click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
-def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: FBT001 - click names it
-    """Run a scenario as one process per robot over DDS, in lockstep.
+@click.option("--realtime", is_flag=True, help="Let the clock make the steps, as on robots, with simulated bodies.")
+def run(agents_per_process: int, packed: bool, realtime: bool, **options: Any) -> int:  # noqa: FBT001 - click names it
+    """Run a scenario as one process per robot over DDS, in lockstep or in real time.
 
     SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
     """
+    if realtime and (packed or agents_per_process > 1):
+        option = "--packed" if packed else "--agents-per-process"
+        raise InputError(f"{option} is for runs in lockstep; leave it or --realtime out")
 
     def execute(
         scenario: Scenario,
@@ -100,8 +105,10 @@ def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: 
         split: Split,
         show: Callable[[Progress], None],
     ) -> Outcome:
-        from swarmabs_bringup.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
+        from swarmabs_bringup.orchestration import LockstepRun, RealtimeRun  # noqa: PLC0415 - needs the whole of ROS
 
+        if realtime:
+            return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
         return LockstepRun(
             scenario,
             folder,
@@ -112,7 +119,7 @@ def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: 
             split=split,
         ).run()
 
-    return _carry_out(execute, **options)
+    return _carry_out(execute, realtime=realtime, **options)
 
 
 @click.command()
@@ -131,12 +138,13 @@ def simulate(**options: Any) -> int:
 
         return simulate_run(scenario, folder, record=record, on_progress=show, split=split)
 
-    return _carry_out(execute, **options)
+    return _carry_out(execute, realtime=False, **options)
 
 
 def _carry_out(
     execute: Execute,
     *,
+    realtime: bool,
     scenario: str,
     output: Path | None,
     overrides: tuple[str, ...],
@@ -159,6 +167,8 @@ def _carry_out(
         overrides = (*overrides, f"duration={duration}")
     recorded = recorded_run(scenario, overrides) if names_bag(scenario) else None
     loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
+    if realtime:
+        _check_realtime(loaded, recorded)
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
     differences = recorded.differences if recorded is not None else ()
     for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded)), *differences):
@@ -182,6 +192,8 @@ def _carry_out(
         from swarmabs_bringup.bag.errors import remedy  # noqa: PLC0415
 
         raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error
+    for warning in outcome.warnings:
+        click.echo(f"warning: {warning}", err=True)
     if as_json:
         print_json(summary)
     else:
@@ -194,6 +206,24 @@ def _carry_out(
         click.echo(f"error: this is not the run of {scenario}; see the command compare, and warnings above", err=True)
         return 1
     return 0 if outcome.status == "ok" else 1
+
+
+def _check_realtime(scenario: Scenario, recorded: RecordedRun | None) -> None:
+    """Refuse what is for lockstep only, before there is a folder.
+
+    Raises
+    ------
+    InputError
+        With what to do instead.
+    """
+    from swarmabs_core.realtime.configure import check_realtime  # noqa: PLC0415 - as above
+
+    if recorded is not None:
+        raise InputError(
+            f"{recorded.bag}: a bag is run again in lockstep, where it can reach the same digest; for a run in real "
+            "time give the scenario.yaml of its folder"
+        )
+    check_realtime(scenario.resolved())
 
 
 def since_start() -> float:

@@ -56,9 +56,13 @@ def verify(bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, a
 def describe(verdict: Verdict) -> str:
     """Say in a few lines what was found out."""
     lines = [f"{verdict.bag}: {'ok' if verdict.ok else 'NOT ok'}"]
-    if verdict.expected_steps is not None:
+    if verdict.scenario is not None:
         how = f"agree within {verdict.tolerance:g}" if verdict.tolerance else "agree bit for bit"
-        lines.append(f"  {verdict.messages} messages of {verdict.steps} of {verdict.expected_steps} steps {how}")
+        of = "" if verdict.expected_steps is None else f" of {verdict.expected_steps}"
+        lines.append(f"  {verdict.messages} messages of {verdict.steps}{of} steps {how}")
+    if verdict.not_checkable:
+        lines.append(f"  not checkable: {sum(verdict.not_checkable.values())} messages")
+        lines.extend(f"    {number}: {reason}" for reason, number in verdict.not_checkable.items())
     if verdict.difference is not None:
         lines.append(f"  first difference: {verdict.difference}")
     if verdict.problem is not None:

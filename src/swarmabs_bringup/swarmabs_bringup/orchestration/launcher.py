@@ -28,10 +28,12 @@ from swarmabs_core.law_registry import law_type
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
 
-NODES = ("plane_sim.node", "abstraction_observer.node", "parent_controller.node", "agent_node.node")
+PACKAGES = ("plane_sim", "abstraction_observer", "parent_controller", "agent_node")
 _PR_SET_NAME = 15
 CROWDED = "--crowded"
 """Argument by which the launcher learns that there are many more processes than cores."""
+REALTIME = "--realtime"
+"""Argument by which it learns that the nodes run in real time."""
 
 
 class Launcher:
@@ -137,9 +139,9 @@ def main() -> int:
     with tracing_files_removed():
         from swarmabs_ros.endpoints import ros_type  # noqa: PLC0415 - imports rclpy, whose tracing makes the files
 
-        for module in NODES:
-            importlib.import_module(module)
         controller, law, *options = sys.argv[1:]
+        for package in PACKAGES:
+            importlib.import_module(f"{package}.{'realtime' if REALTIME in options else 'node'}")
         controller_type(controller)  # what a package brings is looked for once, and not in every node
         law_type(law)
         for topic in TOPICS:

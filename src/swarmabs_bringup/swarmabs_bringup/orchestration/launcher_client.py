@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.orchestration.launcher import CROWDED
+from swarmabs_bringup.orchestration.launcher import CROWDED, REALTIME
 from swarmabs_core.controllers.feedback import PD
 from swarmabs_core.law_registry import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
@@ -42,6 +42,8 @@ class LauncherClient:
         How many nodes there will be.
     controller, law : str
         Names of the parent controller and of the swarm law, which the launcher loads before it forks.
+    realtime : bool
+        Whether it loads the nodes in real time.
 
     Attributes
     ----------
@@ -57,14 +59,16 @@ class LauncherClient:
         processes: int,
         controller: str = PD.name,
         law: str = PAPER.name,
+        realtime: bool = False,
     ) -> None:
         self.reports, report_write = os.pipe()
         start_read, self._start = os.pipe()
         self._pending = b""
-        crowded = [CROWDED] if processes > CROWD * len(os.sched_getaffinity(0)) else []
+        options = [REALTIME] if realtime else []
+        options += [CROWDED] if processes > CROWD * len(os.sched_getaffinity(0)) else []
         with log.open("ab") as stream:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher", controller, law, *crowded],
+                [sys.executable, "-m", "swarmabs_bringup.orchestration.launcher", controller, law, *options],
                 stdin=subprocess.PIPE,
                 stdout=stream,
                 stderr=stream,
@@ -110,9 +114,10 @@ class LauncherClient:
         """Send a signal to a node; nothing happens if it has ended."""
         self._command(command="signal", name=name, signal=int(number))
 
-    def start_all(self) -> None:
-        """Give all nodes the start signal."""
+    def start_all(self, told: bytes = b"") -> None:
+        """Give all nodes the start signal, and before it what they may read from it."""
         if self._start >= 0:
+            os.write(self._start, told)
             os.close(self._start)
             self._start = -1
 

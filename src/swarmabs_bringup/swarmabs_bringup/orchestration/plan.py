@@ -144,7 +144,6 @@ def plan(
         "schedule": tuple(str(change) for change in configure.schedule(scenario)),
         "gravity": scenario.plane.gravity,
     }
-    plane, manifold = scenario.plane, scenario.manifold
     processes = [
         ProcessPlan(
             PLANE,
@@ -152,19 +151,9 @@ def plan(
             0,
             common
             | swarm
+            | plane_parameters(scenario)
             | {
-                "inertia": plane.inertia,
-                "length": plane.length,
-                "friction": plane.friction,
-                "substep": plane.substep,
-                "angle": plane.angle,
-                "angular_velocity": plane.angular_velocity,
-                "disturbance.amplitude": plane.disturbance.amplitude,
-                "disturbance.angular_frequency": plane.disturbance.angular_frequency,
-                "end_stop": plane.end_stop or 0.0,
-                "sensor.noise": plane.sensor.noise,
-                "sensor.resolution": plane.sensor.resolution,
-                "seed": scenario.seed,
+                "length": scenario.plane.length,
                 "actuator_lag": scenario.swarm.actuator_lag,
                 "lies": tuple(map(str, configure.lies(scenario))),
             },
@@ -187,17 +176,8 @@ def plan(
             "parent_controller.node",
             CONTROLLER_PARTICIPANT,
             common
-            | {
-                "plane.inertia": plane.inertia,
-                "plane.friction": plane.friction,
-                "manifold.curvature": manifold.curvature,
-                "manifold.offset": manifold.offset,
-                "manifold.torque_max": manifold.torque_max,
-                "recording_window": configure.recording_window(scenario),
-                "controller.type": scenario.controller.type,
-                "packed": packed,
-            }
-            | {f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
+            | controller_parameters(scenario)
+            | {"recording_window": configure.recording_window(scenario), "packed": packed},
             (EVENTS, DESIRED_ABSTRACT_STATE, *((BROADCAST,) if packed else ())),
             (PLANE_STATE, RECORDING_PROGRESS, *((ABSTRACT_STATE, AUXILIARY_STATE) if packed else ())),
         ),
@@ -220,6 +200,38 @@ def plan(
     ]
     expect_counterparts(processes)
     return tuple(processes)
+
+
+def plane_parameters(scenario: Scenario) -> dict[str, object]:
+    """Return the parameters of a simulated plane, whatever makes its steps."""
+    plane = scenario.plane
+    return {
+        "inertia": plane.inertia,
+        "friction": plane.friction,
+        "substep": plane.substep,
+        "angle": plane.angle,
+        "angular_velocity": plane.angular_velocity,
+        "disturbance.amplitude": plane.disturbance.amplitude,
+        "disturbance.angular_frequency": plane.disturbance.angular_frequency,
+        "end_stop": plane.end_stop or 0.0,
+        "sensor.noise": plane.sensor.noise,
+        "sensor.resolution": plane.sensor.resolution,
+        "seed": scenario.seed,
+    }
+
+
+def controller_parameters(scenario: Scenario) -> dict[str, object]:
+    """Return the parameters of the parent controller, whatever makes its steps."""
+    plane, manifold = scenario.plane, scenario.manifold
+    return {
+        "plane.inertia": plane.inertia,
+        "plane.friction": plane.friction,
+        "manifold.curvature": manifold.curvature,
+        "manifold.offset": manifold.offset,
+        "manifold.torque_max": manifold.torque_max,
+        "controller.type": scenario.controller.type,
+        **{f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
+    }
 
 
 def _observer_parameters(scenario: Scenario) -> dict[str, object]:
@@ -260,9 +272,10 @@ def _agent_processes(
     return processes
 
 
-def _agent_parameters(config: AgentConfig) -> dict[str, object]:
-    gains, life, limits = config.gains, config.life, config.limits
-    parameters: dict[str, object] = {
+def agent_parameters(config: AgentConfig) -> dict[str, object]:
+    """Return the parameters of a robot, whatever makes its steps."""
+    gains, limits = config.gains, config.limits
+    return {
         "agent_id": config.agent_id,
         "kind": config.kind.name.lower(),
         "mass": config.mass,
@@ -277,16 +290,22 @@ def _agent_parameters(config: AgentConfig) -> dict[str, object]:
         "gains.ksd": gains.ksd,
         "limits.velocity": 0.0 if isinf(limits.velocity) else limits.velocity,
         "limits.force": 0.0 if isinf(limits.force) else limits.force,
+        "law.type": config.law,
+        **{f"law.{name}": value for name, value in config.law_settings.items()},
+    }
+
+
+def _agent_parameters(config: AgentConfig) -> dict[str, object]:
+    life = config.life
+    parameters = agent_parameters(config) | {
         "first_step": life.first_step,
         "faults": tuple(map(str, config.faults)),
         "seed": config.seed,
         "feels_gravity": config.feels_gravity,
-        "law.type": config.law,
         "sensor.noise": config.sensor.noise,
         "sensor.resolution": config.sensor.resolution,
         "actuator_lag": config.actuator_lag,
     }
-    parameters |= {f"law.{name}": value for name, value in config.law_settings.items()}
     if life.end is not None:
         parameters |= {"end": life.end.value, "end_step": life.end_step}
     return parameters

@@ -50,6 +50,8 @@ class Outcome:
         Digest and figures, as far as they were recorded.
     start_seconds, stepping_seconds : float, optional
         Wall time until the first step, and from it to the last, s.
+    warnings : tuple of str
+        What people should know of a run that did not fail.
     """
 
     status: Literal["ok", "failed", "interrupted"]
@@ -57,3 +59,4 @@ class Outcome:
     figures: dict[str, Any]
     start_seconds: float | None = None
     stepping_seconds: float | None = None
+    warnings: tuple[str, ...] = ()

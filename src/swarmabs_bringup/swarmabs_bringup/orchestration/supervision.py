@@ -68,6 +68,7 @@ class Supervision:
     progress: Mapping[str, Any] | None = None
     done: Mapping[str, Any] | None = None
     failure: Failure | None = None
+    timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def take(self, report: Mapping[str, Any]) -> None:
         """Take a report of a node or of the launcher."""
@@ -86,6 +87,8 @@ class Supervision:
             self._fail(Failure(f"{node}: {report['reason']}"))
         elif event == "progress":
             self.progress = report
+        elif event == "timing":
+            self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
         elif event == "done":
             self.done = report
             if report["problem"]:

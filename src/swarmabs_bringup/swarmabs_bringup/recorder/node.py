@@ -138,7 +138,7 @@ class Recorder:
 _EVERYTHING = (EVENTS, *MAIN_TOPICS)
 
 
-def _log_text(folder: str) -> bytes:
+def log_text(folder: str) -> bytes:
     """Return all log files of the run, one after the other."""
     if not folder:
         return b""
@@ -188,7 +188,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     recorder = Recorder(scenario, recording, report, ends)
 
     def finish(problem: str | None) -> None:
-        log = {"run.log": _log_text(settings.text("logs"))}
+        log = {"run.log": log_text(settings.text("logs"))}
         if problem is None and recorder.finished:
             figures = recording.close(log)
         else:

@@ -89,9 +89,19 @@ class RealtimeVerification:
         controller = configure.controller_config(scenario, schedule)
         self._controller = ControllerCheck(controller, history, lambda: lockstep.parent_controller(scenario), tolerance)
 
+    @property
+    def step(self) -> int:
+        """The first step that is not verified, 0 before there is one."""
+        return max(0, self._judged or 0)
+
+    @property
+    def decided(self) -> bool:
+        """Whether no further message can change what is found."""
+        return self.difference is not None
+
     def add(self, topic: Topic, time: int, payload: bytes) -> None:
         """Take the next message of the bag: its topic, its log time (ns) and its bytes."""
-        if self.difference is not None:
+        if self.decided:
             return
         try:
             message = decode(topic.message, payload)

@@ -1,0 +1,181 @@
+"""Node ``recorder`` in real time: it writes what it hears to a bag. Nothing waits for it."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from swarmabs_bringup.recorder.node import GATHER_SECONDS, PARAMETERS as LOCKSTEP, REPORT_SECONDS, log_text
+from swarmabs_bringup.recorder.realtime_recording import RealtimeRecording
+from swarmabs_bringup.splitting import Split
+from swarmabs_core import configure
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import InputError, MalformedMessageError, RunError
+from swarmabs_core.messages import NEVER
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.recording import RECORDED
+from swarmabs_core.scenario import load_scenario
+from swarmabs_ros.endpoints import WaitSetReceiver
+from swarmabs_ros.parameters import declare
+from swarmabs_ros.qos import REALTIME, requested
+from swarmabs_ros.realtime_runner import choose
+from swarmabs_ros.runner import COMMON, Settings, SwarmNode, fail
+from swarmabs_ros.status import StatusChannel
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from swarmabs_core.scenario import Scenario
+
+PARAMETERS = (
+    *choose(COMMON, "last_step"),
+    Parameter("epoch_ns", 0, "time at which step 0 begins, ns since 1970", minimum=0),
+    Parameter("await_epoch", default=False, description="whether whoever starts the node tells it the epoch"),
+    *choose(LOCKSTEP, "scenario_file", "bag", "max_bag_size", "max_bag_duration_ns", "logs"),
+    Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535),
+    Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
+)
+
+SLICE = 0.1
+"""Longest time, s, for which the node does not look whether it shall stop."""
+LINGER = 0.5
+"""Time, s, after the last step in which its messages still come."""
+_DEPTH = 5000
+"""Messages of a topic that may wait: the recorder may stand still for some seconds while the disk does."""
+
+
+class RealtimeRecorder:
+    """The loop of the node: waits for messages, lets them gather, and records what there is.
+
+    Parameters
+    ----------
+    node : Node
+        Whose subscriptions they are.
+    status : StatusChannel
+        Where progress is reported.
+    """
+
+    def __init__(self, node: Node, status: StatusChannel) -> None:
+        subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True, offers=REALTIME) for topic in RECORDED}
+        self._receiver = WaitSetReceiver(node, subscriptions)
+        self._status = status
+        self._reported = 0.0
+        self._stopped = False
+        self.malformed = 0
+
+    def stop(self, *_: Any) -> None:
+        """Let the loop end."""
+        self._stopped = True
+
+    def run(self, recording: RealtimeRecording, end_ns: int) -> bool:
+        """Record until told to stop, or until a time (ns since 1970); return whether it is over."""
+        while time.time_ns() < end_ns:
+            if self._stopped:
+                self._drain(recording)
+                return False
+            if self._receiver.wait(RECORDED, SLICE):
+                time.sleep(GATHER_SECONDS)  # waking up for each costs more than recording it
+                self._drain(recording)
+            recording.poll()
+            self._report(recording)
+        return True
+
+    def _drain(self, recording: RealtimeRecording) -> None:
+        now = time.time_ns()
+        for topic in RECORDED:
+            for _ in range(_DEPTH):
+                payload = self._receiver.take(topic)
+                if payload is None:
+                    break
+                try:
+                    message = decode(topic.message, payload)
+                except MalformedMessageError:
+                    self.malformed += 1
+                    continue
+                recording.add(message, now)
+
+    def _report(self, recording: RealtimeRecording) -> None:
+        now = time.monotonic()
+        if now - self._reported < REPORT_SECONDS or recording.newest < 0:
+            return
+        self._reported = now
+        latest = recording.latest
+        angle, error = (None, None) if latest is None else (latest.angle, latest.error)
+        self._status.send("progress", step=recording.newest, angle=angle, error=error)
+
+
+def _scenario(settings: Settings) -> Scenario:
+    if not settings.text("scenario_file"):
+        raise InputError("parameter scenario_file: give the file of the resolved scenario")
+    return load_scenario(Path(settings.text("scenario_file")))
+
+
+def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
+    scenario = _scenario(settings)
+    recorder = RealtimeRecorder(node, status)
+    epoch = settings.integer("epoch_ns")
+    if settings.flag("await_epoch"):
+        status.send("ready")
+        epoch = status.wait_for_epoch()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, recorder.stop)
+    schedule = Schedule(scenario.step_ns, epoch)
+    last, bag = settings.last_step(), settings.text("bag")
+    recording = RealtimeRecording(
+        scenario,
+        Path(bag) if bag else None,
+        schedule,
+        simulated=set(configure.members(scenario)) - set(settings.integers("driven")),
+        simulated_plane=settings.flag("simulated_plane"),
+        last_step=last,
+        namespace=settings.namespace,
+        split=Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns")),
+    )
+    status.send("ready")
+    problem: str | None = "the node failed"
+    over = False
+    try:
+        over = recorder.run(recording, NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9))
+        problem = None
+    except RunError as error:
+        problem = str(error)
+        raise
+    finally:
+        log = {"run.log": log_text(settings.text("logs"))}
+        complete = problem is None and (over or last is None)
+        figures = recording.close(log) if complete else recording.abort(problem or "stopped before the end", log)
+        status.send("done", complete=complete, problem=problem, figures=figures)
+        if recorder.malformed:
+            node.get_logger().warning(f"{recorder.malformed} messages were malformed and are not recorded")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop (SIGINT, SIGTERM), or `last_step` is over; return its exit code."""
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
+        sys.stderr.write(f"error: command line of recorder: {' '.join(str(error).split())}\n")
+        return 2
+    node = SwarmNode("recorder")
+    status = StatusChannel(node.get_name())
+    try:
+        _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)
+    except InputError as error:
+        return fail(status, error, 2)
+    except RunError as error:
+        return fail(status, error, 1)
+    finally:
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
