@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag import SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
+from swarmabs_bringup.bag.realtime import DRIVER, RealtimeWorld, realtime_world
 from swarmabs_bringup.provenance import plugin_versions, versions
-from swarmabs_bringup.recorder.realtime_recording import DRIVER
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
-from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.recording import RECORDED
 from swarmabs_core.scenario.errors import show
 from swarmabs_core.verification import Difference, Ending, Verification
@@ -138,7 +137,7 @@ class BagToVerify:
                 f"{self._bag.path} was recorded by driver {show(driver)}, and it is not known how its messages follow "
                 f"from each other; this version knows {', '.join(DRIVERS)}"
             )
-        self._realtime = _realtime(self._bag, self._provenance) if driver == DRIVER else None
+        self._realtime = realtime_world(self._bag) if driver == DRIVER else None
 
     def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
         """Verify the bag; damage does not raise, it is part of the answer.
@@ -181,7 +180,7 @@ class BagToVerify:
         )
 
     def _verify_realtime(
-        self, world: _RealtimeWorld, tolerance: float, on_step: Callable[[int], None] | None
+        self, world: RealtimeWorld, tolerance: float, on_step: Callable[[int], None] | None
     ) -> Verdict:
         """Verify a bag of a run in real time."""
         verification = RealtimeVerification(
@@ -254,35 +253,6 @@ class BagToVerify:
             if changed:
                 notes.append(f"the bag was recorded with {'; '.join(changed)}")
         return tuple(notes)
-
-
-@dataclass(frozen=True, slots=True)
-class _RealtimeWorld:
-    """What the provenance says of a run in real time: how time became steps, and what was simulated."""
-
-    schedule: Schedule
-    robots: tuple[int, ...]
-    plane: bool
-
-
-def _realtime(bag: BagReader, provenance: Mapping[str, Any]) -> _RealtimeWorld:
-    found = provenance.get("realtime")
-    said = found if isinstance(found, dict) else {}
-    period, epoch, robots, plane = (said.get(name) for name in _WORLD)
-    if (
-        isinstance(robots, list)
-        and isinstance(plane, bool)
-        and all(type(number) is int and number >= 0 for number in (period, epoch, *robots))
-        and period
-    ):
-        return _RealtimeWorld(Schedule(int(period), int(epoch or 0)), tuple(robots), plane)
-    raise InputError(
-        f"{bag.path}: its provenance does not say how time became steps (realtime: {', '.join(_WORLD)}), so nothing "
-        "can be verified"
-    )
-
-
-_WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane")
 
 
 def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify | Verdict:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from swarmabs_bringup.bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bringup.bag.memory import available_memory
 from swarmabs_bringup.bag.reader import BagReader, open_bag
+from swarmabs_bringup.bag.realtime import is_realtime
 from swarmabs_core.arrays import LAYOUT, RunArrays, Tables, run_arrays, table
 from swarmabs_core.messages import AGENT_STATE, FRAME_ID, MAIN_TOPICS, Topic
 
@@ -53,7 +55,24 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
     DamagedBagError
         If the bag is damaged, or a message is not as the contract says.
     """
-    return run_arrays(load_tables(open_bag(path, namespace=namespace, damaged=damaged), every=every))
+    bag = open_bag(path, namespace=namespace, damaged=damaged)
+    return arrays_of(bag, load_tables(bag, every=every))
+
+
+def arrays_of(bag: BagReader, tables: Tables) -> RunArrays:
+    """Arrange the messages of a bag's run; in real time its time is that since its first step.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    tables : mapping
+        Its messages, as `load_tables` returns them.
+    """
+    arrays = run_arrays(tables)
+    if not is_realtime(bag) or not len(arrays.time):
+        return arrays
+    return replace(arrays, time=arrays.time - arrays.time[0])
 
 
 def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:

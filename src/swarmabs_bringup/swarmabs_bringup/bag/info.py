@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -31,6 +32,8 @@ PROVENANCE_FILE = "provenance.json"
 """Name of the attachment that says with what the run was made."""
 
 _LONGEST_QOS = 200
+_CLOCK = 1e8
+"""Log time, s, from which on it is taken to be that of a clock, since 1970, and not that of a simulation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +217,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "repaired": info.repaired or "",
         "size": f"{info.size:,} bytes",
         "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes without)",
-        "time": f"{info.start:.9g} s to {info.start + info.duration:.9g} s",
+        "time": _times(info),
         "messages": f"{info.message_count:,}",
         "swarms in": named_swarms(info.swarms) if len(info.swarms) > 1 else "",
         "written by": info.library,
@@ -228,6 +231,17 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
             f"{scenario.name}, seed {scenario.seed}, {scenario.agents} agents, {scenario.duration:.9g} s"
         )
     return {name: value for name, value in facts.items() if value}
+
+
+def _times(info: BagInfo) -> str:
+    """Return from when to when; times of a clock with their date."""
+    if info.start < _CLOCK:
+        return f"{info.start:.9g} s to {info.start + info.duration:.9g} s"
+    try:
+        begin = datetime.fromtimestamp(info.start, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return f"{info.start:.9g} s and {info.duration:.9g} s more"
+    return f"{begin:%Y-%m-%d %H:%M:%S} UTC and {info.duration:.9g} s more"
 
 
 def _shown(text: str) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
 from swarmabs_bringup.bag.info import SCENARIO_FILE
 from swarmabs_bringup.bag.reader import open_bag
+from swarmabs_bringup.bag.realtime import is_realtime
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Membership
@@ -47,7 +48,7 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
     try:
         bag = open_bag(path, damaged=True)
         attached = bag.attachment(SCENARIO_FILE)
-        if attached is None:
+        if attached is None or is_realtime(bag):  # in real time a step need not have all messages
             return None
         scenario = parse_scenario(attached.decode(), source=SCENARIO_FILE)
         members = configure.members(scenario)

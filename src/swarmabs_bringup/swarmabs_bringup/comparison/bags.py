@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag import DamagedBagError, NotABagError, open_bag
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
+from swarmabs_bringup.bag.realtime import is_realtime
 from swarmabs_bringup.comparison.messages import MessageComparison, compare_steps
 from swarmabs_bringup.comparison.settings import SettingDifference, setting_differences
 from swarmabs_bringup.comparison.steps import recorded_steps
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, AgentState
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.recording import RealtimeFigures
 from swarmabs_core.recording import Digest, Metrics
 
 if TYPE_CHECKING:
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bringup.bag import BagReader
+    from swarmabs_core.messages import Message, Topic
     from swarmabs_core.recording import RecordedStep, Reference
     from swarmabs_core.scenario import Scenario
 
@@ -34,7 +38,7 @@ class BagSummary:
     file : str
         The MCAP file.
     digest : str or None
-        Digest of the run, None without messages of main topics.
+        Digest of the run, None without messages of main topics and in real time.
     first_step, last_step : int or None
         Steps of the first and the last message of a main topic.
     period : float or None
@@ -173,7 +177,11 @@ class _Side:
         self._scenario_problem: str | None = None
         self._steps: tuple[int, int] | None = None
         self._digest = Digest()
-        self._metrics = Metrics(self._reference())
+        self._realtime = is_realtime(bag)
+        reference = self._reference()
+        self._metrics = Metrics(reference)
+        period_ns = self.scenario.step_ns if self.scenario is not None else 1
+        self._figures = RealtimeFigures(reference, Schedule(period_ns))
 
     def _reference(self) -> Reference:
         try:
@@ -186,7 +194,7 @@ class _Side:
     def steps(self) -> Iterator[RecordedStep]:
         """Yield the bag's steps as far as they can be read."""
         try:
-            for step in recorded_steps(self.bag.decoded(), str(self.bag.path)):
+            for step in recorded_steps(self._messages(), str(self.bag.path), realtime=self._realtime):
                 self._metrics.update(step)
                 if step.records[0].topic is not EVENTS:
                     self._digest.update(step)
@@ -200,16 +208,23 @@ class _Side:
         except DamagedBagError as error:
             self._problem = str(error)
 
+    def _messages(self) -> Iterator[tuple[Topic, int, Message]]:
+        """Yield the bag's messages; in real time the figures need those, too, that are no part of a step."""
+        for topic, time, message in self.bag.decoded():
+            if self._realtime:
+                self._figures.add(message)
+            yield topic, time, message
+
     def summary(self) -> BagSummary:
         first, last = self._steps if self._steps is not None else (None, None)
         return BagSummary(
             file=str(self.bag.path),
-            digest=self._digest.hexdigest() if self._steps is not None else None,
+            digest=self._digest.hexdigest() if self._steps is not None and not self._realtime else None,
             first_step=first,
             last_step=last,
             period=self.scenario.period if self.scenario is not None else None,
             robots=len(self.robots),
-            figures=self._metrics.summary(),
+            figures=self._figures.summary() if self._realtime else self._metrics.summary(),
             problem=self._problem,
             aborted=self._aborted(),
             scenario_problem=self._scenario_problem,

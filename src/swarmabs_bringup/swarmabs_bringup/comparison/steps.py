@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.bag import DamagedBagError
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, MAIN_TOPICS
 from swarmabs_core.recording import Record, RecordedStep
 
 if TYPE_CHECKING:
@@ -22,7 +22,13 @@ ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
 """Place of each recorded topic within a step of a bag."""
 
 
-def recorded_steps(messages: Iterable[tuple[Topic, int, Message]], name: str) -> Iterator[RecordedStep]:
+REALTIME_WINDOW = 300
+"""The same where nobody waits for anybody: topics are received independently of each other."""
+
+
+def recorded_steps(
+    messages: Iterable[tuple[Topic, int, Message]], name: str, *, realtime: bool = False
+) -> Iterator[RecordedStep]:
     """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
 
     Parameters
@@ -31,6 +37,8 @@ def recorded_steps(messages: Iterable[tuple[Topic, int, Message]], name: str) ->
         What `BagReader.decoded` yields; topics that are not recorded are left out.
     name : str
         What errors call the bag.
+    realtime : bool
+        Whether it was recorded in real time: then the first of two desired states of a step counts; their modes differ.
 
     Raises
     ------
@@ -40,6 +48,7 @@ def recorded_steps(messages: Iterable[tuple[Topic, int, Message]], name: str) ->
     """
     waiting: dict[int, dict[tuple[int, int], Record]] = {}
     latest = -1
+    window = REALTIME_WINDOW if realtime else WINDOW
     for topic, _, message in messages:
         place = ORDER.get(topic)
         if place is None:
@@ -49,15 +58,17 @@ def recorded_steps(messages: Iterable[tuple[Topic, int, Message]], name: str) ->
         if topic is EVENTS:
             yield RecordedStep(step, (record,))
             continue
-        if step <= latest - WINDOW:
+        if step <= latest - window:
             raise DamagedBagError(f"{name}: {_place(record)} stands behind step {latest}, out of order")
         slot = waiting.setdefault(step, {})
+        if (place, record.agent_id) in slot and realtime and topic is DESIRED_ABSTRACT_STATE:
+            continue
         if (place, record.agent_id) in slot:
             raise DamagedBagError(f"{name}: {_place(record)} is there twice")
         slot[place, record.agent_id] = record
         if step > latest:
             latest = step
-            for ready in sorted(number for number in waiting if number <= latest - WINDOW):
+            for ready in sorted(number for number in waiting if number <= latest - window):
                 yield _step(ready, waiting.pop(ready))
     for number in sorted(waiting):
         yield _step(number, waiting[number])

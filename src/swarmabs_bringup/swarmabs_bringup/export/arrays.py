@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_bringup.bag import BagTooLargeError, load_tables, open_bag
+from swarmabs_bringup.bag.arrays import arrays_of
 from swarmabs_bringup.bag.memory import available_memory
 from swarmabs_bringup.export.columns import TABLES
-from swarmabs_core.arrays import run_arrays
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS
 
@@ -55,7 +55,7 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     if file.exists():
         raise InputError(f"{file} is there already; name another with -o, or remove it")
     bag = open_bag(path, namespace=namespace)
-    arrays: dict[str, NDArray[Any]] = {**dict(_named(run_arrays(load_tables(bag)), "")), **_events(bag)}
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(arrays_of(bag, load_tables(bag)), "")), **_events(bag)}
     units = {name: unit for name, unit in _units().items() if name in arrays}
     part = file.with_name(f".{file.name}.part")
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag import BagWriter
+from swarmabs_bringup.bag.realtime import DRIVER, RealtimeWorld
 from swarmabs_bringup.provenance import provenance_json
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.recording import Latest
     from swarmabs_core.scenario import Scenario
-
-DRIVER = "realtime"
-"""What the provenance of such a bag calls what moved its state machines."""
 
 
 class RealtimeRecording:
@@ -76,12 +74,8 @@ class RealtimeRecording:
         self._last_step = last_step
         self._writer = None
         if folder is not None:
-            realtime = {
-                "period_ns": schedule.period_ns,
-                "epoch_ns": schedule.epoch_ns,
-                "simulated_robots": sorted(members if simulated is None else simulated),
-                "simulated_plane": simulated_plane,
-            }
+            robots = tuple(members if simulated is None else simulated)
+            world = RealtimeWorld(schedule, robots, simulated_plane)
             self._writer = BagWriter(
                 folder,
                 topics=RECORDED,
@@ -90,7 +84,7 @@ class RealtimeRecording:
                 split=split,
                 attachments={
                     "scenario.yaml": dump_scenario(scenario).encode(),
-                    "provenance.json": provenance_json(scenario, driver=DRIVER, realtime=realtime),
+                    "provenance.json": provenance_json(scenario, driver=DRIVER, realtime=world.provenance()),
                 },
             )
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.qos import QoSLivelinessPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
@@ -140,7 +141,11 @@ def _playable(channel: BagChannel) -> tuple[Playable, list[str]]:
     notes = []
     if len(profiles) > 1:
         notes.append(f"{shown(channel.name)}: its publishers offered {len(profiles)} different QoS; the first is taken")
-    return Playable(channel, message_class, profiles[0] if profiles else USUAL_QOS), notes
+    qos = profiles[0] if profiles else None
+    if qos is not None:
+        # The nodes that asserted that they live are not here, and a playback may pause.
+        qos.liveliness, qos.liveliness_lease_duration = QoSLivelinessPolicy.AUTOMATIC, Duration()
+    return Playable(channel, message_class, qos or USUAL_QOS), notes
 
 
 def play(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_bringup.bag import BagReader, open_bag
 from swarmabs_bringup.bag.attached import attached_scenario
 from swarmabs_bringup.bag.metadata import dump_yaml
+from swarmabs_bringup.bag.realtime import is_realtime
 from swarmabs_core import configure
 from swarmabs_core.behaviours.player import NodeKind
 from swarmabs_core.errors import InputError
@@ -114,6 +115,11 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
         If the bag has lost its end.
     """
     bag = open_bag(path, namespace=namespace)
+    if is_realtime(bag):
+        raise InputError(
+            f"{bag.path} was recorded in real time: a node under test would not hear the messages when it heard them "
+            "then; verify recomputes its answers from what they name, and without --node the bag is played"
+        )
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing:
         raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")

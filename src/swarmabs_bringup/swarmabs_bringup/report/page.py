@@ -104,7 +104,7 @@ def _header(recorded: Recorded, name: str) -> Iterator[ET.Element]:
     steps: list[Child] = [number(recorded.steps, "", ",")]
     if recorded.steps != scenario.steps:
         steps.append(f" of {scenario.steps:,}")
-    end = float(recorded.arrays.time[-1]) if len(recorded.arrays.time) else 0.0
+    end = round(float(recorded.arrays.time[-1]), 6) if len(recorded.arrays.time) else 0.0
     listed = facts(
         (
             (
@@ -116,7 +116,10 @@ def _header(recorded: Recorded, name: str) -> Iterator[ET.Element]:
                 ),
             ),
             ("Parent controller", scenario.controller.type),
-            ("Recorded time", element("span", number(end, "s", "g"), f" of {scenario.duration_ns / 1e9:g} s")),
+            (
+                "Recorded time",
+                element("span", number(end, "s", "g"), f" of {scenario.duration_ns / 1e9:g} s"),
+            ),
             ("Steps", element("span", *steps, f", {scenario.period:g} s each")),
             ("Driver", shown(recorded.provenance.get("driver", "not recorded"))),
             ("Seed", str(scenario.seed)),
@@ -150,10 +153,28 @@ def _metrics(recorded: Recorded, margin: Margins) -> Iterator[ET.Element]:
     messages = found["messages"]
     rows.append(("Messages", number(messages if isinstance(messages, int) else None, "", ",d"), "in the bag"))
     yield table(("", "value", "meaning"), rows)
+    if recorded.realtime is not None:
+        yield _realtime(recorded)
     if not recorded.drawable:
         yield element("p", "Fewer than two steps are recorded, so there is nothing to draw over time.")
     if recorded.measured:
         yield element("p", "The errors are those of the measured angle: the plane's sensor is imperfect.")
+
+
+def _realtime(recorded: Recorded) -> ET.Element:
+    """Return what was missed and how old was what robots followed."""
+    found = recorded.realtime or {}
+    rows: list[tuple[str, Child]] = [
+        (f"missing of {topic}", f"{loss['missing']:,} of {loss['received'] + loss['missing']:,}")
+        for topic, loss in found["losses"].items()
+    ]
+    rows += [(f"broadcasts followed after {age} steps", f"{n:,}") for age, n in found["broadcast_ages"].items()]
+    rows.append(("safe stops", f"{found['safe_stops']:,}"))
+    timing = (recorded.summary or {}).get("realtime")
+    missed = timing.get("missed_periods") if isinstance(timing, dict) else None
+    for name, periods in (missed if isinstance(missed, dict) else {}).items():
+        rows.append((f"periods missed by {shown(name)}", shown(periods)))
+    return table(("in real time", "number"), rows, "Missing is what was lost on its way to the recorder, or not sent")
 
 
 def _figure(panel: Panel) -> ET.Element:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from swarmabs_bringup.bag import DamagedBagError, digest_of, load_tables, open_bag
+from swarmabs_bringup.bag.arrays import arrays_of
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
+from swarmabs_bringup.bag.realtime import is_realtime, law_begins, realtime_figures
 from swarmabs_bringup.figures.runs import RecordedRun
 from swarmabs_core import configure
-from swarmabs_core.arrays import run_arrays
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, PLANE_STATE, Kind, PlaneState, SwarmEvent
 from swarmabs_core.recording import Metrics, Record, RecordedStep
 
@@ -61,6 +62,11 @@ class Recorded:
         The ``summary.json`` beside the bag, if it is of this run.
     summary_note : str
         Where the timing comes from, or why there is none.
+    law_time : ndarray, (n+1,)
+        Time of the parent controller's law at each step, s; in real time it begins anew with each reset, and is NaN
+        where the controller has not answered.
+    realtime : dict or None
+        Figures that only a run in real time has, as under ``realtime`` in ``summary.json``.
     """
 
     bag: Path
@@ -73,6 +79,8 @@ class Recorded:
     provenance: Mapping[str, Any]
     summary: Mapping[str, Any] | None
     summary_note: str
+    law_time: Floats
+    realtime: Mapping[str, Any] | None = None
 
     def time_of(self, event: SwarmEvent) -> float:
         """Return the time of an event's step, s: the clock that has stamped it may be wrong."""
@@ -102,7 +110,7 @@ class Recorded:
     def reference(self) -> Floats:
         """The angle wanted at each step, rad."""
         reference = configure.parent_controller(self.scenario).reference
-        return np.array([reference(t) for t in self.arrays.time.tolist()])
+        return np.array([reference(t) if t == t else t for t in self.law_time.tolist()])  # noqa: PLR0124 - NaN stays
 
     @cached_property
     def error(self) -> Floats:
@@ -135,11 +143,18 @@ def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
     scenario = attached_scenario(bag)
     tables = load_tables(bag)
     _check_kinds(bag, tables)
-    arrays = run_arrays(tables)
-    events = _events(bag)
-    metrics = {**_metrics(scenario, arrays), "messages": sum(map(len, tables.values())) + len(events)}
-    metrics["digest"] = digest_of(tables) if metrics["final_error"] is not None else None
-    status, reason = _ending(bag, scenario, len(tables[PLANE_STATE]))
+    arrays, events = arrays_of(bag, tables), _events(bag)
+    realtime = realtime_figures(bag, scenario) if is_realtime(bag) else None
+    if realtime is None:
+        metrics = {**_metrics(scenario, arrays), "messages": sum(map(len, tables.values())) + len(events)}
+        metrics["digest"] = digest_of(tables) if metrics["final_error"] is not None else None
+        law_time = arrays.time
+    else:
+        metrics = {**realtime.summary(), "digest": None}
+        law_time = _law_time(bag, scenario, arrays)
+        events = _since_first(events, tables)
+    states = None if realtime is not None else len(tables[PLANE_STATE])
+    status, reason = _ending(bag, scenario, states)
     summary, note = _summary(bag.path, metrics["digest"])
     return Recorded(
         bag=bag.path,
@@ -152,6 +167,8 @@ def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
         provenance=attached_provenance(bag),
         summary=summary,
         summary_note=note,
+        law_time=law_time,
+        realtime=None if realtime is None else realtime.realtime(),
     )
 
 
@@ -185,13 +202,28 @@ def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, float | int | s
     return {**metrics.summary(), "max_abs_position": finite}
 
 
-def _ending(bag: BagReader, scenario: Scenario, states: int) -> tuple[str, str | None]:
+def _law_time(bag: BagReader, scenario: Scenario, arrays: RunArrays) -> Floats:
+    begins = law_begins(bag)
+    periods = [step - begins[step] if step in begins else np.nan for step in arrays.step.tolist()]
+    return np.array(periods, dtype=np.float64) * scenario.period
+
+
+def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmEvent, ...]:
+    """Return events at their times since the first message of a run, as the arrays have them."""
+    first = min(
+        (int(rows["sec"][0]) * 10**9 + int(rows["nanosec"][0]) for rows in tables.values() if len(rows)), default=0
+    )
+    return tuple(event._replace(stamp=max(0, event.stamp - first)) for event in events)
+
+
+def _ending(bag: BagReader, scenario: Scenario, states: int | None) -> tuple[str, str | None]:
+    """Return how the run ended; `states` of the plane are not counted where a step may have none."""
     if bag.problem is not None:
         return "damaged", f"the bag has lost its end: {bag.problem}"
     reason = bag.aborted()
     if reason is not None:
         return ("interrupted" if reason.startswith("interrupted") else "failed"), reason
-    if states != scenario.steps + 1:
+    if states is not None and states != scenario.steps + 1:
         return "incomplete", f"{states} of {scenario.steps + 1} states of the plane are recorded"
     return "ok", None
 

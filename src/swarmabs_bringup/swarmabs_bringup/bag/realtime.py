@@ -1,0 +1,89 @@
+"""What is different about a bag of a run in real time: its clock, its gaps, and the time of the controller's law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bringup.bag.attached import attached_provenance
+from swarmabs_core import configure
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import BASIS, Basis, Source
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.recording import RECORDED, RealtimeFigures
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmabs_bringup.bag.reader import BagReader
+    from swarmabs_core.scenario import Scenario
+
+DRIVER = "realtime"
+"""What the provenance of such a bag calls what moved its state machines."""
+_WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane")
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeWorld:
+    """How time became steps, which robots' bodies were simulated, and whether the plane was."""
+
+    schedule: Schedule
+    robots: tuple[int, ...]
+    plane: bool
+
+    def provenance(self) -> dict[str, object]:
+        """Return it as it stands in the provenance."""
+        values = (self.schedule.period_ns, self.schedule.epoch_ns, sorted(self.robots), self.plane)
+        return dict(zip(_WORLD, values, strict=True))
+
+
+def is_realtime(bag: BagReader) -> bool:
+    """Tell whether a bag says that it was recorded in real time."""
+    return bool(attached_provenance(bag).get("driver") == DRIVER)
+
+
+def realtime_world(bag: BagReader) -> RealtimeWorld:
+    """Return what a bag that was recorded in real time says of its world.
+
+    Raises
+    ------
+    InputError
+        If it does not say it.
+    """
+    found = attached_provenance(bag).get("realtime")
+    said: Mapping[str, Any] = found if isinstance(found, dict) else {}
+    period, epoch, robots, plane = (said.get(name) for name in _WORLD)
+    if (
+        isinstance(robots, list)
+        and isinstance(plane, bool)
+        and all(type(number) is int and number >= 0 for number in (period, epoch, *robots))
+        and period
+    ):
+        return RealtimeWorld(Schedule(int(period), int(epoch or 0)), tuple(robots), plane)
+    raise InputError(
+        f"{bag.path}: its provenance does not say how time became steps (realtime: {', '.join(_WORLD)}), so it cannot "
+        "be verified"
+    )
+
+
+def law_begins(bag: BagReader) -> dict[int, int]:
+    """Return for every step that the parent controller has answered the step with which its law's time had begun."""
+    return {
+        message.step: message.begun
+        for _, _, message in bag.decoded((BASIS,))
+        if isinstance(message, Basis) and message.source == Source.CONTROLLER
+    }
+
+
+def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
+    """Return the figures of a bag, by the same arithmetic as while it was recorded.
+
+    Raises
+    ------
+    DamagedBagError
+        Where the bag is damaged.
+    """
+    figures = RealtimeFigures(configure.parent_controller(scenario).reference, Schedule(scenario.step_ns))
+    for _, _, message in bag.decoded(RECORDED):
+        figures.add(message)
+    return figures
