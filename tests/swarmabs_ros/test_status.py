@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from swarmabs_ros.status import REPORT_FD, START_FD, StatusChannel
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_ros.status import EPOCH_RECORD, REPORT_FD, START_FD, StatusChannel, epoch_records
 
 
 @pytest.fixture
@@ -57,3 +58,20 @@ def test_a_node_started_by_hand_reports_nowhere_and_begins_at_once(monkeypatch: 
     channel = StatusChannel("plane_sim")
     channel.send("ready")
     assert channel.wait_for_start(0.0)
+
+
+@pytest.mark.parametrize("epoch", [0, 1_795_270_218_089_639_907, 2**63 - 1])
+def test_every_process_finds_the_epoch_in_the_pipe_of_all(pipes: dict[str, int], epoch: int) -> None:
+    channels = [StatusChannel(name) for name in ("plane_sim", "recorder", "agent_001")]
+    os.write(pipes["start"], epoch_records(epoch, len(channels)))
+    os.close(pipes.pop("start"))
+    assert [channel.wait_for_epoch() for channel in channels] == [epoch] * 3
+    assert len(epoch_records(epoch, 1)) == EPOCH_RECORD
+    with pytest.raises(RunError, match="has gone before the start"):
+        StatusChannel("one too many").wait_for_epoch()
+
+
+def test_a_node_started_by_hand_has_nobody_to_tell_it_the_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(START_FD, raising=False)
+    with pytest.raises(InputError, match="parameter await_epoch: nobody is there to tell the epoch"):
+        StatusChannel("plane_sim").wait_for_epoch()

@@ -88,7 +88,6 @@ class RealtimeRecorder:
         return True
 
     def _drain(self, recording: RealtimeRecording) -> None:
-        now = time.time_ns()
         for topic in RECORDED:
             for _ in range(_DEPTH):
                 payload = self._receiver.take(topic)
@@ -99,7 +98,7 @@ class RealtimeRecorder:
                 except MalformedMessageError:
                     self.malformed += 1
                     continue
-                recording.add(message, now)
+                recording.add(message, time.time_ns())
 
     def _report(self, recording: RealtimeRecording) -> None:
         now = time.monotonic()
