@@ -24,11 +24,12 @@ import plane_sim.driver
 import plane_sim.node
 import plane_sim.realtime
 from swarmabs_bringup.orchestration.plan import plan
-from swarmabs_bringup.recorder import node as recorder
+from swarmabs_bringup.orchestration.realtime_plan import realtime_plan
+from swarmabs_bringup.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_bringup.replay import node as replay_player
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.messages import BROADCAST, TOPICS
+from swarmabs_core.messages import BASIS, BROADCAST, TOPICS
 from swarmabs_core.realtime import topic_drive
 from swarmabs_core.scenario import (
     AGENT_KINDS,
@@ -115,10 +116,11 @@ def topics() -> str:
     usual, packed = (
         plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2], packed=packed) for packed in (False, True)
     )
+    realtime = realtime_plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2])
 
     def names(relation: str, topic: object) -> str:
-        processes = packed if topic is BROADCAST else usual
-        found = (p.module.split(".")[-2] for p in processes if topic in getattr(p, relation))
+        processes = packed if topic is BROADCAST else realtime if topic is BASIS else usual
+        found = (p.module.rpartition(".")[0].rpartition(".")[2] for p in processes if topic in getattr(p, relation))
         return ", ".join(dict.fromkeys(found))
 
     return table(
@@ -157,7 +159,7 @@ def message_fields() -> str:
     for topic in TOPICS:
         name = topic.message.__name__
         text = (MESSAGES / f"{name}.msg").read_text(encoding="utf-8")
-        for kind, field, comment in re.findall(r"^(\w+) ([a-z]\w*) +# (.*)$", text, re.MULTILINE):
+        for kind, field, comment in re.findall(r"^(\w+(?:\[\])?) ([a-z]\w*) +# (.*)$", text, re.MULTILINE):
             if field != "step":
                 rows.append((name, code(f"{kind} {field}"), comment))
                 name = ""
@@ -246,6 +248,7 @@ def all_tables() -> dict[str, str]:
             (parent_controller.node.LAW, *parent_controller.realtime.PARAMETERS)
         ),
         "realtime agent_node": parameters(agent_node.realtime.PARAMETERS),
+        "realtime recorder": parameters(realtime_recorder.PARAMETERS),
         "realtime qos": realtime_qos(),
     }
 

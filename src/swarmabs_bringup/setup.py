@@ -40,6 +40,7 @@ setup(
         "console_scripts": [
             "swarm = swarmabs_bringup.cli:main",
             "recorder = swarmabs_bringup.recorder.node:main",
+            "recorder_realtime = swarmabs_bringup.recorder.realtime:main",
         ],
     },
 )

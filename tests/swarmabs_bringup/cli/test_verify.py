@@ -209,9 +209,9 @@ def test_what_cannot_be_verified_is_refused(capfd: pytest.CaptureFixture[str], r
         r"scenario\.yaml:2: .*plne", refused(capfd, with_attachment("scenario.yaml", b"schema: 1\nplne: 1"))
     )
     assert "is not UTF-8 text" in refused(capfd, with_attachment("scenario.yaml", b"\xff"))
-    assert "recorded by driver 'realtime'" in refused(
-        capfd, with_attachment("provenance.json", b'{"driver": "realtime"}')
-    )
+    for driver, said in (("gazebo", "recorded by driver 'gazebo'"), ("realtime", "does not say how time became steps")):
+        provenance = f'{{"driver": "{driver}"}}'.encode()
+        assert said in refused(capfd, with_attachment("provenance.json", provenance))
     assert len(refused(capfd, with_attachment("provenance.json", b'{"driver": "' + b"x" * 9999 + b'"}'))) < 500
     plane_only = rewritten(run, tmp_path / "plane.mcap", lambda topic, _, data: data if "plane" in topic else None)
     assert "it has no topic swarm/agent_state" in refused(capfd, plane_only)
