@@ -30,6 +30,7 @@ from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
+    BASIS,
     BROADCAST,
     BROADCASTS,
     EVENTS,
@@ -243,7 +244,7 @@ def test_everything_published_is_heard_and_everything_heard_is_published(key: st
     processes = planned(scenario_of(key)).values()
     published = {topic for process in processes for topic in process.publications}
     heard = {topic for process in processes for topic in process.subscriptions}
-    assert published == heard == set(TOPICS) - {BROADCAST}
+    assert published == heard == set(TOPICS) - {BROADCAST, BASIS}
     assert {*MAIN_TOPICS, EVENTS} <= set(planned(scenario_of(key))[RECORDER].subscriptions)
     assert RECORDING_PROGRESS in planned(scenario_of(key))[CONTROLLER].subscriptions
 

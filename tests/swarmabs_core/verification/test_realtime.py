@@ -347,3 +347,19 @@ def test_the_epoch_of_1970_gives_large_steps() -> None:
     verification.finish()
     assert verification.difference is None
     assert verification.messages == of_main_topics(recorded.bag)
+
+
+def test_a_clock_that_is_set_years_ahead_takes_no_time() -> None:
+    recorded = world("brief")
+    period = recorded.scenario.step_ns
+    jump = 10**12
+    moved: list[Stored] = []
+    for stored in recorded.bag:
+        message: Any = stored.message
+        if message.step < 30:
+            moved.append(stored)
+        else:
+            later = message._replace(step=message.step + jump, stamp=message.stamp + 10**16)
+            moved.append(stored._replace(time=stored.time + jump * period, payload=encode(later)))
+    found = verify(recorded.scenario, moved)
+    assert found.difference is not None  # nobody has said that the clock was set

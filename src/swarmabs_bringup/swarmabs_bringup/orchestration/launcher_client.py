@@ -117,7 +117,8 @@ class LauncherClient:
     def start_all(self, told: bytes = b"") -> None:
         """Give all nodes the start signal, and before it what they may read from it."""
         if self._start >= 0:
-            os.write(self._start, told)
+            with suppress(BrokenPipeError):  # a dead launcher is noticed by `alive`
+                os.write(self._start, told)
             os.close(self._start)
             self._start = -1
 

@@ -93,7 +93,7 @@ class RealtimeRun(ProcessRun):
 
     def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:  # noqa: ARG002 - the swarm needs nothing
         for name, code in self._supervision.exited.items():
-            if name not in self._died:
+            if name in self._supervision.dispensable and name not in self._died:
                 self._died[name] = how_it_ended(code)
                 self._note(f"{name} (process {self._supervision.pids.get(name)}) {self._died[name]}")
         begun = self._started or now

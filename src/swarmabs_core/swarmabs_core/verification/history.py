@@ -39,6 +39,7 @@ class History:
         self._ambiguous: set[tuple[str, int, int]] = set()
         self._newest: dict[tuple[str, int], int] = {}
         self.steps: set[int] = set()
+        self._oldest = 0
 
     def add(self, stored: Stored) -> bool:
         """Keep a message; return whether there is none in its place yet."""
@@ -75,9 +76,18 @@ class History:
         for robot in self._robots.values():
             while len(robot) > _KEPT:
                 del robot[next(iter(robot))]
-        for by_step in self._by_step.values():
-            by_step.pop(step - _KEPT, None)
-        self.steps.discard(step - _KEPT)
+        oldest, first = step - _KEPT, self._oldest
+        if oldest - first > len(self.steps):
+            for by_step in self._by_step.values():
+                for old in [s for s in by_step if s < oldest]:
+                    del by_step[old]
+            self.steps = {s for s in self.steps if s >= oldest}
+        else:
+            for old in range(first, oldest):
+                for by_step in self._by_step.values():
+                    by_step.pop(old, None)
+                self.steps.discard(old)
+        self._oldest = max(first, oldest)
 
     def get(self, topic: Topic, step: int, key: int = 0) -> Stored | None:
         """Return the message of a coordinator."""

@@ -114,15 +114,11 @@ class RealtimeVerification:
         self.difference = self._keep(Stored(topic, message.stamp, message, payload), now)
         if self._judged is None:
             self._judged = now - MEMORY
-        while self.difference is None and self._judged < self._newest - WAIT:
-            self._judge(self._judged)
-            self._judged += 1
+        self._judge_until(self._newest - WAIT)
 
     def finish(self) -> None:
         """Judge what is left at the end of the bag."""
-        for step in sorted(step for step in self._history.steps if step >= (self._judged or 0)):
-            if self.difference is None:
-                self._judge(step)
+        self._judge_until(max(self._history.steps, default=-1) + 1)
 
     def _keep(self, stored: Stored, now: int) -> Difference | None:
         message = stored.message
@@ -153,6 +149,18 @@ class RealtimeVerification:
             return None
         topic = "swarm/desired_abstract_state" if isinstance(message, DesiredAbstractState) else "recording/basis"
         return Difference(topic, message.step, None, "stamp", message.stamp, None, f"that is in step {made}")
+
+    def _judge_until(self, end: int) -> None:
+        """Judge all steps before one; that takes no longer where the clock was set far forward."""
+        begin = self._judged or 0
+        if begin >= end:
+            return
+        few = end - begin <= len(self._history.steps)
+        steps = range(begin, end) if few else sorted(s for s in self._history.steps if begin <= s < end)
+        for step in steps:
+            if self.difference is None:
+                self._judge(step)
+        self._judged = end
 
     def _judge(self, step: int) -> None:
         """Judge what there is of a step, in the order in which the nodes tick."""

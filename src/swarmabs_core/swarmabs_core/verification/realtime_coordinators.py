@@ -19,6 +19,7 @@ from swarmabs_core.messages import (
     PlaneState,
     Source,
 )
+from swarmabs_core.realtime.controller import MOST_STEPS
 from swarmabs_core.realtime.observer import RealtimeSums
 from swarmabs_core.realtime.plane import PlaneMotion
 from swarmabs_core.verification.comparison import Difference, Stored, compare
@@ -226,7 +227,7 @@ class ControllerCheck:
         step, since = basis.step, basis.since
         stored = self._history.get(PLANE_STATE, step)
         begins = since == NEVER and basis.begun == step
-        follows = since == self._law_step and basis.begun == self._begun and step > since
+        follows = since == self._law_step and basis.begun == self._begun and 0 < step - since <= MOST_STEPS
         generator, self._generator = self._generator, None
         if stored is None or self._history.is_ambiguous(PLANE_STATE, step):
             return NO_PLANE
