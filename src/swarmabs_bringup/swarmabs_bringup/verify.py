@@ -188,6 +188,7 @@ class BagToVerify:
             world.schedule,
             simulated=world.robots,
             simulated_plane=world.plane,
+            own_limits=world.own_limits,
             tolerance=tolerance,
         )
         problem, aborted = self._follow(verification, on_step), None

@@ -20,20 +20,22 @@ if TYPE_CHECKING:
 
 DRIVER = "realtime"
 """What the provenance of such a bag calls what moved its state machines."""
-_WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane")
+_WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane", "own_limits")
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimeWorld:
-    """How time became steps, which robots' bodies were simulated, and whether the plane was."""
+    """How time became steps, which robots' bodies were simulated, whether the plane was, who had limits of its own."""
 
     schedule: Schedule
     robots: tuple[int, ...]
     plane: bool
+    own_limits: tuple[int, ...] = ()
 
     def provenance(self) -> dict[str, object]:
         """Return it as it stands in the provenance."""
-        values = (self.schedule.period_ns, self.schedule.epoch_ns, sorted(self.robots), self.plane)
+        lists = sorted(self.robots), sorted(self.own_limits)
+        values = (self.schedule.period_ns, self.schedule.epoch_ns, lists[0], self.plane, lists[1])
         return dict(zip(_WORLD, values, strict=True))
 
 
@@ -52,14 +54,15 @@ def realtime_world(bag: BagReader) -> RealtimeWorld:
     """
     found = attached_provenance(bag).get("realtime")
     said: Mapping[str, Any] = found if isinstance(found, dict) else {}
-    period, epoch, robots, plane = (said.get(name) for name in _WORLD)
+    period, epoch, robots, plane, limited = (said.get(name) for name in _WORLD)
     if (
         isinstance(robots, list)
+        and isinstance(limited, list)
         and isinstance(plane, bool)
-        and all(type(number) is int and number >= 0 for number in (period, epoch, *robots))
+        and all(type(number) is int and number >= 0 for number in (period, epoch, *robots, *limited))
         and period
     ):
-        return RealtimeWorld(Schedule(int(period), int(epoch or 0)), tuple(robots), plane)
+        return RealtimeWorld(Schedule(int(period), int(epoch or 0)), tuple(robots), plane, tuple(limited))
     raise InputError(
         f"{bag.path}: its provenance does not say how time became steps (realtime: {', '.join(_WORLD)}), so it cannot "
         "be verified"

@@ -46,7 +46,7 @@ def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: s
     if node.robot is not None:
         return common | _robot(fleet, scenario, node.robot)
     if node.name == RECORDER:
-        return common | {"scenario_file": f"{installed}/scenario.yaml", "bags": state}
+        return common | {"scenario_file": f"{installed}/scenario.yaml", "bags": state} | _recorder(fleet)
     if node.name == CONTROLLER:
         return common | _controller(fleet, scenario)
     if node.name == OBSERVER:
@@ -136,6 +136,14 @@ def _controller(fleet: Fleet, scenario: Scenario) -> Parameters:
         "plane_length": scenario.plane.length,
         "start_mode": fleet.coordinators.controller.start_mode,
     } | law
+
+
+def _recorder(fleet: Fleet) -> Parameters:
+    """Return what the check of a bag must know that the scenario does not say."""
+    real = {robot.id for robot in fleet.robots if not isinstance(robot.drive, SimulatedDrive)}
+    limited = {robot.id for robot in fleet.robots if any(limit is not None for _, limit in robot.limits)}
+    lists = {name: sorted(ids) for name, ids in (("driven", real), ("own_limits", limited)) if ids}
+    return {"simulated_plane": fleet.coordinators.plane.type == "simulated", **lists}
 
 
 def _robot(fleet: Fleet, scenario: Scenario, robot: Robot) -> Parameters:

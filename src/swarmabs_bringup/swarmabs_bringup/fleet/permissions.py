@@ -16,6 +16,7 @@ from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
+    BASIS,
     BROADCASTS,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
@@ -34,10 +35,10 @@ _DISCOVERY_INFO = "ros_discovery_info"
 """The topic by which ROS nodes say which endpoints are theirs."""
 _OF_EVERY_NODE = ("rt/rosout", "rt/parameter_events", "rt/diagnostics")
 _PUBLISHED: dict[str, tuple[Topic, ...]] = {
-    PLANE: (PLANE_STATE, EVENTS),
+    PLANE: (PLANE_STATE, BASIS, EVENTS),
     PLANE_DRIVER: (PLANE_STATE, EVENTS),
-    OBSERVER: (ABSTRACT_STATE, AUXILIARY_STATE, EVENTS),
-    CONTROLLER: (DESIRED_ABSTRACT_STATE, EVENTS),
+    OBSERVER: (ABSTRACT_STATE, AUXILIARY_STATE, BASIS, EVENTS),
+    CONTROLLER: (DESIRED_ABSTRACT_STATE, BASIS, EVENTS),
     RECORDER: (),
     DISCOVERY: (),
 }
@@ -46,7 +47,7 @@ _HEARD: dict[str, tuple[Topic, ...]] = {
     PLANE_DRIVER: (),
     OBSERVER: (AGENT_STATE, PLANE_STATE),
     CONTROLLER: (PLANE_STATE,),
-    RECORDER: (*MAIN_TOPICS, EVENTS),
+    RECORDER: (*MAIN_TOPICS, EVENTS, BASIS),
     DISCOVERY: (),
 }
 _SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset")}

@@ -108,6 +108,7 @@ def realtime_plan(
             "swarmabs_bringup.recorder.realtime",
             3,
             {
+                "period_ns": scenario.step_ns,
                 "await_epoch": True,
                 "last_step": scenario.steps,
                 "scenario_file": str(scenario_file),

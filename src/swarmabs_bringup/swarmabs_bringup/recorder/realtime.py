@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +26,10 @@ from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.qos import REALTIME, requested
-from swarmabs_ros.realtime_runner import choose
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
 from swarmabs_ros.runner import COMMON, Settings, SwarmNode, fail
 from swarmabs_ros.status import StatusChannel
+from swarmabs_ros.systemd import notify, watchdog_interval
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -36,9 +38,10 @@ if TYPE_CHECKING:
 
 PARAMETERS = (
     *choose(COMMON, "last_step"),
-    Parameter("epoch_ns", 0, "time at which step 0 begins, ns since 1970", minimum=0),
-    Parameter("await_epoch", default=False, description="whether whoever starts the node tells it the epoch"),
+    *choose(REALTIME_COMMON, "period_ns", "epoch_ns", "await_epoch", "clock_tolerance"),
     *choose(LOCKSTEP, "scenario_file", "bag", "max_bag_size", "max_bag_duration_ns", "logs"),
+    Parameter("bags", "", "folder in which each start makes the folder of a bag of its own, instead of bag"),
+    Parameter("own_limits", (), "ids of the robots whose limits are not the scenario's", minimum=1, maximum=65535),
     Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535),
     Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
 )
@@ -67,6 +70,7 @@ class RealtimeRecorder:
         self._receiver = WaitSetReceiver(node, subscriptions)
         self._status = status
         self._reported = 0.0
+        self._interval, self._due = watchdog_interval(), 0
         self._stopped = False
         self.malformed = 0
 
@@ -85,7 +89,15 @@ class RealtimeRecorder:
                 self._drain(recording)
             recording.poll()
             self._report(recording)
+            self._beat()
         return True
+
+    def _beat(self) -> None:
+        """Tell systemd, where it watches, that the loop goes round."""
+        now = time.monotonic_ns()
+        if self._interval and now >= self._due:
+            self._due = now + self._interval
+            notify("WATCHDOG=1")
 
     def _drain(self, recording: RealtimeRecording) -> None:
         for topic in RECORDED:
@@ -116,6 +128,14 @@ def _scenario(settings: Settings) -> Scenario:
     return load_scenario(Path(settings.text("scenario_file")))
 
 
+def _folder(settings: Settings, scenario: Scenario) -> Path | None:
+    """Return the folder of the bag; one of many is named after the time at which it is begun."""
+    bag, bags = settings.text("bag"), settings.text("bags")
+    if bags:
+        return Path(bags) / f"{scenario.name}-{datetime.now(timezone.utc):%Y%m%dT%H%M%S.%fZ}"
+    return Path(bag) if bag else None
+
+
 def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     scenario = _scenario(settings)
     recorder = RealtimeRecorder(node, status)
@@ -126,11 +146,14 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, recorder.stop)
     schedule = Schedule(scenario.step_ns, epoch)
-    last, bag = settings.last_step(), settings.text("bag")
+    if settings.integer("period_ns") != scenario.step_ns:
+        raise InputError(f"parameter period_ns: the scenario's is {scenario.step_ns} ns")
+    last = settings.last_step()
     recording = RealtimeRecording(
         scenario,
-        Path(bag) if bag else None,
+        _folder(settings, scenario),
         schedule,
+        own_limits=settings.integers("own_limits"),
         simulated=set(configure.members(scenario)) - set(settings.integers("driven")),
         simulated_plane=settings.flag("simulated_plane"),
         last_step=last,
@@ -138,6 +161,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         split=Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns")),
     )
     status.send("ready")
+    notify("READY=1\nSTATUS=records")
     problem: str | None = "the node failed"
     over = False
     try:

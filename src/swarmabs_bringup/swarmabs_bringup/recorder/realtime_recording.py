@@ -42,6 +42,8 @@ class RealtimeRecording:
         Robots whose bodies are simulated, by default all.
     simulated_plane : bool
         Whether the plane is simulated.
+    own_limits : iterable of int
+        Robots whose limits are not those of the scenario.
     last_step : int, optional
         The last step that is recorded, if the nodes go on beyond.
     namespace : str
@@ -63,6 +65,7 @@ class RealtimeRecording:
         *,
         simulated: Iterable[int] | None = None,
         simulated_plane: bool = True,
+        own_limits: Iterable[int] = (),
         last_step: int | None = None,
         namespace: str = "/",
         split: Split = ONE_FILE,
@@ -75,7 +78,7 @@ class RealtimeRecording:
         self._writer = None
         if folder is not None:
             robots = tuple(members if simulated is None else simulated)
-            world = RealtimeWorld(schedule, robots, simulated_plane)
+            world = RealtimeWorld(schedule, robots, simulated_plane, tuple(own_limits))
             self._writer = BagWriter(
                 folder,
                 topics=RECORDED,

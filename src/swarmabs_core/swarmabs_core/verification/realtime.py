@@ -46,6 +46,8 @@ class RealtimeVerification:
         Robots whose bodies were simulated, so that their motion follows from their commands; by default all.
     simulated_plane : bool
         Whether the plane was simulated.
+    own_limits : iterable of int
+        Robots whose limits were not those of the scenario.
     tolerance : float
         A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
 
@@ -68,6 +70,7 @@ class RealtimeVerification:
         *,
         simulated: Iterable[int] | None = None,
         simulated_plane: bool = True,
+        own_limits: Iterable[int] = (),
         tolerance: float = 0.0,
     ) -> None:
         self.difference: Difference | None = None
@@ -79,8 +82,11 @@ class RealtimeVerification:
         self._newest = -1
         bodies = lockstep.members(scenario) if simulated is None else frozenset(simulated)
         starts = {agent.id: (agent.position, agent.velocity) for agent in scenario.agents if agent.id in bodies}
+        limited = frozenset(own_limits)
         self._robots = {
-            config.agent_id: RobotCheck(config, history, starts.get(config.agent_id), tolerance)
+            config.agent_id: RobotCheck(
+                config, history, starts.get(config.agent_id), tolerance, own_limits=config.agent_id in limited
+            )
             for config in configure.agent_configs(scenario, schedule)
         }
         self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, tolerance)
@@ -110,8 +116,7 @@ class RealtimeVerification:
             return
         now = self._schedule.step(time)
         self._newest = max(self._newest, now)
-        # Log time is not the sender's: `compare` gets its own in its place.
-        self.difference = self._keep(Stored(topic, message.stamp, message, payload), now)
+        self.difference = self._keep(Stored(topic, time, message, payload), now)
         if self._judged is None:
             self._judged = now - MEMORY
         self._judge_until(self._newest - WAIT)

@@ -79,10 +79,12 @@ class ObserverCheck:
         for stored in answers:
             expected = abstract if stored.topic is ABSTRACT_STATE else sums
             found = AMBIGUOUS if self._history.is_ambiguous(stored.topic, step) else wrong
-            yield found or compare(stored, expected, None, self._tolerance)
+            yield found or compare(stored, expected, stored.time, None, self._tolerance)
 
     def _wrong_basis(self, basis: Basis) -> Difference | None:
         ids = basis.agent_ids
+        if (basis.since, basis.begun) != (NEVER, NEVER):
+            return Difference(BASIS.name, basis.step, None, "since", basis.since, NEVER, "of the observer")
         if list(ids) != sorted(set(ids)) or not set(ids) <= set(self._config.members):
             return Difference(BASIS.name, basis.step, None, "agent_ids", str(ids), None, "not members in order")
         newest = max(basis.state_steps, default=0)
@@ -129,7 +131,7 @@ class PlaneCheck:
         if self._history.is_ambiguous(PLANE_STATE, step):
             yield AMBIGUOUS
             return
-        wrong = [compare(stored, self._state(basis, place), None, self._tolerance) for place in places]
+        wrong = [compare(stored, self._state(basis, place), stored.time, None, self._tolerance) for place in places]
         if None in wrong:
             self._truth = (step, *places[wrong.index(None)])
         yield None if None in wrong else wrong[0]
@@ -219,7 +221,7 @@ class ControllerCheck:
             elif message.mode != Mode.RUN:
                 yield self._still(stored, message)
             elif isinstance(expected, DesiredAbstractState):
-                yield compare(stored, expected, None, self._tolerance)
+                yield compare(stored, expected, stored.time, None, self._tolerance)
             else:
                 yield expected
 
@@ -229,6 +231,9 @@ class ControllerCheck:
         begins = since == NEVER and basis.begun == step
         follows = since == self._law_step and basis.begun == self._begun and 0 < step - since <= MOST_STEPS
         generator, self._generator = self._generator, None
+        known = generator is not None and not begins
+        if known and not (follows or self._law_step < since < step):
+            return Difference(BASIS.name, step, None, "since", since, self._law_step, f"its law began at {basis.begun}")
         if stored is None or self._history.is_ambiguous(PLANE_STATE, step):
             return NO_PLANE
         if begins:
@@ -268,7 +273,7 @@ class ControllerCheck:
         """Check what is published while the swarm keeps still: some point of the manifold, without any rate."""
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
-        return compare(stored, still, None, self._tolerance)
+        return compare(stored, still, stored.time, None, self._tolerance)
 
 
 def wrong_time(basis: Basis, step: int) -> Difference | None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from swarmabs_core.verification.history import History
 
 NO_STATE_BEFORE = "the robot's state of the step before is not in the bag"
+OWN_LIMITS = "the robot has limits of its own"
 NO_BROADCASTS = "the broadcasts that the robot followed are not in the bag"
 
 
@@ -46,14 +47,23 @@ class RobotCheck:
         motion is not checked.
     tolerance : float
         As of `compare`.
+    own_limits : bool
+        Whether the robot's limits are not those of the configuration, so that its commands cannot be checked.
     """
 
     def __init__(
-        self, config: RealtimeAgentConfig, history: History, start: tuple[float, float] | None, tolerance: float
+        self,
+        config: RealtimeAgentConfig,
+        history: History,
+        start: tuple[float, float] | None,
+        tolerance: float,
+        *,
+        own_limits: bool = False,
     ) -> None:
         self._config = config
         self._history = history
         self._start = start
+        self._own_limits = own_limits
         self._tolerance = tolerance
         self._law = RealtimeLaw(config)
         self._age = config.schedule.steps(config.broadcast_age_limit)
@@ -66,18 +76,20 @@ class RobotCheck:
         assert isinstance(state, AgentState)  # noqa: S101 - the history keeps them apart
         self._before = state
         known = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
-        wrong = compare(stored, known, state.agent_id, self._tolerance) or self._wrong_time(state)
+        wrong = compare(stored, known, stored.time, state.agent_id, self._tolerance) or self._wrong_time(state)
         if wrong is not None:
             return wrong
         if self._history.is_ambiguous(AGENT_STATE, state.step, state.agent_id):
             return AMBIGUOUS
+        if self._own_limits:
+            return OWN_LIMITS
         if before is None and self._begins(state):
             return None
         if before is None or self._history.is_ambiguous(AGENT_STATE, before.step, state.agent_id):
             return NO_STATE_BEFORE
         expected = self._follow(state, before)
         found = (
-            compare(stored, self._move(expected, before), state.agent_id, self._tolerance)
+            compare(stored, self._move(expected, before), stored.time, state.agent_id, self._tolerance)
             if isinstance(expected, AgentState)
             else expected
         )
