@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from swarmabs_core.messages import Topic
     from swarmabs_core.recording import Latest, Step
     from swarmabs_core.scenario import Scenario
 
@@ -39,6 +40,8 @@ class Recording:
         When the bag goes on in a new file, by default never.
     replay : mapping, optional
         What of which bag is replayed, for the provenance.
+    topics : tuple of Topic
+        What the bag holds.
 
     Raises
     ------
@@ -55,6 +58,7 @@ class Recording:
         namespace: str = "/",
         split: Split = ONE_FILE,
         replay: Mapping[str, object] | None = None,
+        topics: tuple[Topic, ...] = (*MAIN_TOPICS, EVENTS),
     ) -> None:
         self._digest = Digest()
         self._metrics = Metrics(configure.parent_controller(scenario).reference)
@@ -62,7 +66,7 @@ class Recording:
         if folder is not None:
             self._writer = BagWriter(
                 folder,
-                topics=(*MAIN_TOPICS, EVENTS),
+                topics=topics,
                 namespace=namespace,
                 split=split,
                 attachments={

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from swarmabs_bringup.soak.invariants import NothingStale, Recovers, StaysInLane, WithinLimits
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 from swarmabs_core.simulation import Simulation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from swarmabs_bringup.soak.invariants import Invariant
+    from swarmabs_core.messages import Topic
     from swarmabs_core.recording import RecordedStep
     from swarmabs_core.scenario import Scenario
 
@@ -21,6 +23,11 @@ class Engine(Protocol):
     @property
     def name(self) -> str:
         """What the report, and the provenance of a bag, call it."""
+        ...
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """What its bags hold."""
         ...
 
     @property
@@ -56,6 +63,7 @@ class LockstepEngine:
 
     name = "simulate"
     verifiable = True
+    topics = (*MAIN_TOPICS, EVENTS)
 
     def prepare(self, scenario: Scenario) -> Scenario:
         """Return the scenario as it is."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.soak.happenings import drawn_happenings
+from swarmabs_bringup.soak.happenings import CLOCKS, drawn_happenings
 from swarmabs_bringup.soak.invariants import Invariant, Recovers, Violation, WithinLimits
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
 from swarmabs_core.realtime import configure
+from swarmabs_core.realtime.recording import RECORDED
 from swarmabs_core.realtime.virtual_fleet import EPOCH, VirtualFleet
 from swarmabs_core.recording import Record, RecordedStep
 from swarmabs_core.scenario.controllers import AriseConfig, ConstantTrajectory
+from swarmabs_core.verification.realtime import RealtimeVerification
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,6 +30,7 @@ class FleetEngine:
 
     name = "virtual fleet"
     verifiable = False
+    topics = RECORDED
 
     def prepare(self, scenario: Scenario) -> Scenario:
         """Return the scenario without what there is in lockstep only."""
@@ -65,7 +68,10 @@ class FleetEngine:
 
     def invariants(self, scenario: Scenario) -> tuple[Invariant, ...]:
         """Return all invariants."""
-        return StaysWithin(scenario), NothingDoubtful(scenario), WithinLimits(scenario), FleetRecovers(scenario)
+        found = (StaysWithin(scenario), NothingDoubtful(scenario), WithinLimits(scenario), FleetRecovers(scenario))
+        # Where a clock is set back, a node makes some steps twice, and bodies here go on by the world's clock.
+        one_clock = not set(CLOCKS) & set(self.kinds(scenario))
+        return (*found, FollowsFromItsBasis(scenario)) if one_clock else found
 
 
 class StaysWithin(Invariant):
@@ -121,6 +127,32 @@ class NothingDoubtful(Invariant):
     def figures(self) -> dict[str, float | None]:
         """Return the greatest age, in steps, of broadcasts on which a robot has acted."""
         return {"oldest_broadcasts": self._oldest}
+
+
+class FollowsFromItsBasis(Invariant):
+    """Every message is, bit for bit, what follows from what it says that it was computed from."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._verification = RealtimeVerification(scenario, configure.schedule(scenario, EPOCH))
+        self._period_ns = scenario.step_ns
+
+    def check(self, step: RecordedStep) -> Iterator[Violation]:
+        """Take all messages."""
+        for record in step.records:
+            self._verification.add(record.topic, EPOCH + step.step * self._period_ns, record.payload)
+        yield from ()
+
+    def finish(self) -> Iterator[Violation]:
+        """Yield the first message that does not follow."""
+        self._verification.finish()
+        difference = self._verification.difference
+        if difference is not None:
+            yield Violation("verification", difference.step, difference.agent, str(difference))
+
+    def figures(self) -> dict[str, float | None]:
+        """Return how many messages were found right, and how many could not be judged."""
+        found = self._verification
+        return {"verified": found.messages, "not_checkable": found.not_checkable.total()}
 
 
 class FleetRecovers(Recovers):

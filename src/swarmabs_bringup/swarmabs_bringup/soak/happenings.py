@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 COORDINATORS = (PLANE, OBSERVER, CONTROLLER)
 LONGEST_OUTAGE = 1.0
 """Time, s, for which all robots may have to stand still: a plane falls meanwhile."""
+CLOCKS = ("clock of a robot", "clock of a coordinator")
 KINDS = (
     "bad network",
     "partition",
     "robot dies and comes back",
     "coordinator dies and comes back",
-    "clock of a robot",
-    "clock of a coordinator",
+    *CLOCKS,
     "stop and reset",
     "leave and join",
     "robot that stays away",

@@ -106,7 +106,7 @@ def run_trial(number: int, scenario: Scenario, engine: Engine, folder: RunFolder
 def _watch(trial: Trial, scenario: Scenario, engine: Engine, folder: RunFolder, stop: Callable[[], bool]) -> None:
     """Run, check and record."""
     invariants = engine.invariants(scenario)
-    recording = Recording(scenario, folder.bag, driver=engine.name)
+    recording = Recording(scenario, folder.bag, driver=engine.name, topics=engine.topics)
     found = trial.violations
     try:
         for step in _until(stop, engine.steps(scenario)):
