@@ -406,6 +406,14 @@ def test_what_is_no_file_is_not_waited_for(split: Path, tmp_path: Path, run: lis
         repair_bag(split)
 
 
+def test_a_link_that_leads_nowhere_is_kept_too(copy: Path) -> None:
+    (copy / "metadata.yaml").unlink()
+    (copy / "metadata.yaml").symlink_to("metadata.yaml")
+    assert repair_bag(copy, in_place=True).output == str(copy)
+    assert (copy / "metadata.yaml.damaged").readlink() == Path("metadata.yaml")
+    assert (copy / "metadata.yaml").is_file() and not (copy / "metadata.yaml").is_symlink()
+
+
 def test_a_folder_in_the_place_of_the_metadata_is_not_half_replaced(copy: Path) -> None:
     os.truncate(copy / "bag_0.mcap", 20_000)
     (copy / "metadata.yaml").unlink()

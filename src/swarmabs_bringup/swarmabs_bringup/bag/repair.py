@@ -241,7 +241,7 @@ def _refuse_earlier(parts: Sequence[_Part], folder: Path) -> None:
     """Refuse to replace what an earlier repair has kept."""
     names = [part.path.name for part in parts if part.problems] + [METADATA_FILE]
     for kept in (folder / (name + _KEPT_SUFFIX) for name in names):
-        if kept.exists():
+        if kept.exists() or kept.is_symlink():
             raise BagFolderError(f"{kept} is there from an earlier repair: move it away, or name a folder with -o")
     if (folder / METADATA_FILE).is_dir():
         raise BagFolderError(f"{folder / METADATA_FILE} is a folder: move it away, or name a folder with -o")
@@ -536,7 +536,7 @@ def _exchange(parts: Sequence[_Part], work: Path, folder: Path, *, with_metadata
             (work / part.name).replace(part.path)
     if with_metadata:
         old = folder / METADATA_FILE
-        if old.exists():
+        if old.exists() or old.is_symlink():  # a link that leads nowhere is kept too
             os.link(old, old.with_name(METADATA_FILE + _KEPT_SUFFIX))
         (work / METADATA_FILE).replace(old)
 
