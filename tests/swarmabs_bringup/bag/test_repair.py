@@ -204,6 +204,15 @@ def test_a_message_index_with_the_head_of_a_message_is_none(copy: Path, tmp_path
     assert "outside of the chunks, where no CRC says that it is one" in report.files[0].problems[0]
 
 
+def test_a_header_with_the_head_of_a_message_is_none(split: Path, tmp_path: Path, run: list[Message]) -> None:
+    """It would be one on channel 4, the length of the profile's name, which another file of the bag describes."""
+    file = split / "bag_4.mcap"
+    overwrite(file, len(MAGIC), bytes([Opcode.MESSAGE]))
+    overwrite(file, file.stat().st_size - 60, b"\xff\xff")
+    _, found = repaired(split, tmp_path / "new")
+    assert found == payloads(run)
+
+
 def test_topics_that_stood_in_a_lost_chunk_come_from_the_summary(copy: Path, tmp_path: Path) -> None:
     first = open_bag(copy).index.chunks[0]
     overwrite(copy / "bag_0.mcap", first.chunk_start_offset + 60, b"\0\0\0\0\0\0")

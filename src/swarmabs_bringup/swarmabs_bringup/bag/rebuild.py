@@ -118,7 +118,7 @@ def rebuild(
         stated = read_index(stream, size)
     except RecordError:
         stated = None
-    salvage = Salvage(stream, size, chunked=stated is not None and bool(stated.chunks))
+    salvage = Salvage(stream, size)
     rebuilder = _Rebuilder(output, Rebuilt(FileIndex(), stated, salvage.damage), stated or definitions)
     for saved in salvage.records():
         rebuilder.take(saved)

@@ -48,8 +48,9 @@ _KINDS: dict[int, str] = {
     Opcode.DATA_END: "end of the data section",
 }
 
-# Where, behind damage, a chunk, an attachment, the end of the data section or (the second) a message may begin: the
+# Where a chunk may begin; behind damage also an attachment, the end of the data section or (the last) a message: the
 # upper bytes of a length below MAX_SIZE are zero.
+_CHUNK_MARKS = re.compile(rb"(?=\x06[\s\S]{3}[\x00-\x10]\x00{4})")
 _MARKS = re.compile(rb"(?=[\x06\x09\x0f][\s\S]{3}[\x00-\x10]\x00{4})")
 _MARKS_WITHOUT_CHUNKS = re.compile(rb"(?=[\x05\x06\x09\x0f][\s\S]{3}[\x00-\x10]\x00{4})")
 
@@ -85,8 +86,6 @@ class Salvage:
         The file, open for reading.
     size : int
         Its size in bytes.
-    chunked : bool
-        Whether the file is known to have chunks.
 
     Attributes
     ----------
@@ -96,10 +95,9 @@ class Salvage:
         Whether the end of the data section was found.
     """
 
-    def __init__(self, stream: BinaryIO, size: int, *, chunked: bool = False) -> None:
+    def __init__(self, stream: BinaryIO, size: int) -> None:
         self._stream = stream
         self._size = size
-        self._chunked = chunked
         self._unchunked = False
         self.damage: list[Damage] = []
         self.ended = False
@@ -124,7 +122,6 @@ class Salvage:
             if saved.record.opcode == Opcode.DATA_END:
                 self.ended = True
                 return
-            self._chunked |= saved.record.opcode == Opcode.CHUNK
             self._unchunked |= saved.record.opcode == Opcode.MESSAGE
             yield saved
             offset = saved.record.end
@@ -158,9 +155,21 @@ class Salvage:
                 raise RecordError(offset, "an end of the data section behind which no summary section begins")
         else:
             _check_inner(opcode, record.content, offset)
-            if opcode == Opcode.MESSAGE and self._chunked and not self._section_is_right:
+            if opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
                 raise RecordError(offset, "outside of the chunks, where no CRC says that it is one")
         return Saved(record)
+
+    @cached_property
+    def _has_chunks(self) -> bool:
+        """Whether there is a whole chunk anywhere."""
+        with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            for found in _CHUNK_MARKS.finditer(content, len(MAGIC)):
+                try:
+                    self._checked(found.start())
+                except RecordError:
+                    continue
+                return True
+        return False
 
     @cached_property
     def _section_is_right(self) -> bool:
