@@ -12,7 +12,7 @@ setup(
     maintainer_email="maintainers@swarmabs.example",
     license="Apache-2.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "view/static/*", "view/third_party/uplot/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -34,6 +34,7 @@ setup(
         "deploy": ["cryptography>=41"],
         "parquet": ["pyarrow"],
         "sweep": ["dask", "distributed", "pyarrow"],
+        "view": ["aiohttp"],
     },
     zip_safe=False,
     entry_points={

@@ -23,6 +23,7 @@ from swarmabs_bringup.cli.soak import soak
 from swarmabs_bringup.cli.sweep import sweep
 from swarmabs_bringup.cli.test import test
 from swarmabs_bringup.cli.verify import verify
+from swarmabs_bringup.cli.view import view
 from swarmabs_core.errors import InputError, SwarmabsError
 
 
@@ -44,6 +45,7 @@ for command in (
     repair,
     compare,
     report,
+    view,
     export,
     scenario,
     env,

@@ -1,0 +1,80 @@
+"""What does not change while something is shown: the scenario as the page needs it."""
+
+from __future__ import annotations
+
+from math import fsum, isfinite
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bringup.view.protocol import Manifold, Plane, Regions, Robot
+from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from swarmabs_core.scenario import Scenario
+
+_FEW, _SAMPLES = 10, 40
+"""Torques on each side of 0 at which the boundaries of the sets are computed; of few robots four times as many, for
+then J_max has corners and costs little."""
+_MARGIN = 1.1
+"""How far beyond the manifold the sets are shown."""
+
+
+def scenario_facts(scenario: Scenario) -> dict[str, Any]:
+    """Return the fields of a `Hello` that a scenario determines; generated robots are listed."""
+    return {
+        "period": scenario.period,
+        "last_step": scenario.steps,
+        "robots": [
+            Robot(id=agent.id, kind=agent.kind, mass=agent.mass, damping=agent.damping) for agent in scenario.agents
+        ],
+        "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia),
+        "manifold": Manifold(
+            curvature=scenario.manifold.curvature,
+            offset=scenario.manifold.offset,
+            torque_max=scenario.manifold.torque_max,
+        ),
+        "regions": regions(
+            [agent.mass for agent in scenario.agents],
+            scenario.plane.length,
+            scenario.plane.gravity,
+            _MARGIN * scenario.manifold.torque_max,
+        ),
+    }
+
+
+def regions(masses: Sequence[float], length: float, gravity: float, torque_max: float) -> Regions:
+    """Sample the boundaries of A_A and A_P.
+
+    Parameters
+    ----------
+    masses : sequence of float
+        Of all robots, kg.
+    length : float
+        Of the plane, m.
+    gravity : float
+        m/s^2.
+    torque_max : float
+        Up to which torque, N m; never further than robots on the plane reach.
+    """
+    reach = min(torque_max, gravity * fsum(masses) * length / 2.0)
+    samples = 4 * _SAMPLES if len(masses) <= _FEW else _SAMPLES
+    # The sets are symmetric in the torque.
+    half = [reach * index / samples for index in range(samples + 1)]
+    curves = [
+        [finite(smallest_inertia(torque, masses, gravity)) for torque in half],
+        [finite(largest_admissible_inertia(torque, masses, length, gravity)) for torque in half],
+        [finite(largest_inertia(torque, masses, length, gravity).lower) for torque in half],
+    ]
+    smallest, admissible, reachable = ([*reversed(curve[1:]), *curve] for curve in curves)
+    return Regions(
+        torque=[*(-torque for torque in reversed(half[1:])), *half],
+        smallest=smallest,
+        admissible=admissible,
+        reachable=reachable,
+    )
+
+
+def finite(value: float) -> float | None:
+    """Return a number that JSON can hold, None for others."""
+    return value if isfinite(value) else None

@@ -1,0 +1,244 @@
+"""The state of what is shown of a swarm that goes on: takes its messages, in any order and with gaps, gives frames.
+
+It has no clock and no network. Whoever reads the messages may lose any number of them: the picture is then that of
+the latest that came.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from swarmabs_bringup.view.curves import CurveBuffer, Point
+from swarmabs_bringup.view.facts import finite
+from swarmabs_bringup.view.protocol import Abstract, Event, Frame, Robot, RobotStates, RobotStatus
+from swarmabs_core.messages import (
+    AbstractState,
+    AgentState,
+    DesiredAbstractState,
+    EventKind,
+    Kind,
+    Message,
+    PlaneState,
+    Status,
+    SwarmEvent,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+MOST_EVENTS = 1000
+"""Events that are kept, the latest."""
+MOST_ROBOTS = 4096
+"""Robots that are shown; a stranger in the network cannot fill the memory."""
+SILENT_STEPS = 100
+"""A robot whose last state is older than the plane's by more has fallen silent."""
+PENDING = 256
+"""Steps that wait for the rest of their messages before they become a point of the curves."""
+
+STATUS: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
+_ENDS: dict[int, RobotStatus] = {EventKind.DEAD: "dead", EventKind.LEFT: "left"}
+
+
+def event_of(event: SwarmEvent) -> Event:
+    """Return an event as the page shows it."""
+    known = {kind.value: kind.name for kind in EventKind}
+    return Event(
+        step=event.step,
+        time=event.stamp / 1e9,
+        agent=event.agent_id,
+        kind=known.get(event.kind, str(event.kind)),
+        value=finite(event.value),
+        detail=event.detail,
+    )
+
+
+def event_key(event: SwarmEvent) -> tuple[int, int, int, str]:
+    """Return what tells events apart; the same one may come more than once."""
+    return event.step, event.agent_id, event.kind, event.detail
+
+
+def robot_of(state: AgentState) -> Robot:
+    """Return what does not change of a robot."""
+    kind = "double_integrator" if state.kind == Kind.DOUBLE_INTEGRATOR else "single_integrator"
+    return Robot(id=state.agent_id, kind=kind, mass=finite(state.mass), damping=finite(state.damping))
+
+
+@dataclass(slots=True)
+class _Step:
+    """What has come of a step."""
+
+    plane: PlaneState | None = None
+    abstract: AbstractState | None = None
+    desired: DesiredAbstractState | None = None
+
+
+class Picture:
+    """What is known of a swarm now.
+
+    Parameters
+    ----------
+    robots : sequence of Robot
+        Those that are known beforehand; others are added when they are heard.
+    reference : callable, optional
+        The angle wanted (rad) at a time (s).
+
+    Attributes
+    ----------
+    robots : list of Robot
+        In the order of the frames.
+    curves : CurveBuffer
+        The curves so far.
+    events : list of Event
+        The latest events, in the order of their arrival.
+    event_count : int
+        How many there were in all.
+    version : int
+        Changes with everything that comes.
+    """
+
+    def __init__(
+        self, robots: Sequence[Robot] = (), *, reference: Callable[[float], float] | None = None
+    ) -> None:
+        self.robots = list(robots)
+        self.curves = CurveBuffer()
+        self.events: list[Event] = []
+        self.event_count = 0
+        self.version = 0
+        self._reference = reference
+        self._states: dict[int, AgentState] = {}
+        self._ended: dict[int, RobotStatus] = {}
+        self._known_events: dict[tuple[int, int, int, str], None] = {}
+        self._known = {robot.id for robot in robots}
+        self._latest = _Step()
+        self._steps: dict[int, _Step] = {}
+
+    @property
+    def step(self) -> int | None:
+        """The latest step of the plane, None before the first."""
+        return None if self._latest.plane is None else self._latest.plane.step
+
+    def add(self, message: Message) -> None:
+        """Take a message; one that is older than what is known changes nothing."""
+        self.version += 1
+        if isinstance(message, AgentState):
+            self._agent(message)
+        elif isinstance(message, SwarmEvent):
+            self._event(message)
+        elif isinstance(message, PlaneState):
+            if _newer(message, self._latest.plane):
+                self._latest.plane = message
+            self._pending(message.step).plane = message
+            self._draw(message.step)
+        elif isinstance(message, AbstractState):
+            if _newer(message, self._latest.abstract):
+                self._latest.abstract = message
+            self._pending(message.step).abstract = message
+            self._draw(message.step)
+        elif isinstance(message, DesiredAbstractState):
+            if _newer(message, self._latest.desired):
+                self._latest.desired = message
+            self._pending(message.step).desired = message
+            self._draw(message.step)
+
+    def frame(self, step_rate: float | None) -> Frame | None:
+        """Return what is to be seen, None before the plane was heard."""
+        plane, abstract, desired = self._latest.plane, self._latest.abstract, self._latest.desired
+        if plane is None:
+            return None
+        time = plane.stamp / 1e9
+        states = [self._states.get(robot.id) for robot in self.robots]
+        return Frame(
+            step=plane.step,
+            time=time,
+            angle=finite(plane.angle),
+            angular_velocity=finite(plane.angular_velocity),
+            reference=self._wanted(time),
+            abstract=_pair(abstract),
+            desired=_pair(desired),
+            robots=RobotStates(
+                position=[None if state is None else finite(state.position) for state in states],
+                velocity=[None if state is None else finite(state.velocity) for state in states],
+                command=[None if state is None else finite(state.command) for state in states],
+                status=[self._status(state, plane.step) for state in states],
+            ),
+            step_rate=step_rate,
+        )
+
+    def _agent(self, state: AgentState) -> None:
+        if state.agent_id not in self._known:
+            if len(self.robots) >= MOST_ROBOTS:
+                return
+            self._known.add(state.agent_id)
+            self.robots.append(robot_of(state))
+        known = self._states.get(state.agent_id)
+        if known is None or state.step > known.step:
+            self._states[state.agent_id] = state
+
+    def _event(self, event: SwarmEvent) -> None:
+        key = event_key(event)
+        if key in self._known_events:
+            return
+        self._known_events[key] = None
+        if len(self._known_events) > 4 * MOST_EVENTS:
+            del self._known_events[next(iter(self._known_events))]
+        self.events.append(event_of(event))
+        self.event_count += 1
+        del self.events[:-MOST_EVENTS]
+        if event.kind in _ENDS:
+            self._ended[event.agent_id] = _ENDS[event.kind]
+        elif event.kind in {EventKind.JOINED, EventKind.RECOVERED}:
+            self._ended.pop(event.agent_id, None)
+
+    def _status(self, state: AgentState | None, step: int) -> RobotStatus | None:
+        if state is None:
+            return None
+        ended = self._ended.get(state.agent_id)
+        if ended is not None:
+            return ended
+        if state.step + SILENT_STEPS < step and state.status != Status.LEFT:
+            return "silent"
+        return STATUS.get(state.status)
+
+    def _pending(self, step: int) -> _Step:
+        found = self._steps.get(step)
+        if found is None:
+            found = self._steps[step] = _Step()
+            if len(self._steps) > PENDING:
+                del self._steps[min(self._steps)]
+        return found
+
+    def _draw(self, step: int) -> None:
+        """Make a step that is complete a point of the curves; those before it will not come any more."""
+        found = self._steps.get(step, _Step())
+        plane, abstract, desired = found.plane, found.abstract, found.desired
+        if plane is None or abstract is None or desired is None:
+            return
+        time = plane.stamp / 1e9
+        self.curves.add(
+            Point(
+                step,
+                time,
+                finite(plane.angle),
+                self._wanted(time),
+                finite(abstract.torque),
+                finite(desired.torque),
+                finite(abstract.inertia),
+                finite(desired.inertia),
+            )
+        )
+        for earlier in [one for one in self._steps if one <= step]:
+            del self._steps[earlier]
+
+    def _wanted(self, time: float) -> float | None:
+        return None if self._reference is None else finite(self._reference(time))
+
+
+def _newer(message: Message, known: Message | None) -> bool:
+    return known is None or message.step > known.step
+
+
+def _pair(state: AbstractState | DesiredAbstractState | None) -> Abstract:
+    if state is None:
+        return Abstract(torque=None, inertia=None)
+    return Abstract(torque=finite(state.torque), inertia=finite(state.inertia))

@@ -1,0 +1,224 @@
+"""What server and page of the view say to each other: JSON messages over a WebSocket, version 1.
+
+Each message is an object with ``v`` and ``type``. Numbers are in SI units; what is not known or not finite is null. A
+number keeps every bit on its way: the page shows what stands in the bag.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic.json_schema import models_json_schema
+
+VERSION = 1
+"""Of the messages; it is raised when a message changes its meaning."""
+
+Number: TypeAlias = float | None
+Phase: TypeAlias = Literal["waiting", "running", "silent", "ended", "recorded"]
+RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent"]
+
+STATUSES: tuple[RobotStatus, ...] = ("active", "safe_stop", "left", "dead", "silent")
+FASTEST = 1000.0
+"""Highest speed of a playback, in parts of real time."""
+
+
+class Part(BaseModel):
+    """A part of a message; unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Message(Part):
+    """A message."""
+
+    v: Literal[1] = 1
+
+
+class Robot(Part):
+    """What does not change of a robot."""
+
+    id: int
+    kind: Literal["single_integrator", "double_integrator"]
+    mass: Number = Field(description="kg")
+    damping: Number = Field(description="N s/m")
+
+
+class Plane(Part):
+    """The plane."""
+
+    length: float = Field(description="m")
+    inertia: float = Field(description="kg m^2")
+
+
+class Manifold(Part):
+    """The curve J = curvature tau^2 + offset on which the desired abstract state lies, for |tau| <= torque_max."""
+
+    curvature: float = Field(description="kg m^2/(N m)^2")
+    offset: float = Field(description="kg m^2")
+    torque_max: float = Field(description="N m")
+
+
+class Regions(Part):
+    """Boundaries of the sets of abstract states, over the torque; null where there is no such state."""
+
+    torque: list[float] = Field(description="N m")
+    smallest: list[Number] = Field(description="J_min, kg m^2: below, no positions give the state")
+    admissible: list[Number] = Field(description="J_A, kg m^2: up to here all positions are on the plane (A_A)")
+    reachable: list[Number] = Field(description="J_max, kg m^2: up to here some are (A_P), at least")
+
+
+class Hello(Message):
+    """The first message: what is shown. A further one replaces everything."""
+
+    type: Literal["hello"] = "hello"
+    source: Literal["bag", "run", "swarm"]
+    title: str
+    place: str = Field(description="bag, folder of the run, or namespace")
+    period: Number = Field(description="s")
+    last_step: int | None
+    robots: list[Robot] = Field(description="in the order of the arrays of a frame")
+    plane: Plane | None
+    manifold: Manifold | None
+    regions: Regions | None
+    playback: bool = Field(description="whether the page can say what is shown: play, pause, seek, speed")
+
+
+class Abstract(Part):
+    """The abstract state."""
+
+    torque: Number = Field(description="N m")
+    inertia: Number = Field(description="kg m^2")
+
+
+class RobotStates(Part):
+    """States of all robots in the order of the hello, null where a robot has not been heard of."""
+
+    position: list[Number] = Field(description="m")
+    velocity: list[Number] = Field(description="m/s")
+    command: list[Number] = Field(description="m/s, of double integrators N")
+    status: list[RobotStatus | None]
+
+
+class Frame(Message):
+    """What is to be seen now."""
+
+    type: Literal["frame"] = "frame"
+    step: int
+    time: float = Field(description="s")
+    angle: Number = Field(description="rad")
+    angular_velocity: Number = Field(description="rad/s")
+    reference: Number = Field(description="rad")
+    abstract: Abstract
+    desired: Abstract
+    robots: RobotStates
+    step_rate: Number = Field(description="steps per second of wall time")
+
+
+class Curves(Message):
+    """Points of the curves; they follow those sent before, or replace them."""
+
+    type: Literal["curves"] = "curves"
+    replace: bool
+    time: list[float] = Field(description="s")
+    angle: list[Number]
+    reference: list[Number]
+    torque: list[Number]
+    desired_torque: list[Number]
+    inertia: list[Number]
+    desired_inertia: list[Number]
+
+
+class Event(Part):
+    """An event of the swarm."""
+
+    step: int
+    time: float = Field(description="s")
+    agent: int = Field(description="0: no robot in particular")
+    kind: str
+    value: Number
+    detail: str
+
+
+class Events(Message):
+    """Events; they follow those sent before, or replace them."""
+
+    type: Literal["events"] = "events"
+    replace: bool
+    events: list[Event]
+
+
+class Process(Part):
+    """A process of the run."""
+
+    name: str
+    pid: int
+    state: str = Field(description="as the operating system says, such as running, sleeping, stopped; gone")
+    cpu: Number = Field(description="percent of one core")
+    memory: int | None = Field(description="bytes of resident memory")
+
+
+class Health(Message):
+    """All processes of the run."""
+
+    type: Literal["health"] = "health"
+    processes: list[Process]
+
+
+class State(Message):
+    """How the source is doing; sent at least once a second, so that silence means a lost connection."""
+
+    type: Literal["state"] = "state"
+    phase: Phase
+    text: str
+    playing: bool | None = None
+    speed: Number = None
+
+
+class Play(Message):
+    """Let the playback go on; at the end it begins again."""
+
+    type: Literal["play"]
+
+
+class Pause(Message):
+    """Stop the playback where it is."""
+
+    type: Literal["pause"]
+
+
+class Seek(Message):
+    """Show a step."""
+
+    type: Literal["seek"]
+    step: int = Field(ge=0, lt=2**63)
+
+
+class Speed(Message):
+    """Play faster or slower than real time."""
+
+    type: Literal["speed"]
+    speed: float = Field(gt=0.0, le=FASTEST, allow_inf_nan=False)
+
+
+Control: TypeAlias = Annotated[Play | Pause | Seek | Speed, Field(discriminator="type")]
+"""What a page may ask for."""
+
+CONTROL: TypeAdapter[Play | Pause | Seek | Speed] = TypeAdapter(Control)
+
+FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Curves, Events, Health, State)
+FROM_PAGE: tuple[type[Message], ...] = (Play, Pause, Seek, Speed)
+
+
+def json_schema() -> dict[str, object]:
+    """Return the JSON Schema of all messages; ``from_server`` and ``from_page`` under ``$defs`` are the two directions."""
+    _, schema = models_json_schema([(model, "serialization") for model in (*FROM_SERVER, *FROM_PAGE)])
+    definitions = schema["$defs"]
+    for name, models in (("from_server", FROM_SERVER), ("from_page", FROM_PAGE)):
+        definitions[name] = {"oneOf": [{"$ref": f"#/$defs/{model.__name__}"} for model in models]}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"swarmabs view messages, version {VERSION}",
+        "anyOf": [{"$ref": "#/$defs/from_server"}, {"$ref": "#/$defs/from_page"}],
+        "$defs": definitions,
+    }

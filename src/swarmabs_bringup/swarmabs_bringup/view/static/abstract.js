@@ -1,0 +1,200 @@
+// The abstract state, torque and inertia, against its manifold and the sets A_A and A_P.
+import { colours, prepared, short, ticks } from "./drawing.js";
+
+const LEFT = 52;
+const BOTTOM = 34;
+const TOP = 10;
+const RIGHT = 12;
+const TRAIL = 400;
+
+export class AbstractPicture {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.near = false;
+  }
+
+  bounds(hello, frame, trail) {
+    const known = [frame.abstract, frame.desired].filter((one) => one.torque !== null && one.inertia !== null);
+    const points = [...trail, ...known.map((one) => [one.torque, one.inertia])];
+    let [left, right] = [Infinity, -Infinity];
+    let [low, high] = [Infinity, -Infinity];
+    for (const [torque, inertia] of points) {
+      left = Math.min(left, torque);
+      right = Math.max(right, torque);
+      low = Math.min(low, inertia);
+      high = Math.max(high, inertia);
+    }
+    const manifold = hello.manifold;
+    if (this.near && points.length) {
+      const [dx, dy] = [Math.max(0.1 * (right - left), 0.02), Math.max(0.1 * (high - low), 0.001)];
+      return [left - dx, right + dx, Math.max(0, low - dy), high + dy];
+    }
+    if (manifold) {
+      const end = 1.1 * manifold.torque_max;
+      [left, right] = [Math.min(left, -end), Math.max(right, end)];
+      high = Math.max(high, 1.05 * (manifold.curvature * end * end + manifold.offset));
+    }
+    if (!(right > left)) {
+      [left, right] = [-1, 1];
+    }
+    return [left, right, 0, high > 0 ? 1.05 * high : 1];
+  }
+
+  draw(hello, frame, curves) {
+    const { context, width, height } = prepared(this.canvas);
+    const colour = colours();
+    const trail = this.trail(curves, frame.time);
+    const [left, right, low, high] = this.bounds(hello, frame, trail);
+    const [w, h] = [width - LEFT - RIGHT, height - TOP - BOTTOM];
+    const at = (torque, inertia) => [
+      LEFT + ((torque - left) / (right - left)) * w,
+      TOP + (1 - (inertia - low) / (high - low)) * h,
+    ];
+    context.save();
+    context.beginPath();
+    context.rect(LEFT, TOP, w, h);
+    context.clip();
+    if (hello.regions) {
+      this.region(context, hello.regions, "admissible", "reachable", colour.partial, at);
+      this.region(context, hello.regions, "smallest", "admissible", colour.admissible, at);
+    }
+    context.restore();
+    this.axes(context, colour, at, { left, right, low, high, width, height });
+    context.save();
+    context.beginPath();
+    context.rect(LEFT, TOP, w, h);
+    context.clip();
+    if (hello.manifold) {
+      this.manifold(context, hello.manifold, colour, at);
+    }
+    context.strokeStyle = colour.actual;
+    context.lineWidth = 1.5;
+    context.globalAlpha = 0.6;
+    context.beginPath();
+    trail.forEach(([torque, inertia], index) => {
+      const [x, y] = at(torque, inertia);
+      if (index) {
+        context.lineTo(x, y);
+      } else {
+        context.moveTo(x, y);
+      }
+    });
+    context.stroke();
+    context.globalAlpha = 1;
+    this.marks(context, frame, colour, at);
+    context.restore();
+    this.describe(hello, frame);
+  }
+
+  // The last points up to a time.
+  trail(curves, time) {
+    let end = curves.time.length;
+    while (end > 0 && curves.time[end - 1] > time + 1e-9) {
+      end -= 1;
+    }
+    const found = [];
+    for (let index = Math.max(0, end - TRAIL); index < end; index += 1) {
+      if (curves.torque[index] !== null && curves.inertia[index] !== null) {
+        found.push([curves.torque[index], curves.inertia[index]]);
+      }
+    }
+    return found;
+  }
+
+  region(context, regions, lower, upper, fill, at) {
+    const inside = regions.torque
+      .map((torque, index) => [torque, regions[lower][index], regions[upper][index]])
+      .filter(([, from, to]) => from !== null && to !== null && to >= from);
+    if (!inside.length) {
+      return;
+    }
+    context.beginPath();
+    for (const [torque, from] of inside) {
+      context.lineTo(...at(torque, from));
+    }
+    for (const [torque, , to] of inside.reverse()) {
+      context.lineTo(...at(torque, to));
+    }
+    context.closePath();
+    context.fillStyle = fill;
+    context.fill();
+  }
+
+  manifold(context, manifold, colour, at) {
+    context.beginPath();
+    for (let index = -100; index <= 100; index += 1) {
+      const torque = (manifold.torque_max * index) / 100;
+      context.lineTo(...at(torque, manifold.curvature * torque * torque + manifold.offset));
+    }
+    context.strokeStyle = colour.manifold;
+    context.lineWidth = 2;
+    context.stroke();
+  }
+
+  axes(context, colour, at, { left, right, low, high, width, height }) {
+    context.font = "11px system-ui, sans-serif";
+    context.lineWidth = 1;
+    context.strokeStyle = colour.line;
+    context.fillStyle = colour.quiet;
+    context.textAlign = "center";
+    for (const torque of ticks(left, right, Math.max(2, width / 80))) {
+      const [x, y] = at(torque, low);
+      context.beginPath();
+      context.moveTo(x, y);
+      context.lineTo(x, y + 4);
+      context.stroke();
+      context.fillText(String(torque), x, y + 15);
+    }
+    context.textAlign = "right";
+    for (const inertia of ticks(low, high, Math.max(2, height / 60))) {
+      const [x, y] = at(left, inertia);
+      context.beginPath();
+      context.moveTo(x, y);
+      context.lineTo(x - 4, y);
+      context.stroke();
+      context.fillText(String(inertia), x - 6, y + 4);
+    }
+    context.textAlign = "center";
+    context.fillText("torque, N m", LEFT + (width - LEFT - RIGHT) / 2, height - 4);
+    context.save();
+    context.translate(11, TOP + (height - TOP - BOTTOM) / 2);
+    context.rotate(-Math.PI / 2);
+    context.fillText("inertia, kg m²", 0, 0);
+    context.restore();
+    context.strokeRect(LEFT, TOP, width - LEFT - RIGHT, height - TOP - BOTTOM);
+  }
+
+  marks(context, frame, colour, at) {
+    const { abstract, desired } = frame;
+    if (desired.torque !== null && desired.inertia !== null) {
+      const [x, y] = at(desired.torque, desired.inertia);
+      context.beginPath();
+      context.moveTo(x, y - 8);
+      context.lineTo(x + 8, y);
+      context.lineTo(x, y + 8);
+      context.lineTo(x - 8, y);
+      context.closePath();
+      context.strokeStyle = colour.wanted;
+      context.lineWidth = 2;
+      context.stroke();
+    }
+    if (abstract.torque !== null && abstract.inertia !== null) {
+      const [x, y] = at(abstract.torque, abstract.inertia);
+      context.beginPath();
+      context.arc(x, y, 4.5, 0, 2 * Math.PI);
+      context.fillStyle = colour.actual;
+      context.fill();
+    }
+  }
+
+  describe(hello, frame) {
+    const now = performance.now();
+    if (now - (this.described ?? -1e9) < 1000) {
+      return;
+    }
+    this.described = now;
+    const { abstract, desired } = frame;
+    const text = `The abstract state: torque ${short(abstract.torque, 4)} of ${short(desired.torque, 4)} newton metres wanted, inertia ${short(abstract.inertia, 4)} of ${short(desired.inertia, 4)} kilogram square metres wanted`;
+    this.canvas.setAttribute("aria-label", text);
+  }
+}

@@ -1,0 +1,119 @@
+// Playback of a bag: buttons, slider, speed, keys.
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 25, 50, 100];
+const HOLD = 300; // ms for which the slider stays where it was put
+
+const element = (id) => document.getElementById(id);
+
+export class Controls {
+  constructor(send) {
+    this.send = send;
+    this.enabled = false;
+    this.playing = false;
+    this.step = 0;
+    this.last = 0;
+    this.held = -1e9;
+    this.scrub = element("scrub");
+    this.speed = element("speed");
+    for (const speed of SPEEDS) {
+      const option = document.createElement("option");
+      option.value = String(speed);
+      option.textContent = `${speed} ×`;
+      this.speed.append(option);
+    }
+    this.speed.value = "1";
+    this.scrub.addEventListener("input", () => {
+      this.held = performance.now();
+      this.seek(Number(this.scrub.value));
+    });
+    this.speed.addEventListener("change", () => this.send({ type: "speed", speed: Number(this.speed.value) }));
+    element("play").addEventListener("click", () => this.toggle());
+    element("first").addEventListener("click", () => this.seek(0));
+    element("last").addEventListener("click", () => this.seek(this.last));
+    element("back").addEventListener("click", () => this.seek(this.step - 1));
+    element("on").addEventListener("click", () => this.seek(this.step + 1));
+    document.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  hello(hello) {
+    this.enabled = hello.playback;
+    this.last = hello.last_step ?? 0;
+    this.period = hello.period;
+    this.scrub.max = String(this.last);
+    element("playback").hidden = !hello.playback;
+  }
+
+  // A page that comes back goes on where it was.
+  resume({ step, playing, speed }) {
+    this.send({ type: "speed", speed });
+    this.seek(step);
+    if (playing) {
+      this.send({ type: "play" });
+    }
+  }
+
+  state(message) {
+    if (message.playing === null) {
+      return;
+    }
+    this.playing = message.playing;
+    const button = element("play");
+    button.textContent = message.playing ? "⏸ Pause" : "▶ Play";
+    button.setAttribute("aria-label", message.playing ? "Pause" : "Play");
+    if (document.activeElement !== this.speed && message.speed !== null) {
+      this.speed.value = String(message.speed);
+    }
+  }
+
+  frame(frame) {
+    this.step = frame.step;
+    if (performance.now() - this.held > HOLD) {
+      this.scrub.value = String(frame.step);
+    }
+    this.scrub.setAttribute("aria-valuetext", `step ${frame.step}, ${frame.time.toFixed(2)} seconds`);
+  }
+
+  toggle() {
+    this.send({ type: this.playing ? "pause" : "play" });
+  }
+
+  seek(step) {
+    this.step = Math.min(Math.max(Math.round(step), 0), this.last);
+    this.send({ type: "seek", step: this.step });
+  }
+
+  seekTime(time) {
+    if (this.enabled && this.period) {
+      this.seek(time / this.period);
+    }
+  }
+
+  faster(direction) {
+    const next = Math.min(Math.max(this.speed.selectedIndex + direction, 0), SPEEDS.length - 1);
+    this.speed.selectedIndex = next;
+    this.send({ type: "speed", speed: SPEEDS[next] });
+  }
+
+  key(event) {
+    const target = event.target;
+    const ownKeys = target instanceof HTMLInputElement || target instanceof HTMLSelectElement;
+    const pressed = target instanceof HTMLButtonElement && event.key === " ";
+    const opened = target instanceof HTMLElement && target.tagName === "SUMMARY" && event.key === " ";
+    if (!this.enabled || ownKeys || pressed || opened || event.ctrlKey || event.altKey || event.metaKey) {
+      return;
+    }
+    const stride = event.shiftKey && this.period ? Math.round(1 / this.period) : 1;
+    const action = {
+      " ": () => this.toggle(),
+      ArrowLeft: () => this.seek(this.step - stride),
+      ArrowRight: () => this.seek(this.step + stride),
+      Home: () => this.seek(0),
+      End: () => this.seek(this.last),
+      "+": () => this.faster(1),
+      "-": () => this.faster(-1),
+    }[event.key];
+    if (action) {
+      event.preventDefault();
+      action();
+    }
+  }
+}

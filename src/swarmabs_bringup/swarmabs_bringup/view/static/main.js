@@ -1,0 +1,141 @@
+// The page: takes the messages of the server and shows the latest of everything, once per picture of the screen.
+import { AbstractPicture } from "./abstract.js";
+import { Charts } from "./charts.js";
+import { Connection, VERSION } from "./connection.js";
+import { Controls } from "./controls.js";
+import { PlanePicture } from "./plane.js";
+import { Events, Numbers, Processes, Robots } from "./tables.js";
+
+const element = (id) => document.getElementById(id);
+
+let hello = null;
+let frame = null;
+let state = { phase: "waiting", playing: null, speed: null };
+let dirty = false;
+let before = null; // what was shown when the connection was lost
+
+const plane = new PlanePicture(element("plane"));
+const abstract = new AbstractPicture(element("abstract"));
+const numbers = new Numbers();
+const robots = new Robots();
+const events = new Events();
+const processes = new Processes();
+const connection = new Connection(take, shown);
+const controls = new Controls((message) => connection.send(message));
+const charts = new Charts((time) => controls.seekTime(time));
+
+function take(message) {
+  if (message.type === "hello") {
+    greet(message);
+  } else if (message.type === "frame") {
+    frame = message;
+    controls.frame(message);
+    dirty = true;
+  } else if (message.type === "curves") {
+    charts.take(message);
+    dirty = true;
+  } else if (message.type === "events") {
+    events.take(message);
+  } else if (message.type === "health") {
+    processes.take(message);
+  } else if (message.type === "state") {
+    state = message;
+    controls.state(message);
+    badge(message.phase, message.text);
+  }
+}
+
+function greet(message) {
+  const same = before && hello && before.place === message.place && message.playback;
+  hello = message;
+  frame = same ? frame : null;
+  element("title").textContent = message.title;
+  element("place").textContent = message.place;
+  document.title = `${message.title} – swarmabs view`;
+  controls.hello(message);
+  robots.hello(message);
+  processes.take({ processes: [] });
+  if (same) {
+    controls.resume(before);
+  }
+  before = null;
+}
+
+function badge(phase, text) {
+  const node = element("state");
+  node.dataset.phase = phase;
+  const shownText = phase === text || !text ? phase : `${phase}: ${text}`;
+  if (node.textContent !== shownText) {
+    node.textContent = shownText;
+  }
+}
+
+function shown(status, version) {
+  const lost = status !== "open";
+  document.body.classList.toggle("lost", lost);
+  const banner = element("lost");
+  if (lost && hello && frame && !before) {
+    before = { place: hello.place, step: frame.step, playing: state.playing, speed: state.speed ?? 1 };
+  }
+  if (lost) {
+    const text =
+      status === "other"
+        ? `The program speaks version ${version}, this page version ${VERSION}: load the page again.`
+        : "The connection to the program is lost; trying again. What is shown is what came last.";
+    if (banner.hidden) {
+      banner.textContent = text;
+    }
+    badge("lost", "no connection");
+  }
+  banner.hidden = !lost;
+}
+
+function draw(now) {
+  requestAnimationFrame(draw);
+  if (!hello || !frame || (!dirty && !robots.again && !charts.stale)) {
+    return;
+  }
+  numbers.draw(hello, frame);
+  events.draw(frame);
+  plane.draw(hello, frame);
+  abstract.draw(hello, frame, charts.curves);
+  charts.draw(now, frame.time);
+  dirty = !robots.draw(now, frame);
+}
+
+function redraw() {
+  dirty = true;
+}
+
+function zoom() {
+  abstract.near = !abstract.near;
+  const button = element("zoom");
+  button.setAttribute("aria-pressed", String(abstract.near));
+  button.textContent = abstract.near ? "Show whole" : "Show near";
+  redraw();
+}
+
+function theme() {
+  element("theme").textContent = `Theme: ${window.swarmabsTheme.next()}`;
+}
+
+function help() {
+  const keys = element("keys");
+  keys.hidden = !keys.hidden;
+  element("help").setAttribute("aria-expanded", String(!keys.hidden));
+}
+
+element("theme").textContent = `Theme: ${window.swarmabsTheme.get()}`;
+element("theme").addEventListener("click", theme);
+element("zoom").addEventListener("click", zoom);
+element("help").addEventListener("click", help);
+window.addEventListener("themechange", redraw);
+window.addEventListener("resize", redraw);
+new ResizeObserver(redraw).observe(element("plane"));
+document.addEventListener("keydown", (event) => {
+  if (event.target instanceof HTMLSelectElement || event.ctrlKey || event.altKey || event.metaKey) {
+    return;
+  }
+  ({ t: theme, z: zoom, "?": help })[event.key.toLowerCase()]?.();
+});
+requestAnimationFrame(draw);

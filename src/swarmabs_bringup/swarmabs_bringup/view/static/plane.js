@@ -1,0 +1,188 @@
+// The tilting plane, seen from above at a slant: lanes one behind the other, each robot in its own.
+import { colours, prepared, short, ticks } from "./drawing.js";
+
+const FULL = 2 * Math.PI;
+
+export class PlanePicture {
+  constructor(canvas) {
+    this.canvas = canvas;
+  }
+
+  // Half the plane's length, m; where it is not known, what the robots need.
+  halfLength(hello, frame) {
+    if (hello.plane) {
+      return hello.plane.length / 2;
+    }
+    const far = Math.max(0, ...frame.robots.position.map((p) => Math.abs(p ?? 0)));
+    this.far = Math.max(this.far ?? 0.1, 1.2 * far);
+    return this.far;
+  }
+
+  draw(hello, frame) {
+    const { context, width, height } = prepared(this.canvas);
+    const colour = colours();
+    const half = this.halfLength(hello, frame);
+    const angle = frame.angle ?? 0;
+    const scale = (0.36 * width) / half;
+    const deep = { x: 0.2 * width, y: 0.44 * height };
+    const [cx, cy] = [0.5 * width, 0.52 * height];
+    const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
+    // From metres along the plane and depth (0 near, 1 far) to the screen.
+    const at = (p, d) => [cx + p * along.x + (d - 0.5) * deep.x, cy + p * along.y - (d - 0.5) * deep.y];
+    const line = (...points) => {
+      context.beginPath();
+      points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
+    };
+
+    this.support(context, at, colour, height);
+    this.level(context, at, colour, { half, scale, width, wanted: frame.reference });
+
+    line(at(-half, 0), at(half, 0), at(half, 1), at(-half, 1));
+    context.closePath();
+    context.fillStyle = colour.board;
+    context.strokeStyle = colour.edge;
+    context.lineWidth = 1;
+    context.fill();
+    context.stroke();
+    context.lineWidth = 4;
+    line(at(-half, 0), at(half, 0));
+    context.stroke();
+
+    const count = Math.max(hello.robots.length, 1);
+    if (count <= 60) {
+      context.lineWidth = 1;
+      context.strokeStyle = colour.lane;
+      for (let index = 0; index < count; index += 1) {
+        line(at(-half, (index + 0.5) / count), at(half, (index + 0.5) / count));
+        context.stroke();
+      }
+    }
+    context.lineWidth = 2;
+    context.strokeStyle = colour.edge;
+    line(at(0, 0), at(0, 1));
+    context.stroke();
+
+    context.fillStyle = colour.quiet;
+    context.font = "11px system-ui, sans-serif";
+    context.textAlign = "center";
+    for (const p of ticks(-half, half, 6)) {
+      const [x, y] = at(p, 0);
+      context.fillText(short(p, 2), x, y + 16);
+    }
+    context.fillText("m", at(half, 0)[0] + 14, at(half, 0)[1] + 16);
+
+    this.robots(context, hello, frame, at, colour, deep.y / count);
+    this.describe(hello, frame);
+  }
+
+  support(context, at, colour, height) {
+    context.fillStyle = colour.grey;
+    for (const d of [1, 0]) {
+      const [x, y] = at(0, d);
+      const foot = y + 0.16 * height;
+      context.globalAlpha = d ? 0.45 : 1;
+      context.beginPath();
+      context.moveTo(x, y);
+      context.lineTo(x + 14, foot);
+      context.lineTo(x - 14, foot);
+      context.fill();
+    }
+    context.globalAlpha = 1;
+  }
+
+  // The horizontal, and the angle that is wanted, both at the near edge.
+  level(context, at, colour, { half, scale, wanted }) {
+    const [x, y] = at(0, 0);
+    const reach = 1.12 * half * scale;
+    context.setLineDash([3, 4]);
+    context.lineWidth = 1;
+    context.strokeStyle = colour.quiet;
+    context.beginPath();
+    context.moveTo(x - reach, y);
+    context.lineTo(x + reach, y);
+    context.stroke();
+    if (wanted !== null) {
+      context.setLineDash([9, 5]);
+      context.lineWidth = 2;
+      context.strokeStyle = colour.manifold;
+      context.beginPath();
+      context.moveTo(x - reach * Math.cos(wanted), y + reach * Math.sin(wanted));
+      context.lineTo(x + reach * Math.cos(wanted), y - reach * Math.sin(wanted));
+      context.stroke();
+    }
+    context.setLineDash([]);
+  }
+
+  robots(context, hello, frame, at, colour, lane) {
+    const { position, status } = frame.robots;
+    const count = hello.robots.length;
+    const masses = hello.robots.map((robot) => robot.mass ?? 0);
+    const mean = masses.reduce((sum, mass) => sum + mass, 0) / Math.max(count, 1) || 1;
+    const usual = Math.min(Math.max(0.42 * lane, 4), 15);
+    context.textBaseline = "middle";
+    for (let index = count - 1; index >= 0; index -= 1) {
+      if (position[index] === null || position[index] === undefined || status[index] === "left") {
+        continue;
+      }
+      const [x, y] = at(position[index], (index + 0.5) / count);
+      const size = Math.min(Math.max(usual * Math.sqrt(masses[index] / mean), 2.5), 26);
+      const round = hello.robots[index].kind === "single_integrator";
+      this.robot(context, x, y, size, round, status[index], colour);
+      if (size >= 9 && status[index] === "active") {
+        context.fillStyle = round ? "#000000" : colour.paper;
+        context.font = `600 ${Math.round(size)}px system-ui, sans-serif`;
+        context.fillText(String(hello.robots[index].id), x, y + 0.5);
+      }
+    }
+    context.textBaseline = "alphabetic";
+  }
+
+  robot(context, x, y, size, round, status, colour) {
+    context.beginPath();
+    if (round) {
+      context.arc(x, y, size, 0, FULL);
+    } else {
+      const side = size * Math.sqrt(Math.PI); // a square of the same area
+      context.rect(x - side / 2, y - side / 2, side, side);
+    }
+    const own = round ? colour.si : colour.di;
+    if (status === "active") {
+      context.fillStyle = own;
+      context.fill();
+      context.lineWidth = 1;
+      context.strokeStyle = colour.ink;
+      context.stroke();
+    } else if (status === "dead") {
+      context.fillStyle = colour.grey;
+      context.fill();
+      context.beginPath();
+      context.moveTo(x - size, y - size);
+      context.lineTo(x + size, y + size);
+      context.moveTo(x + size, y - size);
+      context.lineTo(x - size, y + size);
+      context.lineWidth = 2;
+      context.strokeStyle = colour.ink;
+      context.stroke();
+    } else {
+      context.fillStyle = colour.paper;
+      context.fill();
+      context.setLineDash(status === "silent" ? [3, 2] : []);
+      context.lineWidth = status === "silent" ? 2 : 3;
+      context.strokeStyle = own;
+      context.stroke();
+      context.setLineDash([]);
+    }
+  }
+
+  // Said to those who do not see the picture, once a second at most.
+  describe(hello, frame) {
+    const now = performance.now();
+    if (now - (this.described ?? -1e9) < 1000) {
+      return;
+    }
+    this.described = now;
+    const degrees = ((frame.angle ?? 0) * 180) / Math.PI;
+    const text = `The plane at ${short(frame.time, 4)} s: angle ${short(frame.angle, 4)} rad, which is ${short(degrees, 3)} degrees; ${hello.robots.length} robots, listed in the table of robots`;
+    this.canvas.setAttribute("aria-label", text);
+  }
+}

@@ -1,0 +1,174 @@
+// Numbers, robots, events and processes as text. Whatever comes from outside is set as text, never as markup.
+import { short } from "./drawing.js";
+
+const ROBOTS_INTERVAL = 250; // ms
+const FEW = 24; // robots whose table is open at first
+const MOST_EVENTS = 1000;
+const KINDS = { single_integrator: "velocity (SI)", double_integrator: "force (DI)" };
+const STATUS = { active: "active", safe_stop: "safe stop", left: "left", dead: "dead", silent: "silent" };
+const BAD = new Set(["stopped", "zombie", "dead", "gone", "tracing-stop"]);
+
+const element = (id) => document.getElementById(id);
+
+// Show a number: exact in the element's value, rounded to be read.
+function show(node, value, text) {
+  node.value = value === null || value === undefined ? "" : String(value);
+  node.textContent = text ?? short(value);
+}
+
+function difference(wanted, actual) {
+  return wanted === null || actual === null ? null : wanted - actual;
+}
+
+function cell(row, tag = "td") {
+  const node = document.createElement(tag);
+  if (tag === "th") {
+    node.scope = "row";
+  }
+  row.append(node);
+  return node;
+}
+
+export class Numbers {
+  draw(hello, frame) {
+    const { abstract, desired } = frame;
+    show(element("step"), frame.step, String(frame.step));
+    show(element("time"), frame.time, frame.time.toFixed(2));
+    for (const name of ["angle", "reference", "angular_velocity"]) {
+      show(element(name), frame[name]);
+    }
+    show(element("error"), difference(frame.reference, frame.angle));
+    show(element("torque"), abstract.torque);
+    show(element("inertia"), abstract.inertia);
+    show(element("desired_torque"), desired.torque);
+    show(element("desired_inertia"), desired.inertia);
+    show(element("step_rate"), frame.step_rate, frame.step_rate === null ? "–" : frame.step_rate.toFixed(0));
+    const following = frame.robots.status.filter((status) => status === "active").length;
+    show(element("following"), following, `${following} of ${hello.robots.length}`);
+  }
+}
+
+export class Robots {
+  constructor() {
+    this.body = element("robots").tBodies[0];
+    this.details = element("robots-details");
+    this.drawn = 0;
+    this.details.addEventListener("toggle", () => {
+      this.drawn = 0;
+      this.again = true;
+    });
+  }
+
+  hello(hello) {
+    this.drawn = 0;
+    this.body.replaceChildren();
+    this.rows = hello.robots.map((robot) => {
+      const row = this.body.insertRow();
+      cell(row, "th").textContent = String(robot.id);
+      cell(row).textContent = KINDS[robot.kind];
+      const mass = document.createElement("data");
+      show(mass, robot.mass);
+      cell(row).append(mass);
+      const status = cell(row);
+      const numbers = ["position", "velocity", "command"].map((name) => {
+        const node = document.createElement("data");
+        node.dataset.field = name;
+        cell(row).append(node);
+        return node;
+      });
+      return { row, status, numbers };
+    });
+    element("robots-summary").textContent = `Table of all ${hello.robots.length} robots`;
+    this.details.open = hello.robots.length <= FEW;
+  }
+
+  // The table follows more slowly than the pictures; what it shows is at last what stands in the frame.
+  draw(now, frame) {
+    this.again = false;
+    if (!this.details.open || !this.rows) {
+      return true;
+    }
+    if (now - this.drawn < ROBOTS_INTERVAL) {
+      return false;
+    }
+    this.drawn = now;
+    this.rows.forEach(({ row, status, numbers }, index) => {
+      const found = frame.robots.status[index];
+      status.textContent = found ? STATUS[found] : "not heard";
+      row.classList.toggle("bad", found !== "active");
+      ["position", "velocity", "command"].forEach((name, column) => show(numbers[column], frame.robots[name][index]));
+    });
+    return true;
+  }
+}
+
+export class Events {
+  constructor() {
+    this.list = element("events");
+  }
+
+  take(message) {
+    if (message.replace) {
+      this.list.replaceChildren();
+    }
+    const made = message.events.map((event) => {
+      const item = document.createElement("li");
+      item.dataset.step = String(event.step);
+      const what = document.createElement("b");
+      what.textContent = event.kind.replaceAll("_", " ").toLowerCase();
+      const whom = event.agent ? `robot ${event.agent}, ` : "";
+      const value = event.value ? `, ${short(event.value)}` : "";
+      item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, `${value}${event.detail ? ` – ${event.detail}` : ""}`);
+      return item;
+    });
+    this.list.prepend(...made.reverse()); // the latest first
+    while (this.list.children.length > MOST_EVENTS) {
+      this.list.lastElementChild.remove();
+    }
+    this.list.hidden = !this.list.children.length;
+    element("no-events").hidden = !this.list.hidden;
+    this.shown = null;
+  }
+
+  // In a bag, what is still to come at the step shown is set apart.
+  draw(frame) {
+    if (this.shown === frame.step) {
+      return;
+    }
+    this.shown = frame.step;
+    for (const item of this.list.children) {
+      item.classList.toggle("future", Number(item.dataset.step) > frame.step);
+    }
+  }
+}
+
+export class Processes {
+  constructor() {
+    this.body = element("processes").tBodies[0];
+  }
+
+  take(message) {
+    const { processes } = message;
+    element("processes-scroll").hidden = !processes.length;
+    element("no-processes").hidden = processes.length > 0;
+    while (this.body.rows.length > processes.length) {
+      this.body.deleteRow(-1);
+    }
+    while (this.body.rows.length < processes.length) {
+      const row = this.body.insertRow();
+      cell(row, "th");
+      for (let index = 0; index < 4; index += 1) {
+        cell(row);
+      }
+    }
+    processes.forEach((one, index) => {
+      const row = this.body.rows[index];
+      const memory = one.memory === null ? "–" : (one.memory / 1e6).toFixed(0);
+      const cpu = one.cpu === null ? "–" : one.cpu.toFixed(0);
+      [one.name, one.pid, one.state, cpu, memory].forEach((text, column) => {
+        row.cells[column].textContent = String(text);
+      });
+      row.classList.toggle("bad", BAD.has(one.state));
+    });
+  }
+}
