@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from swarmabs_bringup.cli.display import shown_progress
-from swarmabs_bringup.cli.interrupts import no_more_interrupts
+from swarmabs_bringup.cli.interrupts import interrupt_once, no_more_interrupts
 from swarmabs_bringup.cli.output import json_option, print_json
+from swarmabs_bringup.cli.view import open_page
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from swarmabs_bringup.rerun import RecordedRun
     from swarmabs_bringup.run_folder import RunFolder
     from swarmabs_bringup.splitting import Split
+    from swarmabs_bringup.view.beside import Viewer
     from swarmabs_core.scenario import Scenario
 
     Execute = Callable[[Scenario, RunFolder, bool, Split, Callable[[Progress], None]], Outcome]
@@ -89,37 +93,70 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
 @click.option("--realtime", is_flag=True, help="Let the clock make the steps, as on robots, with simulated bodies.")
-def run(agents_per_process: int, packed: bool, realtime: bool, **options: Any) -> int:  # noqa: FBT001 - click names it
+@click.option("--view", is_flag=True, help="Show the run as a page in the browser.")
+@click.option("--view-port", type=click.IntRange(0, 65535), help="With --view: port of the page.  [default: any]")
+@click.option("--open", "open_browser", is_flag=True, help="With --view: open the page in the browser.")
+def run(
+    *,
+    agents_per_process: int,
+    packed: bool,
+    realtime: bool,
+    view: bool,
+    view_port: int | None,
+    open_browser: bool,
+    **options: Any,
+) -> int:
     """Run a scenario as one process per robot over DDS, in lockstep or in real time.
 
     SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
+
+    With --view, on a terminal, the page stays when the run is over, and plays its bag, until Ctrl-C.
     """
     if realtime and (packed or agents_per_process > 1):
         option = "--packed" if packed else "--agents-per-process"
         raise InputError(f"{option} is for runs in lockstep; leave it or --realtime out")
+    if not view and (view_port is not None or open_browser):
+        raise click.UsageError(f"{'--open' if open_browser else '--view-port'} is for a run with --view.")
+    with _viewer(view_port or 0) if view else nullcontext() as viewer:
 
-    def execute(
-        scenario: Scenario,
-        folder: RunFolder,
-        record: bool,  # noqa: FBT001
-        split: Split,
-        show: Callable[[Progress], None],
-    ) -> Outcome:
-        from swarmabs_bringup.orchestration import LockstepRun, RealtimeRun  # noqa: PLC0415 - needs the whole of ROS
+        def execute(
+            scenario: Scenario,
+            folder: RunFolder,
+            record: bool,  # noqa: FBT001
+            split: Split,
+            show: Callable[[Progress], None],
+        ) -> Outcome:
+            from swarmabs_bringup.orchestration import LockstepRun, RealtimeRun  # noqa: PLC0415 - needs all of ROS
 
-        if realtime:
-            return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
-        return LockstepRun(
-            scenario,
-            folder,
-            record=record,
-            on_progress=show,
-            agents_per_process=agents_per_process,
-            packed=packed,
-            split=split,
-        ).run()
+            if viewer is not None:
+                viewer.start(folder.path)
+                click.echo(f"view: {viewer.url}", err=True)
+                if open_browser:
+                    open_page(viewer.url)
+            if realtime:
+                return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
+            return LockstepRun(
+                scenario,
+                folder,
+                record=record,
+                on_progress=show,
+                agents_per_process=agents_per_process,
+                packed=packed,
+                split=split,
+            ).run()
 
-    return _carry_out(execute, realtime=realtime, **options)
+        code = _carry_out(execute, realtime=realtime, **options)
+        if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
+            interrupt_once()
+            click.echo(f"view: {viewer.url} plays the bag until Ctrl-C", err=True)
+            viewer.wait()
+        return code
+
+
+def _viewer(port: int) -> Viewer:
+    from swarmabs_bringup.view.beside import Viewer  # noqa: PLC0415 - slow, not for --help
+
+    return Viewer(port)
 
 
 @click.command()

@@ -10,9 +10,11 @@ from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environme
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 NETWORK_FILE = "network.json"
+PROCESSES_FILE = "processes.json"
 TOOL_PROFILE = "fastdds_tool.xml"
 
 
@@ -23,6 +25,22 @@ def write_network(logs: Path, domain: int, participants: int) -> None:
     profile.write_text(profile_xml(domain, peers=range(participants), participant=FIRST_FREE), encoding="utf-8")
     network = {"domain": domain, "participants": participants, "orchestrator": os.getpid()}
     (logs / NETWORK_FILE).write_text(json.dumps(network) + "\n", encoding="utf-8")
+
+
+def write_processes(logs: Path, processes: Mapping[str, int]) -> None:
+    """Write down the ids of a run's processes by name when all have met: whoever finds them finds the run going on."""
+    part = logs / f"{PROCESSES_FILE}.part"
+    part.write_text(json.dumps({"orchestrator": os.getpid(), **processes}) + "\n", encoding="utf-8")
+    part.replace(logs / PROCESSES_FILE)
+
+
+def read_processes(run: Path) -> dict[str, int] | None:
+    """Return the ids of a run's processes by name, that of the command first; None before all have met."""
+    try:
+        found = json.loads((run / "logs" / PROCESSES_FILE).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    return {str(name): int(pid) for name, pid in found.items()}
 
 
 def environment_of_run(run: Path) -> dict[str, str]:

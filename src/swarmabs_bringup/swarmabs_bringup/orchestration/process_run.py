@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
 from swarmabs_bringup.orchestration.domain import claimed_domain, domains_spanned
 from swarmabs_bringup.orchestration.launcher_client import LauncherClient
-from swarmabs_bringup.orchestration.looking_in import write_network
+from swarmabs_bringup.orchestration.looking_in import write_network, write_processes
 from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
@@ -164,6 +164,7 @@ class ProcessRun:
                     known, news = come, now
                 if state.all_ready():
                     state.started = True
+                    write_processes(self._folder.logs, {"launcher": launcher.pid, **state.pids})
                     self._started = self._start(launcher, now)
                 elif now - news > START_SILENCE:
                     if not state.hanging():

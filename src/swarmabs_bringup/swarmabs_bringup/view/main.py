@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
-    from pathlib import Path
+    from collections.abc import Callable, Coroutine
     from socket import socket
 
     from swarmabs_bringup.view.server import Session
 
     Ready = Callable[[str], None]
+    Work = Callable[[], Coroutine[None, None, None]]
+
+_NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 def view_bag(path: Path, *, namespace: str | None, port: int, ready: Ready) -> None:
@@ -75,7 +79,7 @@ def listening(port: int) -> socket:
 
 
 def serve(
-    listener: socket, session: Callable[[], Session], *beside: Awaitable[object], ready: Ready | None = None
+    listener: socket, session: Callable[[], Session], *beside: Work, ready: Ready | None = None
 ) -> None:
     """Serve pages until this process is asked to end, by a signal or by a task beside that is done.
 
@@ -85,8 +89,8 @@ def serve(
         Bound to a port on 127.0.0.1.
     session : callable
         Makes what a new page sees.
-    *beside : awaitable
-        What goes on beside; the first that is done ends all.
+    *beside : callable
+        What goes on beside, as coroutines; the first that is done ends all.
     ready : callable, optional
         Told the address of the page once it is served.
     """
@@ -101,7 +105,7 @@ def serve(
         try:
             if ready is not None:
                 ready(url_of(listener))
-            await ViewServer(listener, session).run(asked.wait(), *beside)
+            await ViewServer(listener, session).run(asked.wait(), *(work() for work in beside))
         finally:
             for number, handler in previous.items():
                 loop.remove_signal_handler(number)
@@ -112,5 +116,35 @@ def serve(
 
 
 def view_live(target: str, *, port: int, ready: Ready) -> None:
-    """Show a swarm that goes on."""
-    raise NotImplementedError(target)
+    """Show a swarm that goes on until the user has seen enough.
+
+    Parameters
+    ----------
+    target : str
+        Folder of a run, or a namespace of the ROS domain of the environment.
+    port : int
+        0 for any free one.
+    ready : callable
+        Told the address of the page.
+
+    Raises
+    ------
+    InputError
+        If it is neither, the run is over, or the port is taken.
+    """
+    need_packages()
+    folder = Path(target)
+    with listening(port) as listener:
+        if (folder / "logs").is_dir():
+            from swarmabs_bringup.view.following import RunView, check_running  # noqa: PLC0415 - needs the whole of ROS
+
+            check_running(folder)
+            run = RunView(folder)
+            serve(listener, run.session, run.follow, ready=ready)
+            return
+        if not _NAMESPACE.fullmatch(target):
+            raise InputError(f"--live {target}: neither the folder of a run nor a namespace such as /swarm_a, or /")
+        from swarmabs_bringup.view.swarm import SwarmView  # noqa: PLC0415 - needs the whole of ROS
+
+        swarm = SwarmView(target)
+        serve(listener, swarm.session, swarm.follow, ready=ready)

@@ -6,6 +6,7 @@ the latest that came.
 
 from __future__ import annotations
 
+from bisect import insort
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -86,7 +87,7 @@ class Picture:
     Attributes
     ----------
     robots : list of Robot
-        In the order of the frames.
+        In the order of the frames, by id where they were not known beforehand.
     curves : CurveBuffer
         The curves so far.
     events : list of Event
@@ -170,7 +171,7 @@ class Picture:
             if len(self.robots) >= MOST_ROBOTS:
                 return
             self._known.add(state.agent_id)
-            self.robots.append(robot_of(state))
+            insort(self.robots, robot_of(state), key=lambda robot: robot.id)
         known = self._states.get(state.agent_id)
         if known is None or state.step > known.step:
             self._states[state.agent_id] = state

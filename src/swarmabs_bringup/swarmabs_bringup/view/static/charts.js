@@ -40,7 +40,7 @@ export class Charts {
     const sync = window.uPlot.sync("time");
     this.plots = CHARTS.map(({ place, title, lines }) => {
       const node = document.getElementById(place);
-      const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: "11px system-ui, sans-serif" };
+      const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: "11px system-ui, sans-serif", values: (_, splits) => splits.map((value) => String(Number(value.toPrecision(6)))) };
       const plot = new window.uPlot(
         {
           title,

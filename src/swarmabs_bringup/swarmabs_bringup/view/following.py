@@ -1,0 +1,163 @@
+"""Follows a run by its folder: waits for its start, listens while it goes on, and shows its bag when it is over."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import psutil
+
+from swarmabs_bringup.bag import DamagedBagError
+from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_processes
+from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
+from swarmabs_bringup.run_folder import RunFolder
+from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.view.facts import scenario_facts
+from swarmabs_bringup.view.health import ProcessWatch
+from swarmabs_bringup.view.picture import Picture
+from swarmabs_bringup.view.playback import PlaybackSession, open_recording
+from swarmabs_bringup.view.protocol import Hello, Seek
+from swarmabs_core import configure
+from swarmabs_core.errors import InputError
+
+with tracing_files_removed():
+    from swarmabs_bringup.view.live import Listener, LiveSession, LiveView
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from swarmabs_bringup.view.playback import Recording
+
+HEALTH_INTERVAL = 2.0
+"""Time, s, between two looks at the processes."""
+WAIT_INTERVAL = 0.1
+"""Time, s, between two looks whether a run has begun, or its summary is written."""
+SUMMARY_SECONDS = 10.0
+"""Time, s, that a run whose orchestrator has ended may take to leave its summary."""
+
+
+class RunView:
+    """A run, from before its start to its bag.
+
+    Parameters
+    ----------
+    folder : Path
+        Its folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = RunFolder(folder)
+        self._recording: Recording | None = None
+        hello = Hello(
+            source="run",
+            title=folder.name,
+            place=str(folder),
+            period=None,
+            last_step=None,
+            robots=[],
+            plane=None,
+            manifold=None,
+            regions=None,
+            playback=False,
+        )
+        self._live = LiveView(hello, Picture())
+        self._live.text = "the processes start"
+
+    def session(self) -> LiveSession:
+        """Return what a new page sees."""
+        return LiveSession(self._live, self._playback)
+
+    async def follow(self) -> None:
+        """Follow the run to its end, then for ever show its bag."""
+        processes = await self._started()
+        if processes is not None:
+            os.environ.update(environment_of_run(self._folder.path))
+            listener = Listener("/", len(self._live.picture.robots))
+            watch = asyncio.ensure_future(self._watch(processes))
+            try:
+                await self._live.listen(listener, lambda: self._over(processes))
+            finally:
+                watch.cancel()
+                listener.close()
+        self._live.phase, self._live.text = "ended", "the run has ended"
+        await self._end()
+        await asyncio.Event().wait()
+
+    async def _started(self) -> Mapping[str, int] | None:
+        """Wait until all processes have met; return their ids, None if the run has ended before.
+
+        Not before: a run begins when every node has met as many others as it has counterparts, and the listener is none.
+        """
+        known = False
+        while not self._folder.summary.exists():
+            if not known and self._folder.logs.is_dir():  # which is made before the scenario is written
+                with suppress(InputError):  # not written to its end yet
+                    await self._begin()
+                    known = True
+            processes = read_processes(self._folder.path)
+            if known and processes is not None:
+                return processes
+            await asyncio.sleep(WAIT_INTERVAL)
+        return None
+
+    async def _begin(self) -> None:
+        scenario = find_scenario(str(self._folder.scenario))
+        facts = await asyncio.to_thread(scenario_facts, scenario)
+        hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
+        reference = configure.parent_controller(scenario).reference
+        self._live.learn(hello, Picture(facts["robots"], reference=reference))
+
+    async def _watch(self, processes: Mapping[str, int]) -> None:
+        watch = ProcessWatch(processes)
+        while True:
+            self._live.health = await asyncio.to_thread(watch.look)
+            await asyncio.sleep(HEALTH_INTERVAL)
+
+    def _over(self, processes: Mapping[str, int]) -> bool:
+        return self._folder.summary.exists() or not psutil.pid_exists(processes["orchestrator"])
+
+    async def _end(self) -> None:
+        """Show the bag, if there is one that can be read."""
+        for _ in range(round(SUMMARY_SECONDS / WAIT_INTERVAL)):
+            if self._folder.summary.exists():
+                break
+            await asyncio.sleep(WAIT_INTERVAL)
+        else:
+            self._live.text = "the run has ended without a summary"
+            return
+        try:
+            self._live.text = f"the run has ended: {json.loads(self._folder.summary.read_bytes())['status']}"
+            if self._folder.bag.exists():
+                recording = await asyncio.to_thread(open_recording, self._folder.path)
+                await asyncio.to_thread(lambda: (recording.hello, recording.curves))
+                self._recording = recording
+        except (InputError, DamagedBagError, OSError, ValueError, KeyError) as error:
+            self._live.text = f"the run has ended; its bag cannot be shown: {error}"
+
+    def _playback(self) -> PlaybackSession | None:
+        if self._recording is None:
+            return None
+        session = PlaybackSession(self._recording)
+        session.control(Seek(type="seek", step=2**63 - 1))
+        return session
+
+
+def check_running(folder: Path) -> None:
+    """Refuse the folder of a run that is over.
+
+    Raises
+    ------
+    InputError
+        If it is over, or no run's folder.
+    """
+    environment_of_run(folder)
+    processes = read_processes(folder)
+    gone = processes is not None and not psutil.pid_exists(processes["orchestrator"])
+    if gone or RunFolder(folder).summary.exists():
+        raise InputError(f"{folder}: this run is over; view its bag without --live")
+
+
