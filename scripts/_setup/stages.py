@@ -25,6 +25,7 @@ EXTRA_LOCKS = {
     "export": "sweep.lock",
     "sweep": "sweep.lock",
     "test": "test.lock",
+    "view": "view.lock",
 }
 NEEDED_BYTES = 1_200_000_000
 MANY = 4  # packages, up to which the message names them

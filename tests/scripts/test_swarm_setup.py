@@ -612,6 +612,9 @@ class TestScript:
             ("deploy FLEET.yaml -o out", "deploy"),
             ("deploy --check out --host robot-1", ""),
             ("deploy --schema", ""),
+            ("run --view", "view"),
+            ("run x.yaml --view --open", "view"),
+            ("view BAG", "view"),
         ],
     )
     def test_only_what_needs_more_packages_gets_them(self, swarm: ModuleType, words: str, command: str) -> None:
