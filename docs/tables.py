@@ -1,4 +1,4 @@
-"""Write the tables of docs/*.md from the code that they describe: python docs/tables.py.
+"""Write the tables of docs/*.md, and the schema of the view's messages, from the code: python docs/tables.py.
 
 A table stands between the lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what is between them is replaced. A test
 fails when a table is not what this script would write.
@@ -6,6 +6,7 @@ fails when a table is not what this script would write.
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -28,6 +29,7 @@ from swarmabs_bringup.orchestration.realtime_plan import realtime_plan
 from swarmabs_bringup.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_bringup.replay import node as replay_player
 from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.view.protocol import json_schema
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import BASIS, BROADCAST, TOPICS
 from swarmabs_core.realtime import topic_drive
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from swarmabs_core.parameters import Parameter
 
 DOCS = Path(__file__).parent
+VIEW_SCHEMA = DOCS / "view_messages.schema.json"
 MESSAGES = DOCS.parent / "src" / "swarmabs_msgs" / "msg"
 _CHOSEN = {
     "controller": "`{type: pd}`",
@@ -258,8 +261,14 @@ def renewed(text: str, tables: dict[str, str]) -> str:
     return _TABLE.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
 
 
+def view_schema() -> str:
+    """Return the JSON Schema of the view's messages as text."""
+    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
+
+
 def main() -> int:
-    """Renew the tables of all pages."""
+    """Renew the tables of all pages, and the schema."""
+    VIEW_SCHEMA.write_text(view_schema(), encoding="utf-8")
     tables = all_tables()
     for page in sorted(DOCS.glob("*.md")):
         text = page.read_text(encoding="utf-8")

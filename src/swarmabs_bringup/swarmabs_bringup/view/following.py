@@ -142,7 +142,7 @@ class RunView:
         if self._recording is None:
             return None
         session = PlaybackSession(self._recording)
-        session.control(Seek(type="seek", step=2**63 - 1))
+        session.control(Seek(v=1, type="seek", step=2**63 - 1))
         return session
 
 

@@ -30,7 +30,7 @@ class Part(BaseModel):
 
 
 class Message(Part):
-    """A message."""
+    """A message of the server."""
 
     v: Literal[1] = 1
 
@@ -175,26 +175,32 @@ class State(Message):
     speed: Number = None
 
 
-class Play(Message):
+class Wish(Part):
+    """A message of a page, which must say its version."""
+
+    v: Literal[1]
+
+
+class Play(Wish):
     """Let the playback go on; at the end it begins again."""
 
     type: Literal["play"]
 
 
-class Pause(Message):
+class Pause(Wish):
     """Stop the playback where it is."""
 
     type: Literal["pause"]
 
 
-class Seek(Message):
+class Seek(Wish):
     """Show a step."""
 
     type: Literal["seek"]
     step: int = Field(ge=0, lt=2**63)
 
 
-class Speed(Message):
+class Speed(Wish):
     """Play faster or slower than real time."""
 
     type: Literal["speed"]
@@ -207,7 +213,7 @@ Control: TypeAlias = Annotated[Play | Pause | Seek | Speed, Field(discriminator=
 CONTROL: TypeAdapter[Play | Pause | Seek | Speed] = TypeAdapter(Control)
 
 FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Curves, Events, Health, State)
-FROM_PAGE: tuple[type[Message], ...] = (Play, Pause, Seek, Speed)
+FROM_PAGE: tuple[type[Wish], ...] = (Play, Pause, Seek, Speed)
 
 
 def json_schema() -> dict[str, object]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from swarmabs_bringup.view.protocol import Message, Pause, Play, Seek, Speed
 
 ADDRESS = "127.0.0.1"
-INTERVAL = 1.0 / 30.0
+INTERVAL = 1.0 / 40.0
 """Shortest time, s, between two frames for a page."""
 MOST_PAGES = 16
 """Pages that may look at once."""

@@ -57,7 +57,7 @@ export class Controls {
     }
     this.playing = message.playing;
     const button = element("play");
-    button.textContent = message.playing ? "⏸ Pause" : "▶ Play";
+    button.textContent = message.playing ? "‖ Pause" : "▶ Play";
     button.setAttribute("aria-label", message.playing ? "Pause" : "Play");
     if (document.activeElement !== this.speed && message.speed !== null) {
       this.speed.value = String(message.speed);

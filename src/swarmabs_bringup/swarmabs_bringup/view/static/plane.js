@@ -65,7 +65,7 @@ export class PlanePicture {
     context.fillStyle = colour.quiet;
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
-    for (const p of ticks(-half, half, 6)) {
+    for (const p of ticks(-half, half, 6).filter((one) => one !== 0)) {
       const [x, y] = at(p, 0);
       context.fillText(short(p, 2), x, y + 16);
     }

@@ -1,0 +1,115 @@
+"""The playback of a bag, against an independent reader of it, on a clock that the test turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.swarmabs_bringup.figures.conftest import ReadBag, record
+from tests.swarmabs_bringup.report.conftest import messages, write
+
+from swarmabs_bringup.view.playback import COLUMNS, PlaybackSession, Recording, open_recording
+from swarmabs_bringup.view.protocol import Frame, Message, Pause, Play, Seek, Speed, State
+
+
+@pytest.fixture(scope="module")
+def recording(run: Path) -> Recording:
+    return open_recording(run)
+
+
+@pytest.fixture
+def session(recording: Recording) -> PlaybackSession:
+    made = PlaybackSession(recording)
+    made.hello()
+    made.poll(0.0)
+    return made
+
+
+def shown(said: Sequence[Message]) -> int | None:
+    frames = [message for message in said if isinstance(message, Frame)]
+    return frames[-1].step if frames else None
+
+
+def test_every_frame_is_what_the_bag_holds(run: Path, recording: Recording) -> None:
+    read = ReadBag(run)
+    angle, torque = read.column("/plane/state", "angle"), read.column("/swarm/abstract_state", "torque")
+    wanted = read.column("/swarm/desired_abstract_state", "inertia")
+    positions = {robot: read.column("/swarm/agent_state", "position", robot) for robot in (1, 2, 3, 4)}
+    for step in range(401):
+        frame = recording.frame(recording.row_at(step))
+        assert (frame.step, frame.time, frame.angle) == (step, step / 100, angle[step])
+        assert (frame.abstract.torque, frame.desired.inertia) == (torque[step], wanted[step])
+        # Who is out stays where it was last heard.
+        assert frame.robots.position == [found[min(step, len(found) - 1)] for found in positions.values()]
+        dead, left = step > 100, step > 200
+        expected = ["dead" if dead else "active", "left" if left else "active", "active", "active"]
+        if step != 200:  # at which the robot itself says that it leaves
+            assert frame.robots.status == expected
+
+
+def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", "arise_het_4", "duration=45.0", "plane.sensor.noise=[0.001, 0.001]")
+    recording = open_recording(folder)
+    read = ReadBag(folder)
+    whole = read.column("/plane/state", "angle")
+    curves = recording.curves
+    assert COLUMNS < len(curves.time) < len(whole)
+    assert min(curves.angle) == whole.min()  # type: ignore[type-var]
+    assert max(curves.angle) == whole.max()  # type: ignore[type-var]
+    places = np.searchsorted(read.times(), np.array(curves.time) - 1e-9)
+    assert curves.angle == whole[places].tolist()
+    assert curves.torque == read.column("/swarm/abstract_state", "torque")[places].tolist()
+
+
+def test_plays_at_its_speed_and_stops_at_the_end(session: PlaybackSession) -> None:
+    session.control(Play(v=1, type="play"))
+    assert shown(session.poll(0.5)) == 50
+    assert shown(session.poll(1.25)) == 125
+    session.control(Speed(v=1, type="speed", speed=2.0))
+    assert shown(session.poll(1.75)) == 225
+    session.control(Pause(v=1, type="pause"))
+    assert shown(session.poll(2.0)) is None
+    session.control(Play(v=1, type="play"))
+    said = session.poll(100.0)
+    assert shown(said) == 400
+    (state,) = (message for message in said if isinstance(message, State))
+    assert state.playing is False
+    session.control(Play(v=1, type="play"))  # from the beginning
+    assert shown(session.poll(100.1)) == 20
+
+
+def test_seeks_to_any_step_and_to_the_ends(session: PlaybackSession) -> None:
+    for step, found in ((123, 123), (10**9, 400), (0, 0), (400, 400)):
+        session.control(Seek(v=1, type="seek", step=step))
+        assert shown(session.poll(1.0)) == found
+
+
+def test_says_something_every_second_and_nothing_twice(session: PlaybackSession) -> None:
+    said = [found for time in range(1, 31) if (found := session.poll(time / 10))]
+    assert [len(found) for found in said] == [1, 1, 1]
+    assert all(isinstance(message, State) for found in said for message in found)
+
+
+def test_pages_do_not_disturb_each_other(recording: Recording) -> None:
+    one, other = PlaybackSession(recording), PlaybackSession(recording)
+    one.poll(0.0)
+    other.poll(0.0)
+    one.control(Seek(v=1, type="seek", step=77))
+    assert shown(one.poll(0.1)) == 77
+    assert shown(other.poll(0.1)) is None
+
+
+@pytest.mark.parametrize(("part", "fewest", "most"), [(0.5, 2, 40), (0.1, 0, 0)])
+def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(
+    tmp_path: Path, part: float, fewest: int, most: int
+) -> None:
+    whole = (write(tmp_path / "bag", messages(40)) / "bag_0.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: round(len(whole) * part)])
+    recording = open_recording(cut)
+    (state,) = (m for m in PlaybackSession(recording).poll(0.0) if isinstance(m, State))
+    assert state.text.startswith("damaged: the bag has lost its end")
+    assert fewest <= len(recording) <= most
+    assert len(recording.curves.time) == len(recording)
