@@ -101,15 +101,31 @@ def test_pages_do_not_disturb_each_other(recording: Recording) -> None:
     assert shown(other.poll(0.1)) is None
 
 
-@pytest.mark.parametrize(("part", "fewest", "most"), [(0.5, 2, 40), (0.1, 0, 0)])
-def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(
-    tmp_path: Path, part: float, fewest: int, most: int
-) -> None:
-    whole = (write(tmp_path / "bag", messages(40)) / "bag_0.mcap").read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole[: round(len(whole) * part)])
-    recording = open_recording(cut)
-    (state,) = (m for m in PlaybackSession(recording).poll(0.0) if isinstance(m, State))
+@pytest.mark.parametrize("part", [0.1, 0.15, 0.2, 0.25])
+def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(tmp_path: Path, part: float) -> None:
+    recording = open_recording(cut(write(tmp_path / "bag", messages(40)) / "bag_0.mcap", part))
+    assert 0 < len(recording) < 41
+    said = PlaybackSession(recording).poll(0.0)
+    (state,) = (message for message in said if isinstance(message, State))
     assert state.text.startswith("damaged: the bag has lost its end")
-    assert fewest <= len(recording) <= most
     assert len(recording.curves.time) == len(recording)
+    for row in range(len(recording)):  # also with robots of which nothing is left
+        assert len(recording.frame(row).robots.position) == 3
+
+
+def test_a_bag_in_which_nothing_is_left_is_shown_as_such(run: Path, tmp_path: Path) -> None:
+    whole = tmp_path / "whole.mcap"
+    whole.write_bytes((run / "bag" / "bag_0.mcap").read_bytes())
+    recording = open_recording(cut(whole, 0.5))  # all messages are in one chunk
+    assert len(recording) == 0
+    session = PlaybackSession(recording)
+    session.hello()
+    for wish in (Play(v=1, type="play"), Seek(v=1, type="seek", step=3)):
+        session.control(wish)
+        assert shown(session.poll(0.0)) is None
+
+
+def cut(bag: Path, part: float) -> Path:
+    whole = bag.read_bytes()
+    bag.write_bytes(whole[: round(len(whole) * part)])
+    return bag

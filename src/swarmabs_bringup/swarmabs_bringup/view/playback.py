@@ -59,11 +59,13 @@ class Recording:
 
     def __init__(self, recorded: Recorded) -> None:
         self.recorded = recorded
-        arrays = recorded.arrays
-        self._order = np.searchsorted(arrays.agents.ids, [agent.id for agent in recorded.scenario.agents])
+        agents = recorded.arrays.agents
+        wanted = np.array([agent.id for agent in recorded.scenario.agents])
+        found = np.isin(wanted, agents.ids)
+        self._column: Integers = np.where(found, np.searchsorted(agents.ids, wanted) * found, -1)
         # A robot that says nothing more stays where it was.
-        heard = arrays.agents.status > 0
-        rows = np.where(heard, np.arange(len(arrays.step))[:, None], -1)
+        heard = agents.status > 0
+        rows = np.where(heard, np.arange(len(heard))[:, None], -1)
         self._latest: Integers = np.maximum.accumulate(rows, axis=0)
         self._ends = _ends(recorded.events)
 
@@ -109,15 +111,15 @@ class Recording:
         """Return what is to be seen at a row of the arrays."""
         recorded, arrays = self.recorded, self.recorded.arrays
         step = int(arrays.step[row])
-        latest = self._latest[row, self._order]
-        there = latest >= 0
-        place = (np.where(there, latest, 0), self._order)
         agents = arrays.agents
+        # The last entry stands for robots of which the bag has nothing at all.
+        latest = np.append(self._latest[row], -1)[self._column]
+        there = latest >= 0
+        place = (latest[there], self._column[there])
         position, velocity, command = (
-            numbers(np.where(there, values[place], np.nan))
-            for values in (agents.position, agents.velocity, agents.command)
+            numbers(_scattered(there, values[place])) for values in (agents.position, agents.velocity, agents.command)
         )
-        statuses = agents.status[place].tolist()
+        statuses = _scattered(there, agents.status[place].astype(float))
         robots = [agent.id for agent in recorded.scenario.agents]
         return Frame(
             step=step,
@@ -132,8 +134,8 @@ class Recording:
                 velocity=velocity,
                 command=command,
                 status=[
-                    self._status(robot, status, row - int(last), step) if last >= 0 else None
-                    for robot, status, last in zip(robots, statuses, latest.tolist(), strict=True)
+                    self._status(robot, int(status), row - last, step) if last >= 0 else None
+                    for robot, status, last in zip(robots, statuses.tolist(), latest.tolist(), strict=True)
                 ],
             ),
             step_rate=step_rate,
@@ -156,7 +158,8 @@ class Recording:
                 end = found
         if end is not None:
             return end
-        return "silent" if age > 0 and STATUS.get(status) != "left" else STATUS.get(status)
+        known = STATUS.get(status)
+        return "silent" if age > 0 and known != "left" else known
 
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
@@ -169,6 +172,13 @@ def numbers(values: Floats) -> list[float | None]:
     found: list[float | None] = values.tolist()
     for index in np.flatnonzero(~np.isfinite(values)).tolist():
         found[index] = None
+    return found
+
+
+def _scattered(there: NDArray[np.bool_], values: Floats) -> Floats:
+    """Return an array with values where they are, NaN elsewhere."""
+    found = np.full(len(there), np.nan)
+    found[there] = values
     return found
 
 

@@ -1,0 +1,334 @@
+"""The page, driven in a real browser: what it shows is what the bag holds, and its controls do what they say."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from tests.swarmabs_bringup.figures.conftest import ReadBag, record
+from tests.swarmabs_bringup.report.conftest import SCENARIO, messages, write
+from tests.swarmabs_bringup.sample_run import PERIOD
+from tests.swarmabs_bringup.view.conftest import Served, browser_arguments, chromium, serving
+
+from swarmabs_core.messages import EventKind, SwarmEvent
+
+pytestmark = pytest.mark.timeout(120)
+
+MARKUP = "<img src=x onerror=document.title='broken'><script>document.title='broken'</script>"
+NAME = "x<img src=q onerror=alert(1)>&amp;"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = chromium()
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=program, args=browser_arguments())
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def faults() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def page(browser: Browser, faults: list[str]) -> Iterator[Page]:
+    """Yield an empty page; a test in which the page complains of anything fails."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    made = context.new_page()
+    made.on("pageerror", lambda error: faults.append(str(error)))
+    made.on("console", lambda said: faults.append(said.text) if said.type in {"error", "warning"} else None)
+    made.on("request", lambda asked: faults.append(asked.url) if "//127.0.0.1:" not in asked.url else None)
+    yield made
+    context.close()
+    assert not faults
+
+
+def load(page: Page, served: Served) -> None:
+    page.goto(served.url)
+    expect(page.locator("#step")).to_have_attribute("value", "0")
+
+
+def number(page: Page, name: str) -> float:
+    """Return the number that the page shows, as exact as it has it."""
+    return float(page.locator(f"#{name}").get_attribute("value") or "nan")
+
+
+def seek(page: Page, step: int) -> None:
+    """Put the slider somewhere, as a hand would."""
+    page.locator("#scrub").evaluate(
+        "(slider, step) => { slider.value = step; slider.dispatchEvent(new Event('input')); }", step
+    )
+    expect(page.locator("#step")).to_have_attribute("value", str(step))
+
+
+@pytest.mark.parametrize("step", [0, 57, 200, 399, 400])
+def test_numbers_are_those_in_the_bag(page: Page, served: Served, step: int) -> None:
+    read = ReadBag(served.run)
+    load(page, served)
+    seek(page, step)
+    for name, topic, field in (
+        ("angle", "/plane/state", "angle"),
+        ("angular_velocity", "/plane/state", "angular_velocity"),
+        ("torque", "/swarm/abstract_state", "torque"),
+        ("inertia", "/swarm/abstract_state", "inertia"),
+        ("desired_torque", "/swarm/desired_abstract_state", "torque"),
+        ("desired_inertia", "/swarm/desired_abstract_state", "inertia"),
+    ):
+        assert number(page, name) == read.column(topic, field)[step], name
+    assert number(page, "error") == -read.column("/plane/state", "angle")[step]
+    # What is to be read is the same number, rounded.
+    assert float(page.locator("#angle").inner_text()) == pytest.approx(number(page, "angle"), rel=1e-4)
+    page.wait_for_timeout(400)  # the table follows at most four times a second
+    rows = page.locator("#robots tbody tr")
+    assert rows.count() == 4
+    for index, robot in enumerate((1, 2, 3, 4)):
+        for field in ("position", "velocity", "command"):
+            recorded = read.column("/swarm/agent_state", field, robot)
+            cell = rows.nth(index).locator(f"[data-field={field}]")
+            assert float(cell.get_attribute("value") or "nan") == recorded[min(step, len(recorded) - 1)]
+
+
+def test_who_is_out_is_told_in_words_and_in_the_list_of_events(page: Page, served: Served) -> None:
+    load(page, served)
+    seek(page, 400)
+    rows = page.locator("#robots tbody tr")
+    for index, word in enumerate(("dead", "left", "active", "active")):
+        expect(rows.nth(index).locator("td").nth(2)).to_have_text(word)
+    expect(page.locator("#following")).to_have_text("2 of 4")
+    events = page.locator("#events li")
+    expect(events).to_have_count(2)
+    expect(events.nth(1)).to_contain_text("1.01 s, step 101: robot 1, dead")
+    expect(page.locator("#events li.future")).to_have_count(0)
+    seek(page, 150)
+    expect(page.locator("#events li.future")).to_have_count(1)
+
+
+def test_buttons_and_keys_move_the_playback(page: Page, served: Served) -> None:
+    load(page, served)
+    step = page.locator("#step")
+    page.get_by_role("button", name="One step on").click()
+    expect(step).to_have_attribute("value", "1")
+    page.get_by_role("button", name="Last step").click()
+    expect(step).to_have_attribute("value", "400")
+    page.get_by_role("button", name="One step back").click()
+    expect(step).to_have_attribute("value", "399")
+    page.locator("h1").click()
+    for key, found in (("Home", 0), ("ArrowRight", 1), ("Shift+ArrowRight", 101), ("ArrowLeft", 100), ("End", 400)):
+        page.keyboard.press(key)
+        expect(step).to_have_attribute("value", str(found))
+    page.get_by_label("Step shown").focus()
+    page.keyboard.press("Home")  # the slider's own keys
+    expect(step).to_have_attribute("value", "0")
+
+
+def test_plays_pauses_and_changes_its_speed(page: Page, served: Served) -> None:
+    load(page, served)
+    page.get_by_label("Speed").select_option("0.1")
+    page.get_by_role("button", name="Play", exact=True).click()
+    pause = page.get_by_role("button", name="Pause")
+    expect(pause).to_be_visible()
+    expect(page.locator("#step")).not_to_have_attribute("value", "0")
+    pause.click()
+    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    where = number(page, "step")
+    page.wait_for_timeout(300)
+    assert number(page, "step") == where < 300
+    page.locator("h1").click()
+    for _ in range(5):
+        page.keyboard.press("+")
+    expect(page.get_by_label("Speed")).to_have_value("5")
+    page.keyboard.press("Space")
+    expect(page.locator("#step")).to_have_attribute("value", "400")  # it runs to the end and stops there
+    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
+
+
+def test_a_click_on_a_curve_goes_to_its_time(page: Page, served: Served) -> None:
+    load(page, served)
+    over = page.locator("#chart-angle .u-over")
+    box = over.bounding_box()
+    assert box is not None
+    over.click(position={"x": box["width"] / 2, "y": box["height"] / 2})
+    expect(page.locator("#step")).not_to_have_attribute("value", "0")
+    assert abs(number(page, "step") - 200) <= 3
+
+
+def test_a_lost_connection_is_shown_and_the_page_goes_on_where_it_was(
+    page: Page, run: Path, faults: list[str]
+) -> None:
+    with serving(run) as first:
+        port = first.port
+        load(page, first)
+        seek(page, 123)
+        first.process.send_signal(signal.SIGKILL)
+        lost = page.get_by_role("alert")
+        expect(lost).to_be_visible()
+        expect(lost).to_contain_text("connection to the program is lost")
+        expect(page.locator("#state")).to_have_attribute("data-phase", "lost")
+    with serving(run, port):
+        expect(lost).to_be_hidden(timeout=20_000)
+        expect(page.locator("#state")).to_have_attribute("data-phase", "recorded")
+        expect(page.locator("#step")).to_have_attribute("value", "123")
+        page.get_by_role("button", name="One step on").click()
+        expect(page.locator("#step")).to_have_attribute("value", "124")
+    assert all("ERR_CONNECTION_REFUSED" in fault for fault in faults)  # of the tries in between
+    faults.clear()
+
+
+def test_a_program_that_hangs_counts_as_lost_and_comes_back(page: Page, run: Path, faults: list[str]) -> None:
+    with serving(run) as view:
+        load(page, view)
+        view.process.send_signal(signal.SIGSTOP)
+        lost = page.get_by_role("alert")
+        expect(lost).to_be_visible(timeout=20_000)
+        view.process.send_signal(signal.SIGCONT)
+        expect(lost).to_be_hidden(timeout=20_000)
+    faults.clear()  # connections that were given up
+
+
+def test_hostile_names_are_shown_as_text(page: Page, tmp_path: Path) -> None:
+    event = SwarmEvent(3 * PERIOD, 3, 7, EventKind.REFUSED, 0.0, MARKUP + "\u202e&amp;")
+    bag = write(tmp_path / "bag", [*messages(40), event], scenario=SCENARIO.replace("sample", f'"{NAME}"'))
+    with serving(bag) as view:
+        load(page, view)
+        expect(page.locator("h1")).to_have_text(NAME)
+        expect(page.locator("#events li").filter(has_text=MARKUP)).to_have_count(1)
+        assert page.locator("img").count() == 0
+        assert page.locator("script").count() == 3
+        assert page.title() == f"{NAME} – swarmabs view"
+
+
+def test_pages_of_other_origins_get_nothing(browser: Browser, served: Served) -> None:
+    """A page under another name of this machine, as after DNS rebinding, and one of the same name on another port."""
+    context = browser.new_context()
+    page = context.new_page()
+    page.route("http://127.0.0.1:1/*", lambda route: route.fulfill(body="<title>other</title>", content_type="text/html"))
+    page.goto("http://127.0.0.1:1/evil")
+    script: Any = """async (url) => {
+        const found = { socket: null, fetched: null };
+        found.socket = await new Promise((done) => {
+            const socket = new WebSocket(url.replace("http", "ws") + "socket");
+            socket.onmessage = () => done("data");
+            socket.onclose = () => done("closed");
+        });
+        found.fetched = await fetch(url + "main.js", { mode: "no-cors" }).then((got) => got.type, () => "refused");
+        return found;
+    }"""
+    found = page.evaluate(script, served.url)
+    assert found["socket"] == "closed"
+    assert found["fetched"] in {"refused", "opaque"}
+    answer = page.goto(served.url.replace("127.0.0.1", "localhost"))
+    assert answer is not None
+    assert answer.status == 200  # a name of its own
+    context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_theme_follows_the_system_until_one_is_chosen(browser: Browser, served: Served, scheme: Any) -> None:
+    context = browser.new_context(color_scheme=scheme)
+    page = context.new_page()
+    load(page, served)
+    paper = "getComputedStyle(document.body).backgroundColor"
+    light, dark = "rgb(255, 255, 255)", "rgb(22, 24, 28)"
+    assert page.evaluate(paper) == (light if scheme == "light" else dark)
+    page.keyboard.press("t")
+    assert page.evaluate(paper) == light
+    page.keyboard.press("t")
+    assert page.evaluate(paper) == dark
+    page.reload()
+    expect(page.locator("#theme")).to_have_text("Theme: dark")
+    assert page.evaluate(paper) == dark
+    context.close()
+
+
+@pytest.mark.parametrize("width", [320, 390, 768])
+def test_narrow_screens_need_no_sideways_scrolling(browser: Browser, served: Served, width: int) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 800})
+    page = context.new_page()
+    load(page, served)
+    page.wait_for_timeout(300)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for button in page.get_by_role("button").all():
+        if button.is_visible():
+            box = button.bounding_box()
+            assert box is not None
+            assert box["height"] >= 32
+    context.close()
+
+
+def test_everything_has_a_name_and_can_be_reached_by_keyboard(page: Page, served: Served) -> None:
+    load(page, served)
+    for role in ("button", "slider", "combobox", "table", "img"):
+        for found in page.get_by_role(role).all():
+            name = found.evaluate(
+                "(node) => node.getAttribute('aria-label') || node.textContent.trim()"
+                " || [...(node.labels || [])].map((label) => label.textContent).join('')"
+            )
+            assert name, found.evaluate("(node) => node.outerHTML")
+    reached = []
+    for _ in range(25):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.id || document.activeElement.className"))
+    controls = ["theme", "help", "first", "back", "play", "on", "last", "scrub", "speed", "zoom"]
+    assert [name for name in reached if name in controls][: len(controls)] == controls
+    assert "skip" in reached[0]
+
+
+def test_pictures_say_what_they_show(page: Page, served: Served) -> None:
+    load(page, served)
+    expect(page.locator("#plane")).to_have_attribute(
+        "aria-label",
+        "The plane at 0 s: angle 0.1000 rad, which is 5.73 degrees; 4 robots, listed in the table of robots",
+    )
+    assert "newton metres wanted" in (page.locator("#abstract").get_attribute("aria-label") or "")
+
+
+def test_pictures_are_drawn(page: Page, served: Served) -> None:
+    """Pixels differ from the empty picture, and from each other when the step does."""
+    load(page, served)
+    look = "(canvas) => canvas.toDataURL().length + canvas.toDataURL().slice(-4000)"
+    for name in ("plane", "abstract"):
+        seek(page, 0)
+        page.wait_for_timeout(100)
+        first = page.locator(f"#{name}").evaluate(look)
+        seek(page, 300)
+        page.wait_for_timeout(100)
+        assert page.locator(f"#{name}").evaluate(look) != first
+        colours = page.locator(f"#{name}").evaluate(
+            "(canvas) => new Set(new Uint32Array(canvas.getContext('2d')"
+            ".getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size"
+        )
+        assert colours > 10
+    assert page.locator(".uplot canvas").count() == 4
+
+
+@pytest.mark.full
+@pytest.mark.timeout(200)
+def test_two_hundred_robots_stay_above_thirty_frames_a_second(page: Page, tmp_path: Path) -> None:
+    """Of three looks the best counts: on a busy machine the browser itself may not get its time."""
+    folder = record(tmp_path / "run", "arise_het_200", "duration=20.0")
+    with serving(folder) as view:
+        load(page, view)
+        page.get_by_role("button", name="Play", exact=True).click()
+        count = """() => new Promise((done) => {
+            const begun = performance.now();
+            let [screens, pictures, last] = [0, 0, null];
+            const look = (now) => {
+                screens += 1;
+                const step = document.getElementById("step").value;
+                pictures += step !== last;
+                last = step;
+                const seconds = (now - begun) / 1000;
+                if (seconds < 3) { requestAnimationFrame(look); } else { done([screens / seconds, pictures / seconds]); }
+            };
+            requestAnimationFrame(look);
+        })"""
+        looks = [page.evaluate(count) for _ in range(3)]
+        assert max(screens for screens, _ in looks) > 30.0, looks
+        assert max(pictures for _, pictures in looks) > 30.0, looks
+        expect(page.locator("#following")).to_have_text("200 of 200")
