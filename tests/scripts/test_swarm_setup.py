@@ -78,9 +78,7 @@ class TestInterpreter:
         assert caught.value.status == UNSUITABLE
 
     def test_incomplete_system_python_names_debian_packages(self) -> None:
-        found = machine.Interpreter(
-            "/usr/bin/python3.11", "3.11.2", "cpython", ("venv", "ensurepip", "Python.h")
-        )
+        found = machine.Interpreter("/usr/bin/python3.11", "3.11.2", "cpython", ("venv", "ensurepip", "Python.h"))
         assert machine.unfit_reason(found).endswith("sudo apt-get install python3.11-venv python3.11-dev")
 
     def test_incomplete_other_python_names_no_debian_package(self) -> None:
@@ -99,9 +97,7 @@ class TestInterpreter:
         ("version", "implementation", "text"),
         [("3.9.4", "cpython", "CPython 3.10 to 3.13 is needed"), ("3.11.4", "pypy", "pypy 3.11.4")],
     )
-    def test_named_one_that_does_not_fit(
-        self, tmp_path: Path, version: str, implementation: str, text: str
-    ) -> None:
+    def test_named_one_that_does_not_fit(self, tmp_path: Path, version: str, implementation: str, text: str) -> None:
         named = fake_python(tmp_path, version, implementation=implementation)
         with pytest.raises(SetupError, match=text):
             machine.choose_interpreter({"SWARMABS_PYTHON": str(named)})
@@ -194,9 +190,7 @@ class TestState:
         file.write_text("2")
         changed = state.content_key(str(tmp_path))
         file.rename(tmp_path / "b.py")
-        assert (
-            len({before, changed, state.content_key(str(tmp_path)), state.content_key(str(tmp_path), 1)}) == 4
-        )
+        assert len({before, changed, state.content_key(str(tmp_path)), state.content_key(str(tmp_path), 1)}) == 4
 
     def test_look_sees_a_change_behind_a_restored_time(self, tmp_path: Path) -> None:
         file = tmp_path / "a.py"
@@ -383,9 +377,7 @@ class TestInstall:
         assert install() == ["beta"]
         assert Path(checkout.install, "lib", "beta", "code.py").read_text() == "VALUE = 1\n"
 
-    def test_other_environment_builds_all_anew(
-        self, checkout: Checkout, install: Callable[..., list[str]]
-    ) -> None:
+    def test_other_environment_builds_all_anew(self, checkout: Checkout, install: Callable[..., list[str]]) -> None:
         install()
         leftover = Path(checkout.install, "lib", "leftover")
         leftover.touch()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from swarmabs_bringup.view.curves import CurveBuffer, Point
 
 
@@ -54,7 +56,7 @@ def test_there_are_never_more_points_than_allowed_and_they_are_evenly_spread() -
     assert shown == whole.time
     steps = [round(time * 100) for time in whole.time]
     assert steps[0] == 0
-    assert {later - earlier for earlier, later in zip(steps, steps[1:], strict=False)} == {128}
+    assert {later - earlier for earlier, later in pairwise(steps)} == {128}
     assert steps[-1] > 9_800
 
 

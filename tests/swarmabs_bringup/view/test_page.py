@@ -158,9 +158,7 @@ def test_a_click_on_a_curve_goes_to_its_time(page: Page, served: Served) -> None
     assert abs(number(page, "step") - 200) <= 3
 
 
-def test_a_lost_connection_is_shown_and_the_page_goes_on_where_it_was(
-    page: Page, run: Path, faults: list[str]
-) -> None:
+def test_a_lost_connection_is_shown_and_the_page_goes_on_where_it_was(page: Page, run: Path, faults: list[str]) -> None:
     with serving(run) as first:
         port = first.port
         load(page, first)
@@ -207,7 +205,8 @@ def test_pages_of_other_origins_get_nothing(browser: Browser, served: Served) ->
     """A page under another name of this machine, as after DNS rebinding, and one of the same name on another port."""
     context = browser.new_context()
     page = context.new_page()
-    page.route("http://127.0.0.1:1/*", lambda route: route.fulfill(body="<title>other</title>", content_type="text/html"))
+    other = "<title>other</title>"
+    page.route("http://127.0.0.1:1/*", lambda route: route.fulfill(body=other, content_type="text/html"))
     page.goto("http://127.0.0.1:1/evil")
     script: Any = """async (url) => {
         const found = { socket: null, fetched: null };
@@ -324,7 +323,11 @@ def test_two_hundred_robots_stay_above_thirty_frames_a_second(page: Page, tmp_pa
                 pictures += step !== last;
                 last = step;
                 const seconds = (now - begun) / 1000;
-                if (seconds < 3) { requestAnimationFrame(look); } else { done([screens / seconds, pictures / seconds]); }
+                if (seconds < 3) {
+                    requestAnimationFrame(look);
+                } else {
+                    done([screens / seconds, pictures / seconds]);
+                }
             };
             requestAnimationFrame(look);
         })"""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import subprocess
 import sys
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
 
 END_SECONDS = 5.0
 """Longest time, s, that the viewer may take to end; then it is killed."""
-_NICENESS = 5
-"""Where cores are scarce, those who look wait for those who work."""
 
 
 class Viewer:
@@ -95,7 +92,6 @@ def main() -> int:
     from swarmabs_bringup.view.live import closed  # noqa: PLC0415
 
     folder, descriptor = sys.argv[1:]
-    os.nice(_NICENESS)
     run = RunView(Path(folder))
     with socket.socket(fileno=int(descriptor)) as listener:
         serve(listener, run.session, run.follow, lambda: closed(0))

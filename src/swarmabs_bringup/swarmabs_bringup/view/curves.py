@@ -60,6 +60,13 @@ class CurveBuffer:
 
 def curves(points: list[Point], *, replace: bool) -> Curves:
     """Return points as a message."""
-    columns = zip(*(point[1:] for point in points), strict=True) if points else ((),) * (len(Point._fields) - 1)
-    named = dict(zip(Point._fields[1:], map(list, columns), strict=True))
-    return Curves(replace=replace, **named)  # type: ignore[arg-type]
+    return Curves(
+        replace=replace,
+        time=[point.time for point in points],
+        angle=[point.angle for point in points],
+        reference=[point.reference for point in points],
+        torque=[point.torque for point in points],
+        desired_torque=[point.desired_torque for point in points],
+        inertia=[point.inertia for point in points],
+        desired_inertia=[point.desired_inertia for point in points],
+    )

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from swarmabs_bringup.bag import DamagedBagError
 from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_processes
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_bringup.run_folder import RunFolder
@@ -18,7 +17,6 @@ from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.view.facts import scenario_facts
 from swarmabs_bringup.view.health import ProcessWatch
 from swarmabs_bringup.view.picture import Picture
-from swarmabs_bringup.view.playback import PlaybackSession, open_recording
 from swarmabs_bringup.view.protocol import Hello, Seek
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError
@@ -30,12 +28,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from swarmabs_bringup.view.playback import Recording
+    from swarmabs_bringup.view.playback import PlaybackSession, Recording
 
 HEALTH_INTERVAL = 2.0
 """Time, s, between two looks at the processes."""
 WAIT_INTERVAL = 0.1
 """Time, s, between two looks whether a run has begun, or its summary is written."""
+NICENESS = 5
+"""Where cores are scarce, those who look wait for those who work."""
 SUMMARY_SECONDS = 10.0
 """Time, s, that a run whose orchestrator has ended may take to leave its summary."""
 
@@ -77,6 +77,7 @@ class RunView:
         if processes is not None:
             os.environ.update(environment_of_run(self._folder.path))
             listener = Listener("/", len(self._live.picture.robots))
+            os.nice(NICENESS)
             watch = asyncio.ensure_future(self._watch(processes))
             try:
                 await self._live.listen(listener, lambda: self._over(processes))
@@ -90,7 +91,7 @@ class RunView:
     async def _started(self) -> Mapping[str, int] | None:
         """Wait until all processes have met; return their ids, None if the run has ended before.
 
-        Not before: a run begins when every node has met as many others as it has counterparts, and the listener is none.
+        Not before: a run begins when every node has met as many others as it has counterparts, and this is none.
         """
         known = False
         while not self._folder.summary.exists():
@@ -129,6 +130,10 @@ class RunView:
         else:
             self._live.text = "the run has ended without a summary"
             return
+        # Slow to import, and not needed before.
+        from swarmabs_bringup.bag import DamagedBagError  # noqa: PLC0415
+        from swarmabs_bringup.view.playback import open_recording  # noqa: PLC0415
+
         try:
             self._live.text = f"the run has ended: {json.loads(self._folder.summary.read_bytes())['status']}"
             if self._folder.bag.exists():
@@ -141,6 +146,8 @@ class RunView:
     def _playback(self) -> PlaybackSession | None:
         if self._recording is None:
             return None
+        from swarmabs_bringup.view.playback import PlaybackSession  # noqa: PLC0415 - as above
+
         session = PlaybackSession(self._recording)
         session.control(Seek(v=1, type="seek", step=2**63 - 1))
         return session
@@ -159,5 +166,3 @@ def check_running(folder: Path) -> None:
     gone = processes is not None and not psutil.pid_exists(processes["orchestrator"])
     if gone or RunFolder(folder).summary.exists():
         raise InputError(f"{folder}: this run is over; view its bag without --live")
-
-

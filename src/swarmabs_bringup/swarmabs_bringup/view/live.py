@@ -34,6 +34,8 @@ from swarmabs_ros.runner import SwarmNode
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rclpy.node import Node
+
     from swarmabs_bringup.view.protocol import Health, Pause, Phase, Play, Seek, Speed
     from swarmabs_core.messages import Topic
 
@@ -65,7 +67,7 @@ class Listener:
     def __init__(self, namespace: str, robots: int) -> None:
         arguments = ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"]
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = SwarmNode(f"view_{os.getpid()}")
+        self._node: Node = SwarmNode(f"view_{os.getpid()}")
         self._most = dict.fromkeys((PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
         self._most |= {AGENT_STATE: max(ROBOT_DEPTH, 2 * robots), EVENTS: 1000}
         asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}

@@ -78,9 +78,7 @@ def listening(port: int) -> socket:
     return bound(port)
 
 
-def serve(
-    listener: socket, session: Callable[[], Session], *beside: Work, ready: Ready | None = None
-) -> None:
+def serve(listener: socket, session: Callable[[], Session], *beside: Work, ready: Ready | None = None) -> None:
     """Serve pages until this process is asked to end, by a signal or by a task beside that is done.
 
     Parameters

@@ -1,12 +1,12 @@
 """The state of what is shown of a swarm that goes on: takes its messages, in any order and with gaps, gives frames.
 
 It has no clock and no network. Whoever reads the messages may lose any number of them: the picture is then that of
-the latest that came.
+the latest step of which plane, observer and controller were heard, with each robot as it was last heard up to then.
 """
 
 from __future__ import annotations
 
-from bisect import insort
+from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,7 +35,7 @@ MOST_ROBOTS = 4096
 SILENT_STEPS = 100
 """A robot whose last state is older than the plane's by more has fallen silent."""
 PENDING = 256
-"""Steps that wait for the rest of their messages before they become a point of the curves."""
+"""Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
 
 STATUS: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
 _ENDS: dict[int, RobotStatus] = {EventKind.DEAD: "dead", EventKind.LEFT: "left"}
@@ -61,8 +61,12 @@ def event_key(event: SwarmEvent) -> tuple[int, int, int, str]:
 
 def robot_of(state: AgentState) -> Robot:
     """Return what does not change of a robot."""
-    kind = "double_integrator" if state.kind == Kind.DOUBLE_INTEGRATOR else "single_integrator"
-    return Robot(id=state.agent_id, kind=kind, mass=finite(state.mass), damping=finite(state.damping))
+    return Robot(
+        id=state.agent_id,
+        kind="double_integrator" if state.kind == Kind.DOUBLE_INTEGRATOR else "single_integrator",
+        mass=finite(state.mass),
+        damping=finite(state.damping),
+    )
 
 
 @dataclass(slots=True)
@@ -98,25 +102,24 @@ class Picture:
         Changes with everything that comes.
     """
 
-    def __init__(
-        self, robots: Sequence[Robot] = (), *, reference: Callable[[float], float] | None = None
-    ) -> None:
+    def __init__(self, robots: Sequence[Robot] = (), *, reference: Callable[[float], float] | None = None) -> None:
         self.robots = list(robots)
         self.curves = CurveBuffer()
         self.events: list[Event] = []
         self.event_count = 0
         self.version = 0
         self._reference = reference
-        self._states: dict[int, AgentState] = {}
+        self._states: dict[int, list[AgentState]] = {}
         self._ended: dict[int, RobotStatus] = {}
         self._known_events: dict[tuple[int, int, int, str], None] = {}
         self._known = {robot.id for robot in robots}
         self._latest = _Step()
+        self._shown = _Step()
         self._steps: dict[int, _Step] = {}
 
     @property
     def step(self) -> int | None:
-        """The latest step of the plane, None before the first."""
+        """The latest step of the plane that was heard, None before the first."""
         return None if self._latest.plane is None else self._latest.plane.step
 
     def add(self, message: Message) -> None:
@@ -144,11 +147,14 @@ class Picture:
 
     def frame(self, step_rate: float | None) -> Frame | None:
         """Return what is to be seen, None before the plane was heard."""
-        plane, abstract, desired = self._latest.plane, self._latest.abstract, self._latest.desired
-        if plane is None:
+        latest, shown = self._latest, self._shown
+        if latest.plane is None:
             return None
+        if shown.plane is None or shown.plane.step + PENDING < latest.plane.step:  # somebody says nothing any more
+            shown = latest
+        plane, abstract, desired = shown.plane or latest.plane, shown.abstract, shown.desired
         time = plane.stamp / 1e9
-        states = [self._states.get(robot.id) for robot in self.robots]
+        states = [self._state(robot.id, plane.step) for robot in self.robots]
         return Frame(
             step=plane.step,
             time=time,
@@ -172,9 +178,17 @@ class Picture:
                 return
             self._known.add(state.agent_id)
             insort(self.robots, robot_of(state), key=lambda robot: robot.id)
-        known = self._states.get(state.agent_id)
-        if known is None or state.step > known.step:
-            self._states[state.agent_id] = state
+        known = self._states.setdefault(state.agent_id, [])
+        place = bisect_left(known, state.step, key=lambda one: one.step)
+        if place == len(known) or known[place].step != state.step:
+            known.insert(place, state)
+            del known[:-PENDING]
+
+    def _state(self, robot: int, step: int) -> AgentState | None:
+        """Return the last state of a robot up to a step."""
+        known = self._states.get(robot, [])
+        place = bisect_right(known, step, key=lambda one: one.step)
+        return known[place - 1] if place else None
 
     def _event(self, event: SwarmEvent) -> None:
         key = event_key(event)
@@ -215,6 +229,8 @@ class Picture:
         plane, abstract, desired = found.plane, found.abstract, found.desired
         if plane is None or abstract is None or desired is None:
             return
+        if _newer(plane, self._shown.plane):
+            self._shown = found
         time = plane.stamp / 1e9
         self.curves.add(
             Point(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import starmap
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmabs_bringup.report.record import read_recorded
 from swarmabs_bringup.report.thinning import column_points
+from swarmabs_bringup.view.curves import Point, curves
 from swarmabs_bringup.view.facts import finite, scenario_facts
 from swarmabs_bringup.view.picture import MOST_EVENTS, STATUS, event_of
 from swarmabs_bringup.view.protocol import (
@@ -84,22 +86,19 @@ class Recording:
     def curves(self) -> Curves:
         """All curves, thinned so that they look the same."""
         arrays = self.recorded.arrays
-        columns = {
-            "angle": arrays.angle,
-            "reference": self.recorded.reference,
-            "torque": arrays.abstract.torque,
-            "desired_torque": arrays.desired.torque,
-            "inertia": arrays.abstract.inertia,
-            "desired_inertia": arrays.desired.inertia,
-        }
+        abstract, desired = arrays.abstract, arrays.desired
+        columns = (
+            *(arrays.angle, self.recorded.reference, abstract.torque, desired.torque),
+            *(abstract.inertia, desired.inertia),
+        )
         chosen = np.arange(len(self))
         if len(self) > 2 * COLUMNS:
             column = np.arange(len(self)) * COLUMNS // len(self)
-            chosen = np.unique(np.concatenate([column_points(column, values) for values in columns.values()]))
-        return Curves(
+            chosen = np.unique(np.concatenate([column_points(column, values) for values in columns]))
+        steps, times = arrays.step[chosen].tolist(), arrays.time[chosen].tolist()
+        return curves(
+            list(starmap(Point, zip(steps, times, *(numbers(values[chosen]) for values in columns), strict=True))),
             replace=True,
-            time=arrays.time[chosen].tolist(),
-            **{name: numbers(values[chosen]) for name, values in columns.items()},
         )
 
     @cached_property

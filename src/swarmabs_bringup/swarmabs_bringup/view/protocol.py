@@ -217,7 +217,7 @@ FROM_PAGE: tuple[type[Wish], ...] = (Play, Pause, Seek, Speed)
 
 
 def json_schema() -> dict[str, object]:
-    """Return the JSON Schema of all messages; ``from_server`` and ``from_page`` under ``$defs`` are the two directions."""
+    """Return the JSON Schema of all messages; ``from_server`` and ``from_page`` in its ``$defs`` are the directions."""
     _, schema = models_json_schema([(model, "serialization") for model in (*FROM_SERVER, *FROM_PAGE)])
     definitions = schema["$defs"]
     for name, models in (("from_server", FROM_SERVER), ("from_page", FROM_PAGE)):

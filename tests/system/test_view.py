@@ -1,0 +1,209 @@
+"""A view beside a run: what it shows is what is recorded, and whatever becomes of it, the run is the same."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from aiohttp import ClientConnectionError, ClientSession, WSMsgType
+from tests.processes import marked_processes, until
+from tests.swarmabs_bringup.figures.conftest import ReadBag
+from tests.system.helpers import (
+    Command,
+    named_processes,
+    seconds,
+    simulated_digest,
+    started_swarm,
+    summary_of,
+    swarm,
+    until_stepping,
+)
+
+from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_processes
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+LONG = seconds(200.0)
+EVENTS = ("limits.velocity=0.02", "swarm.sensor.noise=[0.001, 0.001]")
+
+
+def viewer_of(mark: str) -> psutil.Process | None:
+    """Return the process of the view beside a run."""
+    for pid in marked_processes(mark):
+        try:
+            process = psutil.Process(pid)
+            if "swarmabs_bringup.view.beside" in process.cmdline():
+                return process
+        except psutil.Error:
+            continue
+    return None
+
+
+def address(command: Command) -> str:
+    """Return the address of the page that a run has printed, once it has."""
+    assert command.process.stderr is not None
+    for line in command.process.stderr:
+        if line.startswith("view: "):
+            return line.removeprefix("view: ").strip()
+    raise AssertionError("the command has printed no address")
+
+
+async def look(url: str, enough: Any) -> list[dict[str, Any]]:
+    """Look as a page does, until there is enough or the server ends."""
+    found: list[dict[str, Any]] = []
+    async with ClientSession() as session:
+        for _ in range(100):  # the server comes up while the processes of the run do
+            try:
+                page = await session.ws_connect(f"{url}socket", headers={"Origin": url.rstrip("/")})
+                break
+            except ClientConnectionError:
+                await asyncio.sleep(0.1)
+        async for message in page:
+            if message.type is not WSMsgType.TEXT:
+                break
+            found.append(json.loads(message.data))
+            if enough(found):
+                break
+        await page.close()
+    return found
+
+
+def kinds(found: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
+    return [message for message in found if message["type"] == kind]
+
+
+def test_what_is_shown_of_a_run_is_what_is_recorded(folder: Path) -> None:
+    overrides = (LONG, "faults=[{at: 100.0, kind: freeze, agent: 2}]")
+    words = [part for override in overrides for part in ("--set", override)]
+    with started_swarm("run", "-o", folder, "--view", *words) as command:
+        found = asyncio.run(look(address(command), lambda _: False))
+        finished = command.wait()
+    assert finished.code == 0
+    assert summary_of(folder)["digest"] == simulated_digest("pd_het_4", *overrides)
+    read = ReadBag(folder)
+    frames = kinds(found, "frame")
+    assert len(frames) > 10
+    assert [frame["step"] for frame in frames] == sorted(frame["step"] for frame in frames)
+    angle, torque = read.column("/plane/state", "angle"), read.column("/swarm/abstract_state", "torque")
+    inertia = read.column("/swarm/desired_abstract_state", "inertia")
+    positions = [read.column("/swarm/agent_state", "position", robot) for robot in (1, 2, 3, 4)]
+    for frame in frames:
+        step = frame["step"]
+        assert (frame["angle"], frame["abstract"]["torque"]) == (angle[step], torque[step])
+        assert frame["desired"]["inertia"] == inertia[step]
+        for shown, recorded in zip(frame["robots"]["position"], positions, strict=True):
+            # Best effort: of a robot the last state that came up to then, as a rule that of the step.
+            assert shown is None or shown in recorded[: step + 1]
+    for curves in kinds(found, "curves"):
+        for time, value, sent in zip(curves["time"], curves["angle"], curves["torque"], strict=True):
+            assert (value, sent) == (angle[round(time * 100)], torque[round(time * 100)])
+    assert [event["kind"] for events in kinds(found, "events") for event in events["events"]] == ["DEAD"]
+    processes = {one["name"]: one for health in kinds(found, "health") for one in health["processes"]}
+    assert set(processes) == {
+        *("orchestrator", "launcher", "plane_sim", "abstraction_observer", "parent_controller", "recorder"),
+        *(f"agent_00{number}" for number in range(1, 5)),
+    }
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
+def test_a_view_that_dies_or_hangs_changes_nothing(folder: Path, mark: str, number: signal.Signals) -> None:
+    overrides = (LONG, *EVENTS)
+    words = [part for override in overrides for part in ("--set", override)]
+    with started_swarm("run", "-o", folder, "--view", *words) as command:
+        until_stepping(folder)
+        viewer = viewer_of(mark)
+        assert viewer is not None
+        until(lambda: _subscribes(viewer), "the viewer has joined the network of the run", 30.0)
+        viewer.send_signal(number)
+        finished = command.wait()
+    assert finished.code == 0, finished.err
+    assert summary_of(folder)["digest"] == simulated_digest("pd_het_4", *overrides)
+
+
+def _subscribes(viewer: psutil.Process) -> bool:
+    """Tell whether a process has UDP sockets of DDS."""
+    return any(connection.type.name == "SOCK_DGRAM" for connection in viewer.net_connections("inet4"))
+
+
+def test_a_view_that_comes_later_sees_the_run_and_ends_by_itself(folder: Path) -> None:
+    with started_swarm("run", "-o", folder, "--duration", 100_000) as run:
+        until_stepping(folder)
+        with started_swarm("view", "--live", folder) as view:
+            assert view.process.stdout is not None
+            url = view.process.stdout.readline().strip()
+            found = asyncio.run(look(url, lambda got: len(kinds(got, "frame")) > 20 and kinds(got, "health")))
+            run.process.terminate()
+            assert run.wait().code == 1
+            after = asyncio.run(look(url, lambda got: any(h["source"] == "bag" for h in kinds(got, "hello"))))
+            view.process.terminate()
+            assert view.wait().code == 0
+    angle = ReadBag(folder).column("/plane/state", "angle")
+    frames = kinds(found, "frame")
+    assert all(frame["angle"] == angle[frame["step"]] for frame in frames)
+    assert frames[-1]["step_rate"] > 0.0
+    assert kinds(after, "hello")[-1]["playback"] is True
+    again = swarm("view", "--live", folder)
+    assert again.code == 2
+    assert "this run is over; view its bag without --live" in again.err
+
+
+def test_a_swarm_is_found_by_its_namespace(folder: Path) -> None:
+    with started_swarm("run", "-o", folder, "--duration", 100_000) as run:
+        until_stepping(folder)
+        environment = {**os.environ, **environment_of_run(folder)}
+        with started_swarm("view", "--live", "/", env=environment) as view:
+            assert view.process.stdout is not None
+            url = view.process.stdout.readline().strip()
+            found = asyncio.run(
+                look(url, lambda got: len(kinds(got, "frame")) > 20 and len(kinds(got, "hello")[-1]["robots"]) == 4)
+            )
+            view.process.terminate()
+            view.wait()
+        run.process.terminate()
+        run.wait()
+    hello = kinds(found, "hello")[-1]
+    assert [(robot["id"], robot["kind"], robot["mass"]) for robot in hello["robots"]] == [
+        (1, "single_integrator", 0.3552),
+        (2, "single_integrator", 0.3532),
+        (3, "double_integrator", 0.6762),
+        (4, "double_integrator", 0.4596),
+    ]
+    angle = ReadBag(folder).column("/plane/state", "angle")
+    assert all(frame["angle"] == angle[frame["step"]] for frame in kinds(found, "frame"))
+
+
+def test_a_command_that_is_killed_takes_the_view_with_it(folder: Path, mark: str) -> None:
+    with started_swarm("run", "-o", folder, "--duration", 100_000, "--view") as command:
+        until_stepping(folder)
+        assert viewer_of(mark) is not None
+        command.process.kill()
+        command.process.wait()
+        until(lambda: not marked_processes(mark), "everything of the run has ended")
+
+
+def test_a_port_that_is_taken_refuses_the_run(folder: Path, tmp_path: Path) -> None:
+    with started_swarm("run", "-o", folder, "--duration", 100_000, "--view") as command:
+        port = address(command).rstrip("/").rpartition(":")[2]
+        refused = swarm("run", "-o", tmp_path / "other", "--view", "--view-port", port)
+        command.process.terminate()
+        command.wait()
+    assert refused.code == 2
+    assert f"port {port} of 127.0.0.1: Address already in use" in refused.err
+    assert not (tmp_path / "other").exists()
+
+
+def test_processes_are_written_down_at_the_start(folder: Path, mark: str) -> None:
+    with started_swarm("run", "-o", folder, "--duration", 100_000) as command:
+        until_stepping(folder)
+        written = read_processes(folder)
+        assert written is not None
+        assert written.items() >= named_processes(mark).items()
+        assert written["orchestrator"] == command.pid
+        command.process.terminate()
+        command.wait()
