@@ -25,6 +25,7 @@ export class Charts {
   constructor(seek) {
     this.seek = seek;
     this.curves = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
+    this.steepest = 0; // the largest angle, rad
     this.drawn = 0;
     this.stale = false;
     this.build();
@@ -91,6 +92,8 @@ export class Charts {
         }
       }
     }
+    const largest = [...message.angle, ...message.reference].reduce((most, one) => Math.max(most, Math.abs(one ?? 0)), 0);
+    this.steepest = message.replace ? largest : Math.max(this.steepest, largest);
     this.stale = true;
     if (message.replace) {
       this.drawn = 0;

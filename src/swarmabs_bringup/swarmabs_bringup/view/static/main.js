@@ -97,7 +97,7 @@ function draw(now) {
   }
   numbers.draw(hello, frame);
   events.draw(frame);
-  plane.draw(hello, frame);
+  plane.draw(hello, frame, charts.steepest);
   abstract.draw(hello, frame, charts.curves);
   charts.draw(now, frame.time);
   dirty = !robots.draw(now, frame);

@@ -18,13 +18,15 @@ export class PlanePicture {
     return this.far;
   }
 
-  draw(hello, frame) {
+  // `steepest` is the largest angle so far, rad: the plane has room for it.
+  draw(hello, frame, steepest) {
     const { context, width, height } = prepared(this.canvas);
     const colour = colours();
     const half = this.halfLength(hello, frame);
     const angle = frame.angle ?? 0;
-    const scale = (0.36 * width) / half;
-    const deep = { x: 0.2 * width, y: 0.44 * height };
+    const deep = { x: 0.1 * width, y: 0.4 * height };
+    const rise = Math.sin(Math.min(Math.max(steepest, Math.abs(angle)), Math.PI / 2));
+    const scale = Math.min(0.36 * width, (0.27 * height) / Math.max(rise, 0.01)) / half;
     const [cx, cy] = [0.5 * width, 0.52 * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
     // From metres along the plane and depth (0 near, 1 far) to the screen.
@@ -35,7 +37,7 @@ export class PlanePicture {
     };
 
     this.support(context, at, colour, height);
-    this.level(context, at, colour, { half, scale, width, wanted: frame.reference });
+    this.level(context, at, colour, { half, scale, wanted: frame.reference });
 
     line(at(-half, 0), at(half, 0), at(half, 1), at(-half, 1));
     context.closePath();
@@ -77,17 +79,12 @@ export class PlanePicture {
 
   support(context, at, colour, height) {
     context.fillStyle = colour.grey;
-    for (const d of [1, 0]) {
-      const [x, y] = at(0, d);
-      const foot = y + 0.16 * height;
-      context.globalAlpha = d ? 0.45 : 1;
-      context.beginPath();
-      context.moveTo(x, y);
-      context.lineTo(x + 14, foot);
-      context.lineTo(x - 14, foot);
-      context.fill();
-    }
-    context.globalAlpha = 1;
+    const [x, y] = at(0, 0);
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(x + 14, y + 0.16 * height);
+    context.lineTo(x - 14, y + 0.16 * height);
+    context.fill();
   }
 
   // The horizontal, and the angle that is wanted, both at the near edge.

@@ -1,0 +1,106 @@
+"""Take the pictures of the view in docs/images with a real browser: python docs/screenshots.py [FOLDER].
+
+It records a run of its own, serves it as a user would, and needs Chromium and the packages of the tests.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from playwright.sync_api import Browser, Page
+
+IMAGES = Path(__file__).parent / "images"
+SWARM = (sys.executable, "-m", "swarmabs_bringup.cli")
+FAULTS = "faults=[{at: 0.6, kind: kill, agent: 2}]"
+LIVE = "100000"
+"""Simulated time, s, of the run that is looked at while it goes on; it is ended before."""
+
+
+@contextmanager
+def page_of(folder: Path, *arguments: str) -> Iterator[str]:
+    """Start a command that serves a page, in a folder, and yield the page's address."""
+    words = [*SWARM, *arguments]
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            lines = iter(process.stdout or ())
+            yield next(line for line in lines if "http://" in line).removeprefix("view: ").strip()
+        finally:
+            process.terminate()
+            for _ in lines:
+                pass
+
+
+def opened(browser: Browser, url: str, size: tuple[int, int], scheme: str) -> Page:
+    """Return the page in a window of a size, in light or dark."""
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]}, color_scheme="dark" if scheme == "dark" else "light"
+    )
+    page = context.new_page()
+    page.goto(url)
+    page.wait_for_selector("#step[value]:not([value=''])", timeout=60_000)
+    return page
+
+
+def seek(page: Page, step: int) -> None:
+    """Show a step of a bag."""
+    page.locator("#scrub").evaluate("(s, step) => { s.value = step; s.dispatchEvent(new Event('input')); }", step)
+    page.wait_for_selector(f"#step[value='{step}']")
+    page.wait_for_timeout(500)
+
+
+def keep(page: Page, file: Path, *, whole: bool = False) -> None:
+    """Write what the window shows, or the whole page, and close it."""
+    Image.open(io.BytesIO(page.screenshot(full_page=whole))).convert("RGB").save(file, lossless=True, method=6)
+    page.context.close()
+
+
+def main() -> int:
+    """Take all pictures."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if program is None:
+        sys.stderr.write("no Chromium on this machine: apt-get install chromium\n")
+        return 1
+    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with tempfile.TemporaryDirectory() as runs, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=sandbox)
+        here = Path(runs)
+        made = [*SWARM, "simulate", "pd_het_4", "--duration", "10", "--set", FAULTS]
+        subprocess.run(made, cwd=here, check=True, capture_output=True)
+        with page_of(here, "view", "runs/pd_het_4-001") as url:
+            page = opened(browser, url, (1280, 960), "light")
+            seek(page, 40)
+            keep(page, folder / "view.webp")
+            page = opened(browser, url, (1280, 960), "dark")
+            seek(page, 120)
+            page.keyboard.press("z")
+            page.wait_for_timeout(300)
+            keep(page, folder / "view_dark.webp")
+            page = opened(browser, url, (390, 844), "light")
+            seek(page, 40)
+            keep(page, folder / "view_phone.webp")
+        with page_of(here, "run", "arise_het_20", "--duration", LIVE, "--view") as url:
+            page = opened(browser, url, (1280, 900), "light")
+            page.wait_for_selector("#processes tbody tr", timeout=60_000)
+            page.wait_for_timeout(6000)
+            keep(page, folder / "view_live.webp", whole=True)
+        browser.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
