@@ -12,8 +12,10 @@ from typing import Any
 import psutil
 import pytest
 from aiohttp import ClientConnectionError, ClientSession, WSMsgType
+from playwright.sync_api import expect, sync_playwright
 from tests.processes import marked_processes, until
 from tests.swarmabs_bringup.figures.conftest import ReadBag
+from tests.swarmabs_bringup.view.conftest import browser_arguments, chromium
 from tests.system.helpers import (
     Command,
     named_processes,
@@ -129,6 +131,37 @@ def test_a_view_that_dies_or_hangs_changes_nothing(folder: Path, mark: str, numb
 def _subscribes(viewer: psutil.Process) -> bool:
     """Tell whether a process has UDP sockets of DDS."""
     return any(connection.type.name == "SOCK_DGRAM" for connection in viewer.net_connections("inet4"))
+
+
+def test_the_page_follows_a_run_into_its_bag(folder: Path) -> None:
+    program = chromium()
+    with started_swarm("run", "-o", folder, "--duration", 100_000) as run:
+        until_stepping(folder)
+        with (
+            started_swarm("view", "--live", folder) as view,
+            sync_playwright() as playwright,
+            playwright.chromium.launch(executable_path=program, args=browser_arguments()) as browser,
+        ):
+            page = browser.new_page()
+            assert view.process.stdout is not None
+            page.goto(view.process.stdout.readline().strip())
+            state = page.locator("#state")
+            expect(state).to_have_attribute("data-phase", "running", timeout=30_000)
+            expect(page.locator("#processes tbody tr")).to_have_count(10, timeout=30_000)
+            expect(page.locator("#playback")).to_be_hidden()
+            expect(page.locator("#step_rate")).not_to_have_text("–")
+            expect(page.locator("#following")).to_have_text("4 of 4")
+            run.process.terminate()
+            run.wait()
+            expect(state).to_have_attribute("data-phase", "recorded", timeout=30_000)
+            expect(page.locator("#playback")).to_be_visible()
+            read = ReadBag(folder)
+            last = len(read.column("/plane/state", "angle")) - 1
+            expect(page.locator("#step")).to_have_attribute("value", str(last))
+            page.get_by_role("button", name="First step").click()
+            expect(page.locator("#step")).to_have_attribute("value", "0")
+            assert float(page.locator("#angle").get_attribute("value") or "nan") == 0.1
+        view.process.wait(20)
 
 
 def test_a_view_that_comes_later_sees_the_run_and_ends_by_itself(folder: Path) -> None:

@@ -1,0 +1,245 @@
+"""What pages get of a swarm that goes on: state machines on a clock that the test turns, and one real listener."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+import rclpy
+from tests.processes import until
+from tests.swarmabs_bringup.sample_run import make_run, make_step
+
+from swarmabs_bringup.view.facts import regions
+from swarmabs_bringup.view.health import ProcessWatch
+from swarmabs_bringup.view.live import SILENCE, Listener, LiveSession, LiveView, StepRate
+from swarmabs_bringup.view.picture import Picture
+from swarmabs_bringup.view.protocol import Curves, Events, Frame, Hello, Message, Play, State
+from swarmabs_core.cdr import encode
+from swarmabs_core.messages import TOPIC_OF
+from swarmabs_core.theory.constraint_sets import StateClass, classify
+from swarmabs_ros.endpoints import advertise
+from swarmabs_ros.runner import SwarmNode
+
+HELLO = Hello(
+    source="swarm",
+    title="sample",
+    place="here",
+    period=None,
+    last_step=None,
+    robots=[],
+    plane=None,
+    manifold=None,
+    regions=None,
+    playback=False,
+)
+
+
+def view_of(steps: int = 0) -> LiveView:
+    made = LiveView(HELLO, Picture())
+    for message in make_run(steps) if steps else ():
+        made.picture.add(message)
+    return made
+
+
+def types(said: list[Message]) -> list[str]:
+    return [type(message).__name__ for message in said]
+
+
+def test_a_page_gets_the_past_first_and_then_what_is_new() -> None:
+    live = view_of(20)
+    session = LiveSession(live)
+    (hello, events) = session.hello()
+    assert isinstance(hello, Hello)
+    assert [robot.id for robot in hello.robots] == [1, 2, 7]
+    assert isinstance(events, Events)
+    said = session.poll(0.0)
+    assert types(said) == ["Curves", "Events", "Frame", "State"]
+    curves, happened, frame, _ = said
+    assert isinstance(curves, Curves)
+    assert (curves.replace, len(curves.time)) == (True, 21)
+    assert isinstance(happened, Events)
+    assert len(happened.events) == 1
+    assert isinstance(frame, Frame)
+    assert frame.step == 20
+    assert session.poll(0.1) == []
+    for message in make_step(21):
+        live.picture.add(message)
+    more = session.poll(0.2)
+    assert types(more) == ["Curves", "Frame"]
+    assert isinstance(more[0], Curves)
+    assert (more[0].replace, more[0].time) == (False, [0.21])
+
+
+def test_pages_that_come_at_different_times_have_the_same_in_the_end() -> None:
+    live = view_of()
+    early, late = LiveSession(live), None
+    points: dict[str, list[float]] = {"early": [], "late": []}
+    early.hello()
+    for step in range(50):
+        for message in make_step(step):
+            live.picture.add(message)
+        if step == 30:
+            late = LiveSession(live)
+            late.hello()
+        for name, session in (("early", early), ("late", late)):
+            for message in session.poll(step / 10) if session else ():
+                if isinstance(message, Curves):
+                    points[name] = [*([] if message.replace else points[name]), *message.time]
+    assert points["early"] == points["late"] == [step / 100 for step in range(50)]
+
+
+def test_a_robot_that_is_heard_later_is_introduced() -> None:
+    live = view_of(3)
+    session = LiveSession(live)
+    session.hello()
+    session.poll(0.0)
+    for message in make_step(4, agents=(1, 2, 5, 7)):
+        live.picture.add(message)
+    said = session.poll(0.1)
+    assert types(said)[:2] == ["Hello", "Events"]
+    assert isinstance(said[0], Hello)
+    assert [robot.id for robot in said[0].robots] == [1, 2, 5, 7]
+    frame = next(message for message in said if isinstance(message, Frame))
+    assert len(frame.robots.position) == 4
+    assert sum(len(message.events) for message in said if isinstance(message, Events)) == 1  # none is lost
+
+
+def test_something_is_said_every_second() -> None:
+    session = LiveSession(view_of())
+    session.hello()
+    times = [time / 10 for time in range(40) if session.poll(time / 10)]
+    assert times == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
+    live = view_of(3)
+    live.look(0.0)
+    assert live.phase == "running"
+    live.look(SILENCE + 0.1)
+    assert (live.phase, live.text) == ("silent", "no step since 3")
+    for message in make_step(4):
+        live.picture.add(message)
+    live.look(SILENCE + 0.2)
+    assert live.phase == "running"
+
+
+def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
+    class After:
+        wishes = 0
+
+        def hello(self) -> list[Message]:
+            return [HELLO]
+
+        def poll(self, now: float) -> list[Message]:
+            return [State(phase="recorded", text=f"{now}")]
+
+        def control(self, wish: object) -> None:
+            assert wish == Play(v=1, type="play")
+            self.wishes += 1
+
+    after: list[After] = []
+    session = LiveSession(view_of(3), lambda: after[0] if after else None)
+    session.hello()
+    session.control(Play(v=1, type="play"))
+    session.poll(0.0)
+    after.append(After())
+    assert session.poll(0.1) == [HELLO]
+    assert types(session.poll(0.2)) == ["State"]
+    session.control(Play(v=1, type="play"))
+    assert after[0].wishes == 1
+
+
+def test_step_rate_is_that_of_the_last_seconds() -> None:
+    rate = StepRate()
+    assert rate.at(0.0) is None
+    for tenth in range(100):  # 10 s at 50 steps/s, then 10 s at 500
+        rate.take(tenth / 10, tenth * 5)
+    assert rate.at(9.9) == pytest.approx(50.0, rel=0.06)
+    for tenth in range(100):
+        rate.take(10 + tenth / 10, 500 + tenth * 50)
+    assert rate.at(19.9) == pytest.approx(500.0, rel=0.06)
+
+
+def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:
+    masses, length, gravity = [0.3552, 0.3532, 0.6762, 0.4596], 1.0, 9.81
+    found = regions(masses, length, gravity, 5.5)
+    assert found.torque == sorted(found.torque)
+    rows = zip(found.torque, found.smallest, found.admissible, found.reachable, strict=True)
+    for torque, smallest, admissible, reachable in list(rows)[::20]:
+        assert smallest is not None
+        assert admissible is not None
+        assert reachable is not None
+        for inertia, expected in (
+            (smallest * 0.99 - 1e-6, StateClass.EMPTY),
+            ((smallest + admissible) / 2, StateClass.ADMISSIBLE),
+            ((admissible + reachable) / 2, StateClass.PARTIAL),
+            (reachable * 1.01, StateClass.UNREACHABLE),
+        ):
+            assert classify(torque, inertia, masses, length, gravity) is expected
+
+
+def test_a_torque_that_no_robots_on_the_plane_give_is_not_shown() -> None:
+    found = regions([0.1, 0.1], 1.0, 10.0, 5.0)
+    assert max(found.torque) == pytest.approx(1.0)
+    assert found.reachable[-1] == pytest.approx(0.05)
+
+
+def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+        watch = ProcessWatch({"child": child.pid, "nobody": 2**22 + 1})
+        until(lambda: watch.look().processes[0].state == "sleeping", "the child waits")
+        alive, nobody = watch.look().processes
+        assert (alive.name, alive.pid) == ("child", child.pid)
+        assert alive.memory is not None
+        assert alive.memory == pytest.approx(psutil.Process(child.pid).memory_info().rss, rel=0.2)
+        assert (nobody.state, nobody.memory) == ("gone", None)
+        child.kill()
+        child.wait()
+        assert watch.look().processes[0].state == "gone"
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.usefixtures("ros")
+def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_none() -> None:
+    run = make_run(5)
+    listener = Listener("/some/swarm", 3)
+    try:
+        node = SwarmNode("speaker")  # in the same namespace, by the arguments of the context
+        publishers = {topic: advertise(node, topic) for topic in dict.fromkeys(TOPIC_OF[type(m)] for m in run)}
+        picture = Picture()
+        heard = {topic.name for topic in publishers} - {"swarm/auxiliary_state"}
+        names = [p.topic_name for p in publishers.values()]
+        assert all(name.startswith("/some/swarm/") for name in names)
+        met = [publisher for topic, publisher in publishers.items() if topic.name in heard]
+        until(lambda: all(p.get_subscription_count() for p in met), "speaker and listener have met", 30.0)
+        for message in run:
+            publishers[TOPIC_OF[type(message)]].publish(encode(message))
+        good = encode(next(m for m in run if TOPIC_OF[type(m)].name == "plane/state"))
+        publishers[TOPIC_OF[type(run[3])]].publish(good[:30])
+
+        def complete() -> bool:
+            listener.poll(picture)
+            frame = picture.frame(None)
+            return frame is not None and frame.step == 5 and len(picture.events) == 1 and listener.malformed == 1
+
+        until(complete, "all has been heard", 30.0)
+        node.destroy_node()  # type: ignore[no-untyped-call]
+    finally:
+        listener.close()
+    assert not rclpy.ok()
+
+
+def test_processes_file_is_whole_or_not_there(tmp_path: Path) -> None:
+    from swarmabs_bringup.orchestration.looking_in import read_processes, write_processes  # noqa: PLC0415
+
+    (tmp_path / "logs").mkdir()
+    assert read_processes(tmp_path) is None
+    write_processes(tmp_path / "logs", {"plane_sim": 7})
+    assert read_processes(tmp_path) == {"orchestrator": os.getpid(), "plane_sim": 7}
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["processes.json"]
+    assert json.loads((tmp_path / "logs" / "processes.json").read_text())["plane_sim"] == 7
