@@ -66,6 +66,8 @@ def test_public_keys_are_those_of_the_private_ones_and_peers_fit_together(tunnel
             assert peer["AllowedIPs"] == files[other][0]["Address"]
             assert peer["Endpoint"].endswith(":51820")
         assert interface["ListenPort"] == "51820"
+        fence = "/etc/swarmabs/floor/fence.sh"
+        assert (interface["PreUp"], interface["PostDown"]) == (f"{fence} up", f"{fence} down")
 
 
 @pytest.mark.parametrize("fixture", ["tunnel", "hall"])

@@ -1,4 +1,4 @@
-"""What installs, uninstalls and restarts a bundle on its host: POSIX shell, which is given nothing to interpret.
+"""What installs, uninstalls, restarts and fences a bundle on its host: POSIX shell that is given nothing to interpret.
 
 Names and paths stand in single quotes at the top and in double quotes where they are used; what they may be made of is
 checked when the fleet file is read (`names`). With DESTDIR everything goes below that folder, and accounts and services
@@ -11,7 +11,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.places import UNIT_FOLDER, WIREGUARD_FOLDER, state_folder, target_name
-from swarmabs_bringup.fleet.wireguard import heading
+from swarmabs_bringup.fleet.wireguard import FENCE, heading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,6 +57,11 @@ own_tunnel() {
 """
 
 _INSTALL = """
+# Prints what a tunnel's configuration says of the host itself.
+own_part() {
+    sed '/^$/,$d' -- "$1"
+}
+
 # Everything is looked at before anything is changed.
 as_root
 [ "$here" != "$installed" ] || fail "this is the installed copy; start install.sh of the bundle"
@@ -99,7 +104,7 @@ done <SHA256SUMS
 cp -- SHA256SUMS manifest.json "$new/"
 find "$new" -type d -exec chmod 755 {} +
 find "$new" -type f -exec chmod 644 {} +
-chmod 755 "$new/install.sh" "$new/uninstall.sh" "$new/restart.sh"
+chmod 755 "$new/install.sh" "$new/uninstall.sh" "$new/restart.sh" "$new/fence.sh"
 for secret in keystore wireguard; do
     [ -d "$new/$secret" ] || continue
     find "$new/$secret" -type d -exec chmod 700 {} +
@@ -138,15 +143,24 @@ while read -r unit; do
     chmod 644 "$unit_folder/.$unit.new"
     mv -- "$unit_folder/.$unit.new" "$unit_folder/$unit"
 done <"$installed/units.txt"
+tunnel_verb=start
 if [ -n "$tunnel" ]; then
     mkdir -p -- "${tunnel_file%/*}"
+    # One that is up must learn who belongs to it and who no longer does; only its own part needs a new beginning.
+    if [ -e "$tunnel_file" ] && ! cmp -s -- "$installed/wireguard/$tunnel.conf" "$tunnel_file"; then
+        tunnel_verb=reload-or-restart
+        [ "$(own_part "$installed/wireguard/$tunnel.conf")" = "$(own_part "$tunnel_file")" ] || tunnel_verb=restart
+    fi
     cp -- "$installed/wireguard/$tunnel.conf" "$tunnel_file.new"
     chmod 600 "$tunnel_file.new"
     mv -- "$tunnel_file.new" "$tunnel_file"
 fi
 if [ -z "$root" ]; then
     systemctl daemon-reload
-    [ -z "$tunnel" ] || systemctl enable --now -- "wg-quick@$tunnel.service"
+    if [ -n "$tunnel" ]; then
+        systemctl enable -- "wg-quick@$tunnel.service"
+        systemctl "$tunnel_verb" -- "wg-quick@$tunnel.service"
+    fi
     systemctl enable -- "$target"
 fi
 : >"$installed/complete"
@@ -170,6 +184,7 @@ if [ -n "$tunnel" ] && [ -e "$tunnel_file" ] && own_tunnel "$tunnel_file"; then
     rm -f -- "$tunnel_file"
 fi
 [ -n "$root" ] || systemctl daemon-reload
+[ -n "$root" ] || [ ! -x "$installed/fence.sh" ] || "$installed/fence.sh" down || :
 cd /
 rm -rf -- "$installed" "$installed.new" "$installed.old"
 rmdir -- "$root$prefix" 2>/dev/null || :
@@ -191,6 +206,44 @@ systemctl start -- "$target"
 printf 'all nodes of %s are running\\n' "$host"
 """
 
+_FENCE = """
+# Linux takes a packet for any of its addresses by any of its interfaces. The fence drops what comes for the fleet's
+# address by another one. The rules of other fleets stay as they are; it may be started again at any time.
+address=@ADDRESS@
+interface=@INTERFACE@
+
+put_up() {
+    [ -n "$(ip -4 rule show pref 1 iif lo to "$address")" ] ||
+        ip -4 rule add pref 1 iif lo to "$address" lookup local
+    [ -n "$(ip -4 rule show pref 2 iif "$interface" to "$address")" ] ||
+        ip -4 rule add pref 2 iif "$interface" to "$address" lookup local
+    [ -n "$(ip -4 rule show pref 3 to "$address")" ] ||
+        ip -4 rule add pref 3 to "$address" blackhole
+    # The table of the host's own addresses, which comes first by itself, moves behind these rules.
+    [ -n "$(ip -4 rule show pref 4 table local)" ] || ip -4 rule add pref 4 lookup local
+    [ -z "$(ip -4 rule show pref 0 table local)" ] || ip -4 rule delete pref 0 lookup local
+}
+
+take_down() {
+    for rule in "1 iif lo" "2 iif $interface" 3; do
+        # shellcheck disable=SC2086 # of several words
+        [ -z "$(ip -4 rule show pref $rule to "$address")" ] || ip -4 rule delete pref $rule to "$address"
+    done
+    if [ -z "$(ip -4 rule show pref 3)" ]; then
+        [ -n "$(ip -4 rule show pref 0 table local)" ] || ip -4 rule add pref 0 lookup local
+        [ -z "$(ip -4 rule show pref 4 table local)" ] || ip -4 rule delete pref 4 lookup local
+    fi
+}
+
+[ "$(id -u)" = 0 ] || fail "this needs root; start it with sudo"
+command -v ip >/dev/null || fail "there is no ip; install iproute2"
+case ${1:-} in
+    up) put_up ;;
+    down) take_down ;;
+    *) fail "say up or down" ;;
+esac
+"""
+
 
 def scripts(fleet: Fleet, host: str) -> dict[str, str]:
     """Return the scripts of a host's bundle by name."""
@@ -198,6 +251,7 @@ def scripts(fleet: Fleet, host: str) -> dict[str, str]:
         "install.sh": _script(fleet, host, "Installs this host's bundle; starts nothing.", _INSTALL),
         "uninstall.sh": _script(fleet, host, "Stops and removes what install.sh has installed.", _UNINSTALL),
         "restart.sh": _script(fleet, host, "Restarts this host's nodes one by one.", _RESTART),
+        FENCE: _script(fleet, host, "Keeps others away from this host's address in the fleet: up or down.", _FENCE),
     }
 
 
@@ -217,6 +271,8 @@ def _script(fleet: Fleet, host: str, purpose: str, body: str) -> str:
         "SETUP": fleet.installation.setup,
         "TARGET": target_name(fleet),
         "TUNNEL": fleet.tunnel.interface if fleet.tunnel else "",
+        "ADDRESS": fleet.address(host),
+        "INTERFACE": fleet.interface(host),
         "TUNNEL_HEADING": heading(fleet),
         "STATE": f"/var/lib/{state_folder(fleet)}",
         "UNIT_FOLDER": UNIT_FOLDER,

@@ -6,10 +6,14 @@ import base64
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.participants import node_plans
+from swarmabs_bringup.fleet.places import Places
 
 if TYPE_CHECKING:
     from swarmabs_bringup.fleet.keys import Keys
     from swarmabs_bringup.fleet.model import Fleet
+
+FENCE = "fence.sh"
+"""Script of a bundle that lets in by the tunnel only what is for the address in it."""
 
 
 def heading(fleet: Fleet) -> str:
@@ -28,12 +32,16 @@ def configuration(fleet: Fleet, host: str, keys: Keys) -> str:
     tunnel = fleet.tunnel
     if tunnel is None:
         raise ValueError("the fleet has no tunnel")
+    fence = f"{Places.of(fleet, host).installed}/{FENCE}"
     lines = [
         heading(fleet),
         "[Interface]",
         f"PrivateKey = {private_key(keys, host)}",
         f"Address = {fleet.address(host)}/32",
         f"ListenPort = {tunnel.port}",
+        # Before the address is there; without the fence there is no tunnel.
+        f"PreUp = {fence} up",
+        f"PostDown = {fence} down",
     ]
     for peer in tunnel_peers(fleet, host):
         lines += [

@@ -1,0 +1,115 @@
+"""Test hosts with what a robot's computer has: a disk with /etc that outlives power cuts, services, a checkout."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.hosts.cluster import Host, finish, until_ready
+from tests.processes import ROOT, until
+
+ACCOUNT = "swarmabs"
+_MANAGER = "tests.hosts.service_manager"
+_KEPT = ("group", "hosts", "ld.so.cache", "ld.so.conf", "ld.so.conf.d", "nsswitch.conf", "alternatives", "os-release")
+"""Of this machine's /etc; nothing that is secret."""
+_OWN = ("HOME", "TMPDIR", "ROS_LOG_DIR")
+"""Variables that name folders of a host's own."""
+_BOOT_WITHIN = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Checkout:
+    """What stands for a prepared checkout: `scripts/swarm` and `.venv/bin/python` that start these sources."""
+
+    folder: Path
+    programs: Path
+
+    @classmethod
+    def make(cls, folder: Path, search_path: str = "") -> Checkout:
+        """Make one; `search_path` is where further Python packages are."""
+        own = os.pathsep.join(filter(None, [str(ROOT), search_path, os.environ.get("PYTHONPATH")]))
+        made = cls(folder / "checkout", folder / "programs")
+        environment = {**os.environ, "PYTHONPATH": own, "PATH": f"{made.programs}:{os.environ['PATH']}"}
+        lines = [f"export {name}={shlex.quote(value)}" for name, value in sorted(environment.items()) if name != "_"]
+        python = shlex.quote(sys.executable)
+        _program(made.folder / ".venv" / "bin" / "python", f'exec {python} "$@"')
+        _program(made.folder / "scripts" / "swarm", *lines, f'exec {python} -m swarmabs_bringup.cli "$@"')
+        _program(made.programs / "systemctl", *lines, f'exec {python} -m {_MANAGER} systemctl "$@"')
+        return made
+
+    @property
+    def swarm(self) -> str:
+        """The command line of swarmabs."""
+        return str(self.folder / "scripts" / "swarm")
+
+
+def _program(path: Path, *lines: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(["#!/bin/sh", *lines, ""]), encoding="utf-8")
+    path.chmod(0o755)
+
+
+class Station:
+    """A host with a disk. Its services are those that are enabled in its own /etc."""
+
+    def __init__(self, host: Host, name: str, folder: Path, checkout: Checkout) -> None:
+        self.host, self.name = host, name
+        self.etc = folder / name / "etc"
+        self._checkout = checkout
+        (self.etc / "systemd" / "system").mkdir(parents=True)
+        for kept in _KEPT:
+            here = Path("/etc") / kept
+            if here.is_dir():
+                shutil.copytree(here, self.etc / kept, symlinks=True)
+            elif here.is_file():
+                shutil.copyfile(here, self.etc / kept)
+        users = [line for line in Path("/etc/passwd").read_text().splitlines() if line.startswith(("root:", "nobody:"))]
+        users.append(f"{ACCOUNT}:x:990:990::/nonexistent:/usr/sbin/nologin")
+        (self.etc / "passwd").write_text("".join(f"{line}\n" for line in users))
+        if host.alive:
+            self._boot()
+
+    def power_on(self) -> None:
+        """Switch it on: its services start, without waiting for them."""
+        self.host.revive()
+        self._boot()
+
+    def cut_power(self) -> None:
+        self.host.kill()
+
+    def _boot(self) -> None:
+        self.host.run(["mount", "--bind", self.etc, "/etc"])
+        manager = self.host.python(_MANAGER, stdout=subprocess.PIPE)
+        until_ready(manager)
+
+    def run(self, *words: object, **options: Any) -> str:
+        """Run a program to its end; return what it prints."""
+        return finish(self.start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options))
+
+    def start(self, *words: object, **options: Any) -> subprocess.Popen[Any]:
+        """Start a program as root, with the host's own commands."""
+        own = {"PATH": f"{self._checkout.programs}:{os.environ['PATH']}"} | dict.fromkeys(_OWN, "/run")
+        return self.host.start(words, env=own, **options)
+
+    def swarm(self, *words: object) -> subprocess.CompletedProcess[str]:
+        """Run the command line of swarmabs; return what became of it."""
+        process = self.start(self._checkout.swarm, *words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        out, err = process.communicate(timeout=_BOOT_WITHIN)
+        return subprocess.CompletedProcess(words, process.returncode, out, err)
+
+    def active(self, unit: str) -> bool:
+        """Tell whether a service, or all of a target, is active."""
+        return self.start("systemctl", "is-active", "--quiet", unit).wait() == 0
+
+    def until_active(self, unit: str) -> None:
+        until(lambda: self.active(unit), f"{unit} is active on {self.name}; its log: {self.log()}", _BOOT_WITHIN)
+
+    def log(self) -> str:
+        """Return what its services have written."""
+        return "\n".join(f"{path.name}:\n{path.read_text()}" for path in sorted((self.etc / "log").glob("*.log")))
