@@ -1,6 +1,8 @@
 """A stock ROS node that looks at a swarm in real time and operates it, told by lines of JSON what to do.
 
 Each line on standard input is a list of a request's name and its arguments; each line on standard output its answer.
+
+Usage: python realtime_client.py [NAMESPACE]
 """
 
 from __future__ import annotations
@@ -9,7 +11,8 @@ import json
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
+from math import nan
 from typing import Any
 
 import rclpy
@@ -47,6 +50,7 @@ class Client:
         self.modes: list[int] = []
         self.events: list[list[Any]] = []
         self.alive: dict[str, int] = {}
+        self.angles: deque[float] = deque(maxlen=10_000)
         for topic, kind in TOPICS.items():
             qos = QoSProfile(
                 depth=100,
@@ -77,6 +81,8 @@ class Client:
                 self.repeated += 1
             self.newest[key] = values
             self.heard[key] += 1
+            if "angle" in values:
+                self.angles.append(values["angle"])
             if "mode" in values and (not self.modes or self.modes[-1] != values["mode"]):
                 self.modes.append(values["mode"])
 
@@ -155,6 +161,12 @@ class Client:
             "alive": self.alive,
         }
 
+    def calm(self, limit: float) -> list[float]:
+        """Return how many states of the plane were heard since one beyond an angle, rad, and the newest angle."""
+        angles = list(self.angles)
+        within = next((k for k, angle in enumerate(reversed(angles)) if abs(angle) > limit), len(angles))
+        return [within, angles[-1] if angles else nan]
+
     def nodes(self) -> list[str]:
         return sorted(self.node.get_node_names())
 
@@ -188,7 +200,8 @@ def _spin(node: Node) -> None:
 
 
 def main() -> int:
-    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
+    namespace = sys.argv[1] if len(sys.argv) > 1 else "/"
+    rclpy.init(args=["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"])
     client = Client()
     thread = threading.Thread(target=_spin, args=(client.node,), daemon=True)
     thread.start()

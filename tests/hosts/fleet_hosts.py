@@ -1,0 +1,244 @@
+"""A whole fleet on test hosts: deployed from a file, installed by its own scripts, started as its units say."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tests.hosts import black_box
+from tests.hosts.black_box import Note
+from tests.hosts.cluster import Host
+from tests.hosts.stations import Checkout, Station
+from tests.plugin_packages import install as install_package
+from tests.processes import ROOT, until
+from tests.system.realtime import Client
+
+from swarmabs_bringup.fleet.bundle import deploy
+from swarmabs_bringup.fleet.loader import LoadedFleet, load_fleet
+
+PERIOD = 0.02
+VELOCITY, FORCE, LANE = 0.5, 3.0, 0.4
+"""Limits of every robot, m/s, N and m."""
+CALM = 0.02
+"""Angle of the plane, rad, that the swarm keeps."""
+CALM_FOR = 150
+"""States of the plane in a row within this angle after which it is kept."""
+PATIENCE = 120.0
+"""Time, s, within which a swarm gets into order on a machine that is busy."""
+
+_FLEET = """\
+schema: 1
+name: {name}
+namespace: {namespace}
+scenario: pd_het_4
+set:
+  step: {period}
+  limits: {{velocity: {velocity}, force: {force}}}
+  realtime: {{start: quorum, quorum: {quorum}}}
+hosts:
+{hosts}
+robots:
+{robots}coordinators: {{plane: {{host: base}}, observer: {{host: base}}, controller: {{host: base}}}}
+network: {{domain: {domain}, interface: eth0, discovery: {discovery}}}
+security: {{level: none}}
+installation: {{checkout: {checkout}}}
+"""
+_ROBOT = """\
+  - id: {id}
+    host: {host}
+    {kind}
+    limits: {{lane: {lane}}}
+    drive: {{type: plugin, name: black_box, settings: {{file: {file}, position: {position}}}}}
+"""
+_KINDS = (
+    "kind: single_integrator\n    mass: 0.3552",
+    "kind: double_integrator\n    mass: 0.4596\n    damping: 1.3258",
+    "kind: double_integrator\n    mass: 0.6762\n    damping: 0.6524",
+    "kind: single_integrator\n    mass: 0.3532",
+)
+
+
+class FleetOnHosts:
+    """A fleet whose first host, the base, has the coordinators, and of which each other host is a robot.
+
+    Parameters
+    ----------
+    hosts : sequence of Host
+        The hosts, alive.
+    folder : Path
+        Where its disks and files are; an empty folder.
+    name, namespace : str
+        Of the fleet.
+    domain : int
+        Its ROS domain.
+    discovery : str
+        How its nodes find each other; with `server` there is one on the base.
+    quorum : int
+        Robots that must be there before the swarm moves.
+    first_id : int
+        Id of its first robot.
+    """
+
+    def __init__(
+        self,
+        hosts: Sequence[Host],
+        folder: Path,
+        *,
+        name: str = "net",
+        namespace: str = "/",
+        domain: int = 7,
+        discovery: str = "static",
+        quorum: int = 3,
+        first_id: int = 1,
+    ) -> None:
+        folder.mkdir(exist_ok=True)
+        packages = folder / "packages"
+        install_package(packages, "drive", black_box.NAME, "", target="tests.hosts.black_box:PART")
+        self.checkout = Checkout.make(folder, str(packages))
+        self.name = name
+        self.ids = tuple(range(first_id, first_id + len(hosts) - 1))
+        self._boxes = folder / "bodies"
+        self._boxes.mkdir()
+        names = ["base", *(f"robot-{number}" for number in self.ids)]
+        listed = [f"  - {{name: {n}, address: {host.address}}}" for n, host in zip(names, hosts, strict=True)]
+        self.file = folder / f"{name}.yaml"
+        server = ", server: base" if discovery == "server" else ""
+        self.file.write_text(
+            _FLEET.format(
+                name=name,
+                namespace=namespace,
+                period=PERIOD,
+                velocity=VELOCITY,
+                force=FORCE,
+                quorum=quorum,
+                hosts="\n".join(listed),
+                robots="".join(map(self._robot, self.ids)),
+                domain=domain,
+                discovery=f"{discovery}{server}",
+                checkout=self.checkout.folder,
+            ),
+            encoding="utf-8",
+        )
+        self.loaded: LoadedFleet = load_fleet(self.file)
+        self.bundles = folder / "bundles"
+        deploy(self.loaded, self.bundles, None)
+        self.stations = [
+            Station(host, station, folder / "disks", self.checkout) for station, host in zip(names, hosts, strict=True)
+        ]
+        self.base, *robots = self.stations
+        self.robots = dict(zip(self.ids, robots, strict=True))
+        self.target = f"swarmabs-{name}.target"
+
+    def _robot(self, number: int) -> str:
+        index = number - self.ids[0]
+        return _ROBOT.format(
+            id=number,
+            host=f"robot-{number}",
+            kind=_KINDS[index % len(_KINDS)],
+            lane=LANE,
+            file=self._boxes / str(number),
+            position=0.125 * (-1) ** index,
+        )
+
+    def install(self) -> None:
+        """Install each bundle on its host by its own script, all at the same time."""
+        pipe = subprocess.PIPE
+        started = [
+            station.start(self.bundles / station.name / "install.sh", stdout=pipe, stderr=pipe)
+            for station in self.stations
+        ]
+        for process in started:
+            out, err = process.communicate(timeout=PATIENCE)
+            assert process.returncode == 0, err or out
+
+    def start(self, *stations: Station) -> None:
+        """Start what is installed on some hosts, and wait until it is ready."""
+        started = [station.start("systemctl", "start", "--", self.target) for station in stations]
+        for station, process in zip(stations, started, strict=True):
+            assert process.wait(PATIENCE) == 0, station.log()
+
+    def notes(self, number: int) -> list[Note]:
+        """Return what a robot's body has noted."""
+        return black_box.notes(self._boxes / str(number))
+
+    def check_bodies(self) -> None:
+        """Prove that no robot was asked for more than it may do, and that none has left its lane."""
+        for robot in self.loaded.fleet.members:
+            limit = VELOCITY if robot.kind == "single_integrator" else FORCE
+            noted = self.notes(robot.id)
+            assert len(noted) > 10
+            for note in noted:
+                assert abs(note.position) <= LANE + 1e-9 and abs(note.command) <= limit, (robot.id, note)
+
+    def environment(self, name: str) -> dict[str, str]:
+        """Return the environment of the installed bundle on the base for a node or a tool."""
+        installed = self.base.etc / "swarmabs" / self.name
+        words = [shlex.split((installed / file).read_text()) for file in ("workspace.env", f"nodes/{name}.env")]
+        return dict(word.split("=", 1) for file in words for word in file)
+
+    @contextmanager
+    def operator(self) -> Iterator[Operator]:
+        """Have an operator on the base. There is one place for such tools: meanwhile no other can be started."""
+        words = [sys.executable, ROOT / "tests" / "system" / "realtime_client.py", self.loaded.fleet.namespace]
+        environment = {**self.environment("operator"), "ROS_LOG_DIR": "/run"}
+        pipe = subprocess.PIPE
+        process = self.base.host.start(words, env=environment, stdin=pipe, stdout=pipe)
+        with process:
+            try:
+                yield Operator(self, process)
+            finally:
+                process.kill()
+
+
+class Operator(Client):
+    """Looks at a fleet and commands it, from its base."""
+
+    def __init__(self, fleet: FleetOnHosts, process: subprocess.Popen[str]) -> None:
+        super().__init__(process)
+        self._fleet = fleet
+
+    def state(self, number: int) -> dict[str, Any]:
+        """Return the newest state of a robot that was heard; empty without."""
+        newest = self.look()["newest"]
+        found: dict[str, Any] = newest.get(f"swarm/agent_state {number}", {})
+        return found
+
+    def until_following(self, *numbers: int) -> None:
+        """Wait until robots follow broadcasts that they have not been heard to follow yet."""
+        for number in numbers:
+            before = self.state(number).get("step", -1)
+            until(
+                lambda number=number, before=before: self._follows(number, before),  # type: ignore[misc]
+                f"robot {number} follows; {self.state(number)}; {self.health(f'agent_{number:03d}')}",
+                PATIENCE,
+            )
+
+    def _follows(self, number: int, before: int) -> bool:
+        state = self.state(number)
+        return bool(state) and state["step"] > before + 10 and before < state["broadcast_step"] <= state["step"]
+
+    def follows(self, number: int) -> bool:
+        """Tell whether a robot follows the broadcasts of these days."""
+        state, plane = self.state(number), self.look()["newest"].get("plane/state")
+        if not state or not plane:
+            return False
+        return abs(state["step"] - plane["step"]) < 100 and 0 <= state["step"] - state["broadcast_step"] < 100
+
+    def until_calm(self) -> None:
+        """Wait until the plane has been near level for a while."""
+        newest: list[float] = []
+
+        def calm() -> bool:
+            newest[:] = self.calm(CALM)
+            return newest[0] >= CALM_FOR
+
+        until(calm, f"{CALM_FOR} states in a row within {CALM} rad; calm for, and newest: {newest}", PATIENCE)
+
+    def reset(self) -> None:
+        """Let the swarm move."""
+        until(lambda: self.trigger("swarm/reset") == [True, ""], "the controller answers", PATIENCE)

@@ -1,0 +1,123 @@
+"""Somebody in the network of a fleet without encryption who sends the robots what he likes.
+
+Usage: python -m tests.hosts.intruder KIND SEED EPOCH_NS PERIOD_NS AGENT_ID...
+
+With `flood` he forges anything for the steps around now: of every robot, and of all who command them; true-looking or
+nonsense. With `lead` he plays observer and parent controller, so well that robots believe him when the real ones are
+gone. He says "ready", and goes on until he is ended.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from math import inf, nan
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from tests.hosts.namespaces import say
+
+from swarmabs_bringup.fleet.model import Fleet
+from swarmabs_bringup.fleet.participants import node_plans
+from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment
+from swarmabs_bringup.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
+from swarmabs_core.cdr import encode
+from swarmabs_core.messages import (
+    TOPIC_OF,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    DesiredAbstractState,
+    Kind,
+    Message,
+    Mode,
+    PlaneState,
+    Status,
+)
+from swarmabs_ros.endpoints import advertise
+from swarmabs_ros.qos import REALTIME
+
+_PACE = 0.004
+_LASTS = 1.0
+"""Time, s, for which he asks for the same."""
+MASSES = (0.4, 0.4)
+"""Of the swarm that he makes up, kg: less than there is, so that it is believed."""
+GRAVITY = 9.81
+
+
+def environment(folder: Path, fleet: Fleet, address: str) -> dict[str, str]:
+    """Return the environment of one who announces himself to all nodes of a fleet, of which he knows all addresses."""
+    known = [(fleet.address(node.host), node.participant) for node in node_plans(fleet)]
+    locators = unicast_locators(address, fleet.network.domain, known)
+    discovery = Discovery(SIMPLE, locators, 5, 1, liveliness=True)
+    profile = folder / "intruder.xml"
+    profile.write_text(
+        render(transport="swarm", address=address, participant=FIRST_FREE, discovery=discovery), encoding="utf-8"
+    )
+    return {**dds_environment(fleet.network.domain, str(profile)), "ROS_LOG_DIR": "/run"}
+
+
+def flood(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
+    """Return one message, of any kind."""
+
+    def number() -> float:
+        return draw.choice((0.0, nan, inf, -1e300, draw.gauss(0.0, 0.1), draw.gauss(0.0, 1.0), draw.gauss(0.0, 10.0)))
+
+    def numbers(size: int) -> list[float]:
+        return [number() for _ in range(size)]
+
+    step = max(0, step + draw.randint(-8, 8) if draw.random() < 0.9 else draw.getrandbits(63))
+    what = draw.randrange(5)
+    if what == 0:
+        # A robot that always says the same looks the truest.
+        place = number() if draw.random() < 0.5 else draw.uniform(-0.5, 0.5)
+        identity = (draw.choice([*ids, 4711]), draw.choice(list(Kind)), draw.choice(list(Status)))
+        return [AgentState(now, step, max(0, step - 1), *identity, 0.4, 0.5, place, number(), number())]
+    if what == 1:
+        return [AbstractState(now, step, 2, *numbers(4))]
+    if what == 2:
+        return [AuxiliaryState(now, step, *numbers(8))]
+    if what == 3:
+        return [DesiredAbstractState(now, step, draw.choice(list(Mode)), *numbers(8))]
+    return [PlaneState(now, step, number(), number())]
+
+
+def lead(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
+    """Return the broadcasts of a step: of a swarm that is made up, and of which the utmost is asked."""
+    a, b = MASSES
+    place = draw.uniform(0.05, 0.3)
+    s0, s1, s2 = a * a + b * b, (a * a - b * b) * place, (a * a + b * b) * place * place
+    spread = 4.0 * a * a * b * b * place * place
+    asked = draw.choice((-1.0, 1.0)) * 2.0, 0.5
+    return [
+        AbstractState(now, step, 2, 0.0, (a + b) * place * place, 0.0, 0.0),
+        AuxiliaryState(now, step, s0, s1, s2, spread, 0.1, 0.0, 0.1 * place * place, 0.0),
+        DesiredAbstractState(now, step, Mode.RUN, *asked, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    ]
+
+
+def main() -> None:
+    kind, seed, epoch, period, *ids = sys.argv[1:]
+    make: Any = {"flood": flood, "lead": lead}[kind]
+    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
+    node = Node("stranger", enable_rosout=False, start_parameter_services=False)
+    kinds = (AgentState, AbstractState, AuxiliaryState, DesiredAbstractState, PlaneState)
+    publishers = {message: advertise(node, TOPIC_OF[message], REALTIME) for message in kinds}
+    draw, last = Random(seed), -1
+    say("ready")
+    while True:
+        now = time.time_ns()
+        step = (now - int(epoch)) // int(period)
+        if kind == "flood" or step > last:
+            draw = draw if kind == "flood" else Random(f"{seed} {step * int(period) // round(_LASTS * 1e9)}")
+            last = step
+            for message in make(draw, now, step, list(map(int, ids))):
+                publishers[type(message)].publish(encode(message))
+        time.sleep(_PACE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""A seeded storm over a fleet: power cuts, crashes, partitions, bad networks; and what must hold when it is over."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from random import Random
+
+from tests.hosts.black_box import Note
+from tests.hosts.cluster import Hosts
+from tests.hosts.fleet_hosts import CALM, CALM_FOR, PATIENCE, PERIOD, FleetOnHosts, Operator
+from tests.hosts.impairment import PERFECT, Impairment
+
+AGE = 0.1
+"""realtime.broadcast_age_limit, s."""
+BOUND = round((AGE + 2.0 * PERIOD) * 1e9)
+"""Time, ns, after the last broadcast at which every robot has given the command to stop (docs/safety.md)."""
+_FALLEN = 1.0
+"""Angle, rad, from which on somebody has to lift the plane."""
+
+
+def stands(note: Note) -> bool:
+    """Tell whether a robot does what it has to in a safe stop: no velocity, or a force against its velocity."""
+    return note.command == 0.0 or note.command * note.velocity < 0.0
+
+
+@dataclass(slots=True)
+class Storm:
+    """Disturbs a fleet in rounds.
+
+    Parameters
+    ----------
+    machines : Hosts
+        Its hosts, the base first; there may be more.
+    fleet : FleetOnHosts
+        The fleet, running.
+    seed : str
+        Of all that happens.
+    tell : callable
+        Is told what happens.
+    """
+
+    machines: Hosts
+    fleet: FleetOnHosts
+    seed: str
+    tell: Callable[[str], None] = lambda _: None
+    _cut_off: list[tuple[int, int, int]] = field(default_factory=list)
+    _since: dict[int, int] = field(default_factory=dict)
+    _together: set[int] = field(default_factory=set)
+
+    def round(self, number: int) -> None:
+        """Let some things happen, mend everything, and wait until the swarm is in order again."""
+        draw = Random(f"{self.seed} {number}")
+        self._together = set(self.fleet.ids)
+        for _ in range(draw.randint(3, 6)):
+            self._disturb(draw)
+            # How long things last is part of what happens.
+            time.sleep(draw.uniform(0.1, 3.0))
+        self._mend(draw)
+        self._wait_for_order()
+        self.check()
+
+    def check(self) -> None:
+        """Prove what must hold at all times: limits, lanes, and nobody moved while he could not hear the base."""
+        self.fleet.check_bodies()
+        for number, begin, end in self._cut_off:
+            moving = [note for note in self.fleet.notes(number) if begin + BOUND < note.now < end and not stands(note)]
+            assert not moving, (number, begin, end, moving[:3])
+
+    def _disturb(self, draw: Random) -> None:
+        action = draw.choice((self._cut_power, self._crash, self._crash, self._partition, self._partition, self._spoil))
+        before = time.time_ns()
+        action(draw)
+        self._note_who_is_cut_off(before, time.time_ns())
+
+    def _cut_power(self, draw: Random) -> None:
+        station = draw.choice(self.fleet.stations)
+        if not station.host.alive:
+            self.tell(f"{station.name} gets its power back")
+            station.power_on()
+        else:
+            self.tell(f"{station.name} loses its power")
+            station.cut_power()
+
+    def _crash(self, draw: Random) -> None:
+        station = draw.choice(self.fleet.stations)
+        units = (station.etc / "swarmabs" / self.fleet.name / "units.txt").read_text().split()
+        unit = draw.choice([unit for unit in units if unit.endswith(".service")])
+        if station.host.alive:
+            self.tell(f"{unit} crashes on {station.name}")
+            station.run("systemctl", "kill", unit)
+
+    def _partition(self, draw: Random) -> None:
+        if draw.random() < 0.3:
+            self.tell("the network is whole")
+            self._together = set(self.fleet.ids)
+            self.machines.heal()
+            return
+        numbers = list(range(len(self.fleet.stations)))
+        draw.shuffle(numbers)
+        here = numbers[: draw.randint(1, len(numbers) - 1)]
+        there = [number for number in numbers if number not in here]
+        with_base = here if 0 in here else there
+        self._together = {self.fleet.ids[number - 1] for number in with_base if number}
+        self.tell(f"the network falls apart: {here} {there}")
+        self.machines.partition(here, there)
+
+    def _spoil(self, draw: Random) -> None:
+        delay = draw.uniform(0.001, 0.03)
+        how = Impairment(delay, draw.uniform(0.0, delay), draw.uniform(0.0, 0.2), draw.uniform(0.0, 0.1), 0.05)
+        self.tell(f"the network is bad: {how}")
+        self.machines.impair(how)
+
+    def _note_who_is_cut_off(self, before: int, after: int) -> None:
+        """Note whom the base certainly did not reach, from times (ns) before and after what has happened."""
+        for number in self.fleet.ids:
+            reached = self.fleet.base.host.alive and number in self._together
+            if not reached:
+                self._since.setdefault(number, after)
+            elif number in self._since:
+                self._cut_off.append((number, self._since.pop(number), before))
+
+    def _mend(self, draw: Random) -> None:
+        self.tell("all is mended, but for a network that is as networks are")
+        before = time.time_ns()
+        self._cut_off += [(number, begin, before) for number, begin in self._since.items()]
+        self._since.clear()
+        self.machines.heal()
+        self.machines.impair(draw.choice((PERFECT, Impairment(0.015, 0.005, 0.02))))
+        for station in self.fleet.stations:
+            if not station.host.alive:
+                station.power_on()
+
+    def _wait_for_order(self) -> None:
+        base = self.fleet.base
+        base.until_active(self.fleet.target)
+        with self.fleet.operator() as operator:
+            operator.reset()
+            deadline = time.monotonic() + 3.0 * PATIENCE
+            while not self._in_order(operator):
+                assert time.monotonic() < deadline, f"no order: {operator.look()['newest']}"
+                if abs(operator.calm(CALM)[1]) > _FALLEN:
+                    self.tell("somebody lifts the plane")
+                    base.run("systemctl", "restart", f"swarmabs-{self.fleet.name}-plane_sim.service")
+                    operator.reset()
+                time.sleep(0.2)
+        self.tell("all robots follow, and the plane is level")
+
+    def _in_order(self, operator: Operator) -> bool:
+        return operator.calm(CALM)[0] >= CALM_FOR and all(map(operator.follows, self.fleet.ids))
