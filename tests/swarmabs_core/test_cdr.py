@@ -74,10 +74,10 @@ CASES = [
     ),
     Case(RecordingProgress(STAMP, STEP, 1230), b"\xce\x04\x00\x00\x00\x00\x00\x00"),
     Case(
-        Basis(STAMP, STEP, 1, NEVER, 2, (4, 5, 2**32), (1, 258, 65535)),
+        Basis(STAMP, STEP, 1, NEVER, 2, (4, 5, 2**32), (1, 258, 65535), (0, 1, 0)),
         b"\x01" + b"\x00" * 7 + b"\xff" * 8 + b"\x02\x00\x00\x00" + b"\x03\x00\x00\x00"
         b"\x04" + b"\x00" * 7 + b"\x05" + b"\x00" * 7 + b"\x00\x00\x00\x00\x01\x00\x00\x00"
-        b"\x03\x00\x00\x00" + b"\x01\x00\x02\x01\xff\xff",
+        b"\x03\x00\x00\x00" + b"\x01\x00\x02\x01\xff\xff" + b"\x00\x00" + b"\x03\x00\x00\x00" + b"\x00\x01\x00",
         (17, 3),
     ),
 ]
@@ -104,7 +104,11 @@ messages = st.one_of(
     st.builds(RecordingProgress, stamps, u64, u64),
     st.lists(st.tuples(u16, u64), max_size=9).flatmap(
         lambda pairs: st.builds(
-            Basis, stamps, u64, u64, u64, u8, st.just(tuple(s for _, s in pairs)), st.just(tuple(i for i, _ in pairs))
+            *(Basis, stamps, u64, u64, u64, u8),
+            *(
+                st.just(tuple(part))
+                for part in ([s for _, s in pairs], [i for i, _ in pairs], [i % 2 for i, _ in pairs])
+            ),
         )
     ),
     st.builds(
@@ -207,8 +211,8 @@ def test_wrong_detail_is_refused(tail: bytes, problem: str) -> None:
 
 
 def test_a_basis_without_robots_ends_with_their_number() -> None:
-    basis = Basis(STAMP, STEP, 1, 2, 3, (), ())
-    data = HEAD + b"\x01" + b"\x00" * 7 + b"\x02" + b"\x00" * 7 + b"\x03" + b"\x00" * 11
+    basis = Basis(STAMP, STEP, 1, 2, 3, (), (), ())
+    data = HEAD + b"\x01" + b"\x00" * 7 + b"\x02" + b"\x00" * 7 + b"\x03" + b"\x00" * 15
     assert encode(basis) == data
     assert decode(Basis, data) == basis
 
@@ -216,8 +220,12 @@ def test_a_basis_without_robots_ends_with_their_number() -> None:
 @pytest.mark.parametrize(
     ("tail", "problem"),
     [
-        (b"\xff\xff\xff\xff" + b"\x00" * 4, "bytes, expected"),
-        (b"\x01\x00\x00\x00" + b"\x00" * 8 + b"\x02\x00\x00\x00" + b"\x00" * 2, "1 steps, but 2 robots"),
+        (b"\xff\x00\x00\x00" + b"\x00" * 8, "bytes, expected"),
+        (b"\xff\xff\xff\xff" + b"\x00" * 8, "4294967295 robots"),
+        (
+            b"\x01\x00\x00\x00" + b"\x00" * 8 + b"\x02\x00\x00\x00" + b"\x00" * 4 + b"\x01\x00\x00\x00\x00",
+            "1 steps, but 2 robots and 1 marks",
+        ),
     ],
 )
 def test_wrong_numbers_of_robots_are_refused(tail: bytes, problem: str) -> None:
@@ -226,8 +234,8 @@ def test_wrong_numbers_of_robots_are_refused(tail: bytes, problem: str) -> None:
 
 
 def test_a_basis_whose_lists_differ_in_length_cannot_be_sent() -> None:
-    with pytest.raises(MalformedMessageError, match="1 robots, but 2 steps"):
-        encode(Basis(STAMP, STEP, 1, 2, 3, (1, 2), (3,)))
+    with pytest.raises(MalformedMessageError, match="1 robots, but 2 steps and 1 marks"):
+        encode(Basis(STAMP, STEP, 1, 2, 3, (1, 2), (3,), (0,)))
 
 
 @given(message_types, st.binary(max_size=200))

@@ -14,7 +14,7 @@ from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Source,
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
-PYTHON_TYPE |= {f"{name}[]": tuple[int, ...] for name in ("uint16", "uint64")}
+PYTHON_TYPE |= {f"{name}[]": tuple[int, ...] for name in ("uint8", "uint16", "uint64")}
 CONSTANTS: dict[str, tuple[type[IntEnum], ...]] = {
     "AgentState": (Kind, Status),
     "DesiredAbstractState": (Mode,),
@@ -36,7 +36,7 @@ CONTRACT = {
     "SwarmEvent": ["agent_id", "kind", "value", "detail"],
     "RecordingProgress": ["written_step"],
     "Broadcast": ["abstract", "auxiliary", "desired"],
-    "Basis": ["since", "begun", "source", "state_steps", "agent_ids"],
+    "Basis": ["since", "begun", "source", "state_steps", "agent_ids", "standing"],
 }
 UNIT = re.compile(r"^(kg|m|rad|N|s|1)\b[\w^/() ]*(,| along|$)|\bkg\^?\d?\b|\bm/s\b|\bN\b|\bin the unit\b")
 

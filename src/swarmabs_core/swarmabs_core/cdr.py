@@ -31,6 +31,7 @@ _ENCAPSULATION = b"\x00\x01\x00\x00"
 _FRAME = struct.pack(f"<I{len(FRAME_ID) + 1}s", len(FRAME_ID) + 1, FRAME_ID.encode())
 """The frame id as it stands in a message: length, characters, zero."""
 _SECOND = 1_000_000_000
+_MOST_ROBOTS = 65535
 _TRANSPORT_PADDING = 4
 """Fast DDS pads a serialised payload to a multiple of this."""
 
@@ -45,7 +46,7 @@ _FIELDS = {
     "DesiredAbstractState": "B7x8d",
     "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
     "RecordingProgress": "Q",
-    "Basis": "QQB3xI",  # then so many steps, which are aligned, the number of robots, and the robots
+    "Basis": "QQB3xI",  # then so many steps, which are aligned, and as many robots and marks
 }
 _PARTS = ("AbstractState", "AuxiliaryState", "DesiredAbstractState")
 _FIELDS["Broadcast"] = "".join(_HEAD + _FIELDS[part] for part in _PARTS)
@@ -179,15 +180,20 @@ def _decode_event(data: bytes) -> SwarmEvent:
     return SwarmEvent(seconds * _SECOND + nanoseconds, step, agent_id, kind, value, detail)
 
 
+def _basis_lists(number: int) -> struct.Struct:
+    """Return the layout of a basis behind the first number: steps, robots, marks, the number before each list."""
+    return struct.Struct(f"<{number}QI{number}H{'2x' if number % 2 else ''}I{number}B")
+
+
 def _encode_basis(basis: Basis) -> bytes:
     number = len(basis.agent_ids)
-    if len(basis.state_steps) != number:
-        raise MalformedMessageError("Basis", f"{number} robots, but {len(basis.state_steps)} steps")
+    if not len(basis.state_steps) == len(basis.standing) == number:
+        lengths = f"{number} robots, but {len(basis.state_steps)} steps and {len(basis.standing)} marks"
+        raise MalformedMessageError("Basis", lengths)
     head = (*divmod(basis.stamp, _SECOND), _FRAME, basis.step, basis.since, basis.begun, basis.source, number)
+    lists = (*basis.state_steps, number, *basis.agent_ids, number, *basis.standing)
     try:
-        return _BASIS.pack(_ENCAPSULATION, *head) + struct.pack(
-            f"<{number}QI{number}H", *basis.state_steps, number, *basis.agent_ids
-        )
+        return _BASIS.pack(_ENCAPSULATION, *head) + _basis_lists(number).pack(*lists)
     except struct.error as error:
         raise MalformedMessageError("Basis", f"{error} in {basis}") from error
 
@@ -197,14 +203,18 @@ def _decode_basis(data: bytes) -> Basis:
         raise MalformedMessageError("Basis", f"{len(data)} bytes, expected at least {_BASIS.size}")
     encapsulation, seconds, nanoseconds, frame, step, since, begun, source, number = _BASIS.unpack_from(data)
     _check_head(Basis, encapsulation, frame)
-    size = _BASIS.size + 4 + 10 * number
+    if number > _MOST_ROBOTS:
+        raise MalformedMessageError("Basis", f"{number} robots")
+    lists = _basis_lists(number)
+    size = _BASIS.size + lists.size
     if not size <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError("Basis", f"{len(data)} bytes, expected {size} for {number} robots")
-    values = struct.unpack_from(f"<{number}QI{number}H", data, _BASIS.size)
-    if values[number] != number:
-        raise MalformedMessageError("Basis", f"{number} steps, but {values[number]} robots")
-    stamp = seconds * _SECOND + nanoseconds
-    return Basis(stamp, step, since, begun, source, values[:number], values[number + 1 :])
+    values = lists.unpack_from(data, _BASIS.size)
+    steps, robots, marks = values[:number], values[number + 1 : 2 * number + 1], values[2 * number + 2 :]
+    if not values[number] == values[2 * number + 1] == number:
+        lengths = f"{number} steps, but {values[number]} robots and {values[2 * number + 1]} marks"
+        raise MalformedMessageError("Basis", lengths)
+    return Basis(seconds * _SECOND + nanoseconds, step, since, begun, source, steps, robots, marks)
 
 
 def _check_head(message_type: type[Message], encapsulation: bytes, frame: bytes) -> None:

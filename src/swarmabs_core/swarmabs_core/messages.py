@@ -179,7 +179,8 @@ class Basis(NamedTuple):
 
     ``since`` is the step of the answer from which it went on (`NEVER`: it began anew). ``begun`` is the step in which
     the simulated plane was let go (`NEVER`: it is held), or the one with which the time of the parent controller's law
-    began. ``state_steps`` and ``agent_ids``, ascending, say which robots' states entered it.
+    began. ``state_steps`` and ``agent_ids``, ascending, say which robots' states entered it,
+    and ``standing`` which of these robots the observer took to stand still, since they were silent (1, else 0).
     """
 
     stamp: int
@@ -189,6 +190,7 @@ class Basis(NamedTuple):
     source: int
     state_steps: tuple[int, ...]
     agent_ids: tuple[int, ...]
+    standing: tuple[int, ...]
 
 
 Message = (

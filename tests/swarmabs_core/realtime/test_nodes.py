@@ -371,11 +371,11 @@ def test_the_plane_is_held_until_a_robot_follows() -> None:
     for step in range(10):
         for state in states(step):
             node.hear(state, at(step + 0.1))
-        (held,) = node.tick(at(step + 0.5))
+        _, held = node.tick(at(step + 0.5))
         assert held[2:] == (0.1, 0.0)
     node.hear(states(10, broadcast_step=9)[0], at(10.1))
     node.tick(at(10.5))
-    (moved,) = node.tick(at(11.5))
+    _, moved = node.tick(at(11.5))
     assert moved[2:] != (0.1, 0.0)
 
 
@@ -386,8 +386,8 @@ def test_a_plane_that_was_late_makes_up_for_it() -> None:
             node.hear(state, at(0.1))
         node.tick(at(0.5))
     for step in range(1, 21):
-        (expected,) = punctual.tick(at(step + 0.5))
-    (caught_up,) = late.tick(at(20.5))
+        _, expected = punctual.tick(at(step + 0.5))
+    _, caught_up = late.tick(at(20.5))
     assert caught_up == expected
 
 

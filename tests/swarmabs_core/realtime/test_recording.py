@@ -33,7 +33,7 @@ PLANE = PlaneState(CLOCK.begin(5), 5, 0.1, 0.0)
 ROBOT = AgentState(CLOCK.begin(5), 5, 3, 2, 1, 1, 0.5, 0.0, 0.1, 0.0, 0.0)
 ASKED = DesiredAbstractState(CLOCK.begin(5), 5, Mode.RUN, *(0.0,) * 8)
 EVENT = SwarmEvent(CLOCK.begin(5), 5, 2, EventKind.HELD, 0.0, "why")
-BASIS = Basis(CLOCK.begin(5), 5, 4, 1, Source.CONTROLLER, (), ())
+BASIS = Basis(CLOCK.begin(5), 5, 4, 1, Source.CONTROLLER, (), (), ())
 
 
 def collector() -> RealtimeCollector:

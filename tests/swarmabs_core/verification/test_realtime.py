@@ -234,6 +234,8 @@ def edited(
         (Basis, {"source": Source.OBSERVER, "state_steps": (100, 100, 100, 103)}, "state_steps"),
         (Basis, {"source": Source.OBSERVER, "agent_ids": (1, 2, 4, 3)}, "agent_ids"),
         (Basis, {"source": Source.PLANE, "state_steps": (100, 100, 100, 99)}, "angle"),
+        (Basis, {"source": Source.OBSERVER, "standing": (0, 1, 0, 0)}, "torque_rate"),
+        (Basis, {"source": Source.OBSERVER, "state_steps": (100, 50, 100, 100)}, "standing"),
         (Basis, {"source": Source.PLANE, "begun": 50}, "begun"),
     ],
 )

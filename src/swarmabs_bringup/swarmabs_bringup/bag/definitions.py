@@ -21,7 +21,7 @@ READABLE = {
         "RIHS01_8d0ba0d2bda583bda9b0e7c060dfa8a7a61a5c5f1136fef6732eaf73845a4374",
     ),
     "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
-    "swarmabs_msgs/msg/Basis": ("RIHS01_c0bfee9cd6f56475dd7513977cdc04e652c050518a22b4b33e937b587aa64f05",),
+    "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
 }
 """Hashes of the recorded types, that of today last. None is ever taken out."""
 

@@ -200,7 +200,7 @@ class RealtimeController:
         since = NEVER if self._first_step is None else self._law_step
         if self._first_step is None:
             self._first_step, self._law_step = plane.step, plane.step - 1
-        basis = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, (), ())
+        basis = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, (), (), ())
         events: list[Message] = []
         period = self._config.schedule.period_ns
         try:

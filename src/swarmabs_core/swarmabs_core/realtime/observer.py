@@ -26,7 +26,7 @@ from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, MutableMapping
+    from collections.abc import Collection, Mapping, MutableMapping
 
 FEWEST = 2
 """Robots without which a swarm has no spread."""
@@ -101,16 +101,28 @@ class RealtimeSums:
             return Role.SILENT
         return Role.ACTIVE if state.status == Status.ACTIVE else Role.STOPPED
 
-    def sum_up(self, states: Mapping[int, AgentState], step: int, now: int) -> tuple[AbstractState, AuxiliaryState]:
-        """Return what the swarm is to the plane and to its robots at a step, made at a time (ns)."""
+    def sum_up(
+        self, states: Mapping[int, AgentState], standing: Collection[int], step: int, now: int
+    ) -> tuple[AbstractState, AuxiliaryState]:
+        """Return what the swarm is to the plane and to its robots.
+
+        Parameters
+        ----------
+        states : mapping of int to AgentState
+            The newest states by robot.
+        standing : collection of int
+            The robots that are silent, and taken to stand where they were.
+        step, now : int
+            The step, and the time at which it is made, ns.
+        """
         config = self._config
         weights, active = [], []
         for _, state in sorted(states.items()):
-            role = self.role(state, step)
-            if role is Role.LEFT:
+            if state.status == Status.LEFT:
                 continue
-            weights.append(Weight(state.mass, state.position, 0.0 if role is Role.SILENT else state.velocity))
-            if role is Role.ACTIVE:
+            stands = state.agent_id in standing
+            weights.append(Weight(state.mass, state.position, 0.0 if stands else state.velocity))
+            if state.status == Status.ACTIVE and not stands:
                 active.append(state)
         *sums, q = abstraction(weights, config.bounds.gravity)
         spread = spread_sums((s.mass, s.position) for s in active)
@@ -147,8 +159,9 @@ class RealtimeObserver:
         self._age = config.schedule.steps(config.state_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
-        self._states = {i: state for i, state in self._memory.items() if i in self.roles}
-        self._carried_away: set[int] = set()
+        self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
+        # The steps that the states were of, also of those that are taken to be from long ago.
+        self._steps = {i: state.step for i, state in self._memory.items()}
         self._refusals = Refusals()
         self._counter = StepCounter(config.schedule)
         self._started = False
@@ -167,7 +180,7 @@ class RealtimeObserver:
         known = self._states.get(message.agent_id)
         if known is None or message.step > known.step or known.step > step + self._ahead:
             self._states[message.agent_id] = message
-            self._carried_away.discard(message.agent_id)
+            self._steps[message.agent_id] = message.step
         elif message.step == known.step and message != known:
             return self._refusals.add(f"robot {message.agent_id}: two different states of a step", step, now)
         return ()
@@ -181,7 +194,8 @@ class RealtimeObserver:
         if not self._started and not self._may_start(step):
             return events
         self._started = True
-        return (*events, self._basis(step, now), *self._sums.sum_up(self._on_plane(), step, now))
+        standing = [i for i, role in self.roles.items() if role is Role.SILENT]
+        return (*events, self._basis(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
 
     def halt(self) -> None:
         """Keep what was heard: it will be old when ticks go on, and then the robots stand where they were."""
@@ -226,11 +240,12 @@ class RealtimeObserver:
         """Return the newest states of the robots that nobody has carried away."""
         return {i: state for i, state in self._states.items() if i not in self._carried_away}
 
-    def _basis(self, step: int, now: int) -> Basis:
-        """Return of which steps the states are that are summed up."""
-        ids = tuple(sorted(self._on_plane()))
-        steps = tuple(self._states[agent_id].step for agent_id in ids)
-        return Basis(now, step, NEVER, NEVER, Source.OBSERVER, steps, ids)
+    def _basis(self, standing: Collection[int], step: int, now: int) -> Basis:
+        """Return of which steps the states are that are summed up, and who is taken to stand."""
+        ids = tuple(i for i, state in sorted(self._states.items()) if state.status != Status.LEFT)
+        steps = tuple(self._steps[agent_id] for agent_id in ids)
+        marks = tuple(int(agent_id in standing) for agent_id in ids)
+        return Basis(now, step, NEVER, NEVER, Source.OBSERVER, steps, ids, marks)
 
     def _may_start(self, step: int) -> bool:
         """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
@@ -261,6 +276,6 @@ class RealtimeObserver:
 
     def _memorise(self, agent_id: int, role: Role) -> None:
         if role is Role.SILENT:
-            self._memory[agent_id] = self._states[agent_id]
+            self._memory[agent_id] = self._states[agent_id]._replace(step=self._steps[agent_id])
         else:
             self._memory.pop(agent_id, None)

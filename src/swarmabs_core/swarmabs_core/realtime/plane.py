@@ -257,6 +257,7 @@ class RealtimePlane:
             Source.PLANE,
             tuple(state.step for _, state in states),
             tuple(agent_id for agent_id, _ in states),
+            (0,) * len(states),
         )
 
     def _hit(self, step: int, now: int) -> Messages:

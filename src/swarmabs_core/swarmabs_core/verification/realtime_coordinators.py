@@ -20,16 +20,16 @@ from swarmabs_core.messages import (
     Source,
 )
 from swarmabs_core.realtime.controller import MOST_STEPS
-from swarmabs_core.realtime.observer import RealtimeSums
+from swarmabs_core.realtime.observer import RealtimeSums, Role
 from swarmabs_core.realtime.plane import PlaneMotion
 from swarmabs_core.verification.comparison import Difference, Stored, compare
 from swarmabs_core.verification.history import AMBIGUOUS, NO_STATES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from swarmabs_core.controllers.base import ParentController
-    from swarmabs_core.messages import Basis
+    from swarmabs_core.messages import AgentState, Basis
     from swarmabs_core.realtime.controller import RealtimeControllerConfig
     from swarmabs_core.realtime.observer import RealtimeObserverConfig
     from swarmabs_core.realtime.plane import RealtimePlaneConfig
@@ -75,11 +75,20 @@ class ObserverCheck:
             yield from (states for _ in answers)
             return
         wrong = wrong_time(basis, self._config.schedule.step(basis.stamp)) or self._wrong_basis(basis)
-        abstract, sums = self._sums.sum_up(states, step, basis.stamp)
+        wrong = wrong or self._wrong_standing(basis, states)
+        abstract, sums = self._sums.sum_up(states, _standing(basis), step, basis.stamp)
         for stored in answers:
             expected = abstract if stored.topic is ABSTRACT_STATE else sums
             found = AMBIGUOUS if self._history.is_ambiguous(stored.topic, step) else wrong
             yield found or compare(stored, expected, stored.time, None, self._tolerance)
+
+    def _wrong_standing(self, basis: Basis, states: Mapping[int, AgentState]) -> Difference | None:
+        """Return that a robot of which nothing new was known was not taken to stand."""
+        for agent_id in set(states) - _standing(basis):
+            if self._sums.role(states[agent_id], basis.step) is Role.SILENT:
+                reason = f"robot {agent_id} was silent"
+                return Difference(BASIS.name, basis.step, None, "standing", 0, 1, reason)
+        return None
 
     def _wrong_basis(self, basis: Basis) -> Difference | None:
         ids = basis.agent_ids
@@ -274,6 +283,10 @@ class ControllerCheck:
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
         return compare(stored, still, stored.time, None, self._tolerance)
+
+
+def _standing(basis: Basis) -> set[int]:
+    return {agent_id for agent_id, mark in zip(basis.agent_ids, basis.standing, strict=True) if mark}
 
 
 def wrong_time(basis: Basis, step: int) -> Difference | None:
