@@ -89,7 +89,6 @@ class RealtimeSums:
     def __init__(self, config: RealtimeObserverConfig) -> None:
         self._config = config
         self._age = config.schedule.steps(config.state_age_limit)
-        self._ahead = config.schedule.ahead(config.clock_tolerance)
 
     def role(self, state: AgentState | None, step: int) -> Role:
         """Return how a robot, of which this state is the newest, enters the sums of a step."""
@@ -97,7 +96,7 @@ class RealtimeSums:
             return Role.UNHEARD
         if state.status == Status.LEFT:
             return Role.LEFT
-        if not -self._ahead <= step - state.step <= self._age:
+        if step - state.step > self._age:
             return Role.SILENT
         return Role.ACTIVE if state.status == Status.ACTIVE else Role.STOPPED
 
@@ -178,7 +177,7 @@ class RealtimeObserver:
             return self._refusals.add(problem, step, now)
         assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
         known = self._states.get(message.agent_id)
-        if known is None or message.step > known.step or known.step > step + self._ahead:
+        if known is None or message.step > known.step:
             self._states[message.agent_id] = message
             self._steps[message.agent_id] = message.step
         elif message.step == known.step and message != known:
@@ -189,6 +188,8 @@ class RealtimeObserver:
         """Say whose role has changed, and sum up."""
         step = self._counter.next(now)
         if step is None:
+            if self._counter.last is None and self._started:
+                self.halt()
             return ()
         events = self._update_roles(step, now)
         if not self._started and not self._may_start(step):
@@ -198,7 +199,8 @@ class RealtimeObserver:
         return (*events, self._basis(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
 
     def halt(self) -> None:
-        """Keep what was heard: it will be old when ticks go on, and then the robots stand where they were."""
+        """Take all robots to stand where they were heard last, until they are heard again."""
+        self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
         """Return how many robots there are in each role."""
@@ -234,11 +236,7 @@ class RealtimeObserver:
             self._under_way_since = step
         silent = self.roles[event.agent_id] is Role.SILENT
         if silent and event.kind == EventKind.LEFT and event.detail == CARRIED_AWAY:
-            self._carried_away.add(event.agent_id)
-
-    def _on_plane(self) -> dict[int, AgentState]:
-        """Return the newest states of the robots that nobody has carried away."""
-        return {i: state for i, state in self._states.items() if i not in self._carried_away}
+            self._states[event.agent_id] = self._states[event.agent_id]._replace(status=Status.LEFT)
 
     def _basis(self, standing: Collection[int], step: int, now: int) -> Basis:
         """Return of which steps the states are that are summed up, and who is taken to stand."""
@@ -260,8 +258,7 @@ class RealtimeObserver:
     def _update_roles(self, step: int, now: int) -> Messages:
         events = []
         for agent_id, before in self.roles.items():
-            gone = agent_id in self._carried_away
-            role = Role.LEFT if gone else self._sums.role(self._states.get(agent_id), step)
+            role = self._sums.role(self._states.get(agent_id), step)
             if role is before:
                 continue
             self.roles[agent_id] = role
@@ -279,3 +276,8 @@ class RealtimeObserver:
             self._memory[agent_id] = self._states[agent_id]._replace(step=self._steps[agent_id])
         else:
             self._memory.pop(agent_id, None)
+
+
+def _long_ago(state: AgentState) -> AgentState:
+    """Return a state that any newer one replaces."""
+    return state._replace(step=0)
