@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.interruption import end_asked
@@ -77,7 +78,8 @@ def record_steps(
         latest = recording.latest
         if on_progress is not None and latest is not None:
             rate = latest.step / (now - begun) if now > begun else 0.0
-            on_progress(Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error))
+            done = Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error)
+            on_progress(replace(done, glance=recording.glance()))
 
     try:
         with end_asked() as asked:

@@ -69,6 +69,11 @@ class Step(Protocol):
         """Largest distance of a robot from the axis, m."""
         ...
 
+    @property
+    def events(self) -> tuple[SwarmEvent, ...]:
+        """What happened in it."""
+        ...
+
     def digest_text(self) -> bytes:
         """Return what the step contributes to the digest of a run."""
         ...
@@ -108,6 +113,13 @@ class RecordedStep(NamedTuple):
         """Largest distance of a robot from the axis, m."""
         positions = [abs(r.message.position) for r in self.records if isinstance(r.message, AgentState)]
         return max(positions, default=None)
+
+    @property
+    def events(self) -> tuple[SwarmEvent, ...]:
+        """What happened in it."""
+        if not self.records or self.records[-1].topic is not EVENTS:  # they stand last
+            return ()
+        return tuple(r.message for r in self.records if isinstance(r.message, SwarmEvent))
 
     def digest_text(self) -> bytes:
         """Return what the step contributes to the digest of a run."""

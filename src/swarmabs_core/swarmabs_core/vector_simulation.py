@@ -23,6 +23,7 @@ from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
     FRAME_ID,
+    MAIN_TOPICS,
     NEVER,
     TOPIC_OF,
     AbstractState,
@@ -91,6 +92,11 @@ class ArrayStep(NamedTuple):
     def max_abs_position(self) -> float:
         """Largest distance of a robot from the axis, m."""
         return float(np.abs(self.agents["payload"]["position"]).max())
+
+    @property
+    def events(self) -> tuple[SwarmEvent, ...]:
+        """What happened in it."""
+        return tuple(r.message for r in self.others[len(MAIN_TOPICS) - 1 :] if isinstance(r.message, SwarmEvent))
 
     def digest_text(self) -> bytes:
         """Return what the step contributes to the digest of a run."""

@@ -22,6 +22,7 @@ from swarmabs_bringup.cli.scenario import scenario
 from swarmabs_bringup.cli.soak import soak
 from swarmabs_bringup.cli.sweep import sweep
 from swarmabs_bringup.cli.test import test
+from swarmabs_bringup.cli.top import top
 from swarmabs_bringup.cli.verify import verify
 from swarmabs_bringup.cli.view import view
 from swarmabs_core.errors import InputError, SwarmabsError
@@ -61,6 +62,7 @@ for command in (
     drain,
     join,
     remove,
+    top,
     test,
 ):
     swarm.add_command(command)

@@ -1,4 +1,4 @@
-"""How far a run is: one line that is rewritten on a terminal, now and then a line elsewhere."""
+"""How far a run is: a panel that is rewritten on a terminal, now and then a line elsewhere."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from swarmabs_bringup.orchestration.progress import Progress
     from swarmabs_core.scenario import Scenario
 
-_TERMINAL_INTERVAL = 0.1
+_TERMINAL_INTERVAL = 0.2
 _LINE_INTERVAL = 5.0
 
 
@@ -46,31 +46,26 @@ def describe(progress: Progress, scenario: Scenario) -> str:
 @contextmanager
 def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
     from rich.console import Console  # noqa: PLC0415 - slow to import, and needed on a terminal only
-    from rich.progress import (  # noqa: PLC0415
-        BarColumn,
-        Progress as Bar,
-        TaskProgressColumn,
-        TextColumn,
-    )
+    from rich.live import Live  # noqa: PLC0415
 
-    bar = Bar(
-        BarColumn(bar_width=20),
-        TaskProgressColumn(),
-        TextColumn("{task.description}", markup=False),
-        console=Console(stderr=True),
-        auto_refresh=False,
-        transient=True,
-    )
+    from swarmabs_bringup.cli.panel import RunPanel  # noqa: PLC0415
+
+    console = Console(stderr=True, highlight=False)
+    if console.is_dumb_terminal:  # it cannot go back to what is written already
+        yield _lines(scenario)
+        return
+    panel = RunPanel(scenario)
     shown = 0.0
-    with bar:
-        task = bar.add_task(f"{scenario.name}: starting", total=scenario.steps)
+    # Drawn by whoever reports and not by a thread: the launcher is started from here.
+    with Live(panel, console=console, auto_refresh=False, transient=True) as live:
 
         def show(progress: Progress) -> None:
             nonlocal shown
             now = time.monotonic()
             if now - shown >= _TERMINAL_INTERVAL:
                 shown = now
-                bar.update(task, completed=progress.step, description=describe(progress, scenario), refresh=True)
+                panel.take(progress, describe(progress, scenario))
+                live.refresh()
 
         yield show
 

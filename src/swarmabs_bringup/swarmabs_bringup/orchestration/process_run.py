@@ -16,8 +16,10 @@ from swarmabs_bringup.orchestration.launcher_client import LauncherClient
 from swarmabs_bringup.orchestration.looking_in import write_network, write_processes
 from swarmabs_bringup.orchestration.plan import RECORDER, ProcessPlan
 from swarmabs_bringup.orchestration.progress import Outcome, Progress
+from swarmabs_bringup.orchestration.progress_file import ProgressFile
 from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
+from swarmabs_bringup.recorder.glance import Glance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -74,6 +76,7 @@ class ProcessRun:
         self._realtime = realtime
         self._namespace = namespace
         self._on_progress = on_progress
+        self._told = ProgressFile(folder.logs)
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
         self._supervision = Supervision(
             tuple(process.name for process in self._plan),
@@ -104,6 +107,7 @@ class ProcessRun:
                 profile_xml(domain, multicast=multicast_works(), realtime=self._realtime), encoding="utf-8"
             )
             write_network(self._folder.logs, domain, participants)
+            stack.callback(self._told.over)
             wake = stack.enter_context(self._interruptible())
             environment = dds_environment(domain, str(profile.resolve()))
             client = LauncherClient(
@@ -276,11 +280,12 @@ class ProcessRun:
         return "\n".join(part for part in (failure.reason, last_lines(texts)) if part)
 
     def _tell(self, phase: Phase) -> None:
-        if self._on_progress is None:
-            return
         state = self._supervision
         progress = state.progress or {}
-        step = progress.get("step", 0)
+        step, seen = progress.get("step", 0), progress.get("glance")
+        self._told.tell(phase, step, self._scenario.steps, time.monotonic())
+        if self._on_progress is None:
+            return
         elapsed = 0.0 if self._started is None else (self._finished or time.monotonic()) - self._started
         self._on_progress(
             Progress(
@@ -292,5 +297,6 @@ class ProcessRun:
                 step / elapsed if elapsed > 0.0 else 0.0,
                 progress.get("angle"),
                 progress.get("error"),
+                None if seen is None else Glance.of(seen),
             )
         )

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from swarmabs_bringup.recorder.glance import Glance
 
 Phase = Literal["starting", "running", "closing"]
 
@@ -24,6 +27,8 @@ class Progress:
         Steps per second of wall time since the start.
     angle, error : float, optional
         Of the latest step recorded, rad.
+    glance : Glance, optional
+        The robots in that step, and what has happened.
     """
 
     phase: Phase
@@ -34,6 +39,7 @@ class Progress:
     step_rate: float = 0.0
     angle: float | None = None
     error: float | None = None
+    glance: Glance | None = None
 
 
 @dataclass(frozen=True, slots=True)

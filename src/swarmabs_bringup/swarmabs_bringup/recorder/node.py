@@ -180,9 +180,11 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         now = time.monotonic()
         if now - reported >= REPORT_SECONDS or steps - 1 in planned or steps > scenario.steps:
             reported = now
-            latest = recording.latest
-            if latest is not None:
-                status.send("progress", step=latest.step, angle=latest.angle, error=latest.error)
+            latest, glance = recording.latest, recording.glance()
+            if latest is not None and glance is not None:
+                status.send(
+                    "progress", step=latest.step, angle=latest.angle, error=latest.error, glance=glance.report()
+                )
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
     recorder = Recorder(scenario, recording, report, ends)

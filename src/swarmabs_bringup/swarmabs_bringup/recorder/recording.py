@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bringup.bag import BagWriter
 from swarmabs_bringup.provenance import provenance_json
+from swarmabs_bringup.recorder.glance import Onlooker
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from swarmabs_bringup.recorder.glance import Glance
     from swarmabs_core.messages import Topic
     from swarmabs_core.recording import Latest, Step
     from swarmabs_core.scenario import Scenario
@@ -62,6 +64,7 @@ class Recording:
     ) -> None:
         self._digest = Digest()
         self._metrics = Metrics(configure.parent_controller(scenario).reference)
+        self._onlooker = Onlooker(configure.members(scenario), scenario.plane.length)
         self._writer = None
         if folder is not None:
             self._writer = BagWriter(
@@ -80,6 +83,10 @@ class Recording:
         """What the run looks like now."""
         return self._metrics.latest
 
+    def glance(self) -> Glance | None:
+        """Return what people see of the robots now; it costs some time, so not for every step."""
+        return self._onlooker.glance()
+
     def add(self, step: Step) -> None:
         """Record a step.
 
@@ -90,6 +97,7 @@ class Recording:
         """
         self._digest.update(step)
         self._metrics.update(step)
+        self._onlooker.take(step)
         if self._writer is not None:
             for topic, stamp, payload in step.stored():
                 self._writer.write(topic, stamp, payload)

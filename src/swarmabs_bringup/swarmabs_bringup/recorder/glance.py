@@ -1,0 +1,117 @@
+"""What people see of the robots while a run goes on: few bytes, made some ten times a second."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from swarmabs_core.cdr import decode
+from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from swarmabs_core.messages import SwarmEvent
+    from swarmabs_core.recording import Step
+
+SHOWN_ROBOTS = 200
+"""More robots than these are only counted: a report must stay below 4 KiB."""
+SHOWN_EVENTS = 3
+EVENT_CHARACTERS = 80
+THOUSAND = 1000
+"""The end of the plane, in the unit of the places."""
+
+_LETTERS: dict[int, str] = {Status.ACTIVE: "A", Status.SAFE_STOP: "S", Status.LEFT: "L"}
+SILENT = "-"
+"""Letter of a robot that has said nothing in the latest step."""
+
+
+class Glance(NamedTuple):
+    """Robots and events as of a step.
+
+    Parameters
+    ----------
+    counts : dict
+        Number of robots by the letter of their status: A active, S safe stop, L left, - silent.
+    statuses : str
+        A letter per robot, by ascending id; empty if they are more than `SHOWN_ROBOTS`.
+    places : list of int
+        Where each robot is or was last seen, in thousandths of half the plane's length.
+    events : list of str
+        The latest ones, the newest last.
+    """
+
+    counts: dict[str, int]
+    statuses: str
+    places: list[int]
+    events: list[str]
+
+    def report(self) -> dict[str, Any]:
+        """Return it as JSON takes it."""
+        return self._asdict()
+
+    @classmethod
+    def of(cls, report: Mapping[str, Any]) -> Glance:
+        """Read it from a report."""
+        return cls(**report)
+
+
+class Onlooker:
+    """Keeps of a run what is to be seen.
+
+    Parameters
+    ----------
+    members : sequence of int
+        Ids of all robots, ascending.
+    length : float
+        Length of the plane, m.
+    """
+
+    def __init__(self, members: Sequence[int], length: float) -> None:
+        self._members = tuple(members)
+        self._half = length / 2.0
+        self._places: dict[int, int] = {}
+        self._events: deque[str] = deque(maxlen=SHOWN_EVENTS)
+        self._latest: Step | None = None
+
+    def take(self, step: Step) -> None:
+        """Take a complete step; what is shown of it is only found out when it is asked for."""
+        self._events.extend(map(describe_event, step.events))
+        if step.plane is not None:
+            self._latest = step
+
+    def glance(self) -> Glance | None:
+        """Return what is to be seen now, None before the first step."""
+        if self._latest is None:
+            return None
+        found = {}
+        for topic, _, payload in self._latest.stored():
+            if topic is AGENT_STATE:
+                state = decode(AgentState, payload)
+                assert isinstance(state, AgentState)  # noqa: S101 - as the topic says
+                found[state.agent_id] = _LETTERS.get(state.status, SILENT)
+                self._places[state.agent_id] = self._place(state.position)
+        statuses = [found.get(member, SILENT) for member in self._members]
+        few = len(statuses) <= SHOWN_ROBOTS
+        return Glance(
+            dict(sorted(Counter(statuses).items())),
+            "".join(statuses) if few else "",
+            [self._places.get(member, 0) for member in self._members] if few else [],
+            list(self._events),
+        )
+
+    def _place(self, position: float) -> int:
+        part = THOUSAND * position / self._half
+        return round(max(-THOUSAND, min(part, THOUSAND))) if part == part else 0  # noqa: PLR0124 - NaN is nowhere
+
+
+def describe_event(event: SwarmEvent) -> str:
+    """Say in a line what happened."""
+    try:
+        kind = EventKind(event.kind).name.lower().replace("_", " ")
+    except ValueError:
+        kind = f"event {event.kind}"
+    who = f"robot {event.agent_id} " if event.agent_id else ""
+    detail = f": {event.detail}" if event.detail else ""
+    text = "".join(c if c.isprintable() else " " for c in f"step {event.step}: {who}{kind}{detail}")
+    return text if len(text) <= EVENT_CHARACTERS else f"{text[: EVENT_CHARACTERS - 1]}…"
