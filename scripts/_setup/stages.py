@@ -18,11 +18,12 @@ from _setup.report import UNSUITABLE, SetupError, Stage
 # Part of every key: raise it when a stage does something else than before, so that it is done again.
 STAGE_VERSION = 1
 LOCKS = ("run.lock", "build.lock")
-# Commands that need more packages than the others, which their first start installs.
+# Commands and options that need more packages than the others, which their first start installs.
 EXTRA_LOCKS = {
     "bench": "bench.lock",
     "deploy": "deploy.lock",
     "export": "sweep.lock",
+    "foxglove": "foxglove.lock",
     "sweep": "sweep.lock",
     "test": "test.lock",
     "view": "view.lock",

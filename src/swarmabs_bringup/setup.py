@@ -18,6 +18,9 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.*"))),
         (f"share/{PACKAGE}/scenarios", sorted(glob("scenarios/*.yaml"))),
+        (f"share/{PACKAGE}/urdf", sorted(glob("urdf/*.urdf"))),
+        (f"share/{PACKAGE}/rviz", sorted(glob("rviz/*.rviz"))),
+        (f"share/{PACKAGE}/foxglove", sorted(glob("foxglove/*.json"))),
     ],
     install_requires=[
         "setuptools",
@@ -32,6 +35,7 @@ setup(
     ],
     extras_require={
         "deploy": ["cryptography>=41"],
+        "foxglove": ["foxglove-sdk"],
         "parquet": ["pyarrow"],
         "sweep": ["dask", "distributed", "pyarrow"],
         "view": ["aiohttp"],
@@ -42,6 +46,7 @@ setup(
             "swarm = swarmabs_bringup.cli:main",
             "recorder = swarmabs_bringup.recorder.node:main",
             "recorder_realtime = swarmabs_bringup.recorder.realtime:main",
+            "plane_markers = swarmabs_bringup.visualization.node:main",
         ],
     },
 )

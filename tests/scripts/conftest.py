@@ -42,7 +42,7 @@ def checkout(tmp_path: Path) -> Checkout:
     (tmp_path / "src" / "gamma_msgs" / "CMakeLists.txt").write_text("project(gamma_msgs)\n")
     locks = tmp_path / "scripts" / "requirements"
     locks.mkdir(parents=True)
-    for name in ("run", "build", "sweep", "bench", "deploy", "view", "test"):
+    for name in ("run", "build", "sweep", "bench", "deploy", "view", "foxglove", "test"):
         entry = f"{name}-part==1.0 \\\n    --hash=sha256:00\nsetuptools==79.0.1 \\\n    --hash=sha256:11\n"
         (locks / f"{name}.lock").write_text(entry)
     return made

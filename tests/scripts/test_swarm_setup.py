@@ -612,6 +612,19 @@ class TestScript:
     def test_only_what_needs_more_packages_gets_them(self, swarm: ModuleType, words: str, command: str) -> None:
         assert swarm.packages_for(words.split()) == command
 
+    @pytest.mark.parametrize(
+        ("words", "options"),
+        [
+            ("", []),
+            ("run --markers", []),
+            ("run x.yaml --markers --foxglove", ["foxglove"]),
+            ("run --foxglove --foxglove-port 9000", ["foxglove"]),
+            ("simulate --foxglove", []),
+        ],
+    )
+    def test_options_that_need_more_packages(self, swarm: ModuleType, words: str, options: list[str]) -> None:
+        assert swarm.options_for(words.split()) == options
+
     def test_refusal_is_one_line_and_leaves_no_environment(self, prepared: Path) -> None:
         shutil.rmtree(prepared / ".venv")
         ended = self.start(prepared, "run", SWARMABS_PYTHON="/nowhere/python3")

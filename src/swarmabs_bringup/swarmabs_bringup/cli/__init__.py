@@ -13,6 +13,7 @@ from swarmabs_bringup.cli.export import export
 from swarmabs_bringup.cli.figures import figures
 from swarmabs_bringup.cli.info import info
 from swarmabs_bringup.cli.interrupts import interrupt_once
+from swarmabs_bringup.cli.markers import markers
 from swarmabs_bringup.cli.operate import drain, join, remove, reset, status, stop
 from swarmabs_bringup.cli.repair import repair
 from swarmabs_bringup.cli.replay import replay
@@ -48,6 +49,7 @@ for command in (
     report,
     view,
     export,
+    markers,
     scenario,
     env,
     doctor,

@@ -13,6 +13,7 @@ import click
 
 from swarmabs_bringup.cli.display import shown_progress
 from swarmabs_bringup.cli.interrupts import interrupt_once, no_more_interrupts
+from swarmabs_bringup.cli.markers import shown_beside, shown_options
 from swarmabs_bringup.cli.output import json_option, print_json
 from swarmabs_bringup.cli.view import open_page
 from swarmabs_core.errors import InputError, RunError
@@ -96,6 +97,7 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--view", is_flag=True, help="Show the run as a page in the browser.")
 @click.option("--view-port", type=click.IntRange(0, 65535), help="With --view: port of the page.  [default: any]")
 @click.option("--open", "open_browser", is_flag=True, help="With --view: open the page in the browser.")
+@shown_options
 def run(
     *,
     agents_per_process: int,
@@ -133,18 +135,20 @@ def run(
                 click.echo(f"view: {viewer.url}", err=True)
                 if open_browser:
                     open_page(viewer.url)
-            if realtime:
-                return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
-            return LockstepRun(
-                scenario,
-                folder,
-                record=record,
-                on_progress=show,
-                agents_per_process=agents_per_process,
-                packed=packed,
-                split=split,
-            ).run()
+            with shown(folder.path):
+                if realtime:
+                    return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
+                return LockstepRun(
+                    scenario,
+                    folder,
+                    record=record,
+                    on_progress=show,
+                    agents_per_process=agents_per_process,
+                    packed=packed,
+                    split=split,
+                ).run()
 
+        shown = shown_beside(options)
         code = _carry_out(execute, realtime=realtime, **options)
         if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
             interrupt_once()

@@ -6,7 +6,14 @@ import json
 import os
 from typing import TYPE_CHECKING, cast
 
-from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_bringup.orchestration.dds_profile import (
+    FIRST_FREE,
+    GROUP_VARIABLE,
+    PARTICIPANT_VARIABLE,
+    dds_environment,
+    multicast_group,
+    profile_xml,
+)
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,6 +22,7 @@ if TYPE_CHECKING:
 
 NETWORK_FILE = "network.json"
 PROCESSES_FILE = "processes.json"
+RUN_PROFILE = "fastdds.xml"
 TOOL_PROFILE = "fastdds_tool.xml"
 
 
@@ -57,9 +65,34 @@ def environment_of_run(run: Path) -> dict[str, str]:
         If this is no run's folder.
     """
     logs = run / "logs"
+    return dds_environment(_domain(run), str((logs / TOOL_PROFILE).resolve()))
+
+
+def environment_of_spare(run: Path, participant: int) -> dict[str, str]:
+    """Return the environment variables with which a process takes the place of a coordinator that a run has not.
+
+    The robots' states reach it by the multicast group of the other coordinators: no robot sends once more for it.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of a run that is going on.
+    participant : int
+        A participant id below `COORDINATORS` that no node of the run has.
+
+    Raises
+    ------
+    InputError
+        If this is no run's folder.
+    """
+    profile = str((run / "logs" / RUN_PROFILE).resolve())
+    own = {PARTICIPANT_VARIABLE: str(participant), GROUP_VARIABLE: multicast_group(participant)}
+    return dds_environment(_domain(run), profile) | own
+
+
+def _domain(run: Path) -> int:
     try:
-        network = json.loads((logs / NETWORK_FILE).read_text(encoding="utf-8"))
+        network = json.loads((run / "logs" / NETWORK_FILE).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{run} is not the folder of a run in lockstep ({error.strerror}: {NETWORK_FILE})") from None
-    domain = cast("int", network["domain"])
-    return dds_environment(domain, str((logs / TOOL_PROFILE).resolve()))
+    return cast("int", network["domain"])
