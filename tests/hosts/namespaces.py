@@ -31,7 +31,11 @@ def unshare(kinds: int) -> None:
 
 
 def die_with(parent: int) -> None:
-    """Let the kernel kill this process when the thread of its parent that has started it ends, however it does."""
+    """Let the kernel kill this process when the thread of its parent that has started it ends, however it does.
+
+    Ctrl-C, which all processes of a terminal hear, is the parent's matter: it still needs this one to end in order.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _call("prctl", _PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # it has ended already
         os._exit(1)

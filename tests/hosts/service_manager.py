@@ -202,6 +202,7 @@ def _parts(unit: str) -> list[str]:
 
 def serve() -> None:
     """Keep services until the host ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for whoever has made the hosts
     LOGS.mkdir(exist_ok=True)
     manager = Manager()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as door:

@@ -58,8 +58,24 @@ class Storm:
             # How long things last is part of what happens.
             time.sleep(draw.uniform(0.1, 3.0))
         self._mend(draw)
-        self._wait_for_order()
+        self.settle()
         self.check()
+
+    def settle(self) -> None:
+        """Let the swarm move, and wait until all robots follow and the plane is level."""
+        base = self.fleet.base
+        base.until_active(self.fleet.target)
+        with self.fleet.operator() as operator:
+            operator.reset()
+            deadline = time.monotonic() + 3.0 * PATIENCE
+            while not self._in_order(operator):
+                assert time.monotonic() < deadline, f"no order: {operator.look()['newest']}"
+                if abs(operator.calm(CALM)[1]) > _FALLEN:
+                    self.tell("somebody lifts the plane")
+                    base.run("systemctl", "restart", f"swarmabs-{self.fleet.name}-plane_sim.service")
+                    operator.reset()
+                time.sleep(0.2)
+        self.tell("all robots follow, and the plane is level")
 
     def check(self) -> None:
         """Prove what must hold at all times: limits, lanes, and nobody moved while he could not hear the base."""
@@ -131,21 +147,6 @@ class Storm:
         for station in self.fleet.stations:
             if not station.host.alive:
                 station.power_on()
-
-    def _wait_for_order(self) -> None:
-        base = self.fleet.base
-        base.until_active(self.fleet.target)
-        with self.fleet.operator() as operator:
-            operator.reset()
-            deadline = time.monotonic() + 3.0 * PATIENCE
-            while not self._in_order(operator):
-                assert time.monotonic() < deadline, f"no order: {operator.look()['newest']}"
-                if abs(operator.calm(CALM)[1]) > _FALLEN:
-                    self.tell("somebody lifts the plane")
-                    base.run("systemctl", "restart", f"swarmabs-{self.fleet.name}-plane_sim.service")
-                    operator.reset()
-                time.sleep(0.2)
-        self.tell("all robots follow, and the plane is level")
 
     def _in_order(self, operator: Operator) -> bool:
         return operator.calm(CALM)[0] >= CALM_FOR and all(map(operator.follows, self.fleet.ids))
