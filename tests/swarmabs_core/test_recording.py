@@ -121,8 +121,9 @@ def test_repeats_beyond_the_memory_are_not_compared() -> None:
 
 
 def test_strangers_are_refused() -> None:
-    with pytest.raises(NegativeTimeError, match=r"swarm/agent_state: .* step 0 has a time stamp of -1 ns"):
-        collector(short_run()).add(agent_state(1)._replace(stamp=-1))
+    run = short_run()
+    with pytest.raises(NegativeTimeError, match=r"plane/state: .* step 0 has a time stamp of -1 ns"):
+        collector(run).add(run.one(PlaneState, 0)._replace(stamp=-1))
     with pytest.raises(UnknownAgentError, match="robot 9 is not a member"):
         collector(short_run()).add(agent_state(9))
 

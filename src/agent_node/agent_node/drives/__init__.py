@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime import drive_registry
 from swarmabs_core.realtime.drive_registry import DRIVES, SIMULATED, Body, drive_type
@@ -24,8 +25,17 @@ DRIVE = Parameter("drive.type", SIMULATED.name, "what moves the robot", choices=
 
 
 def with_drive(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Return a node's parameters, among them those of the drive that is asked for."""
-    drive = drive_type(str(given_values(node).get(DRIVE.name, DRIVE.default)))
+    """Return a node's parameters, among them those of the drive that is asked for.
+
+    Raises
+    ------
+    InputError
+        If there is no such drive, or the package that brings it is unfit.
+    """
+    try:
+        drive = drive_type(str(given_values(node).get(DRIVE.name, DRIVE.default)))
+    except InputError as error:
+        raise InputError(f"parameter {DRIVE.name}: {error}") from error
     chosen = replace(DRIVE, choices=tuple(dict.fromkeys((*DRIVES, drive.name))))
     own = (chosen if parameter is DRIVE else parameter for parameter in parameters)
     return (*own, *(replace(setting, name=PREFIX + setting.name) for setting in drive.settings))
