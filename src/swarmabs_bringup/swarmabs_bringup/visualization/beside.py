@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 LOG = "markers.log"
-PARTICIPANT = 7
-"""The last of the spare coordinators: tools that look in take the first that is free."""
 END_SECONDS = 5.0
 """Longest time, s, that the process may take to end; then it is killed."""
 _NICENESS = 10
@@ -74,7 +72,7 @@ def main() -> int:
     parent, folder, *words = sys.argv[1:]
     die_with_parent(int(parent))
     os.nice(_NICENESS)
-    from swarmabs_bringup.orchestration.looking_in import environment_of_spare  # noqa: PLC0415 - after the first lines
+    from swarmabs_bringup.orchestration.looking_in import environment_of_run  # noqa: PLC0415 - after the first lines
     from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
 
     run = Path(folder)
@@ -86,7 +84,7 @@ def main() -> int:
         log = os.open(run / "logs" / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         for descriptor in (1, 2):
             os.dup2(log, descriptor)
-        os.environ.update(environment_of_spare(run, PARTICIPANT))
+        os.environ.update(environment_of_run(run))
         path = str(run.resolve() / "scenario.yaml").replace("'", "''")
         given = [f"scenario_file:='{path}'", *words]
         arguments = ["--ros-args", "--disable-external-lib-logs", "--disable-rosout-logs"]
