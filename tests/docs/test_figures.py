@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.docs.pages import ROOT
+from tests.swarmabs_bringup.view.conftest import chromium
 
 from swarmabs_bringup.figures import FIGURES
 from swarmabs_bringup.run_folder import new_run_folder
@@ -38,7 +39,8 @@ def test_picture_of_the_architecture(tmp_path: Path) -> None:
 
 
 def test_pictures_are_there() -> None:
-    for name in ("run.png", "architecture.svg", "parent_response.png"):
+    views = ("view.webp", "view_dark.webp", "view_live.webp", "view_phone.webp")
+    for name in ("run.png", "architecture.svg", "parent_response.png", *views):
         assert (ROOT / "docs" / "images" / name).is_file()
 
 
@@ -51,3 +53,15 @@ def test_pictures_of_the_paper(tmp_path: Path) -> None:
         assert (tmp_path / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
         assert (ROOT / "docs" / "images" / f"{name}.png").stat().st_size < 200_000
         assert f"## {name}\n" in (ROOT / "docs" / "figures.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(200)
+def test_pictures_of_the_view(tmp_path: Path) -> None:
+    chromium()
+    command = [sys.executable, ROOT / "docs" / "screenshots.py", tmp_path]
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=180)
+    assert process.returncode == 0, process.stderr
+    kept = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    assert set(kept) == {path.name for path in (ROOT / "docs" / "images").glob("view*.webp")}
+    assert all(5_000 < size < 300_000 for size in kept.values())

@@ -1,8 +1,20 @@
 // What both pictures need: a canvas that has the size of its place, colours of the theme, numbers as text.
 
+const NAMES = [
+  ...["paper", "ink", "quiet", "line", "grid", "si", "di", "grey", "board", "lane", "edge", "good"],
+  ...["admissible", "partial", "manifold", "actual", "wanted"],
+];
+let found = null;
+window.addEventListener("themechange", () => {
+  found = null;
+});
+
 export function colours() {
-  const style = getComputedStyle(document.documentElement);
-  return new Proxy({}, { get: (_, name) => style.getPropertyValue(`--${name}`).trim() });
+  if (!found) {
+    const style = getComputedStyle(document.documentElement);
+    found = Object.fromEntries(NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+  }
+  return found;
 }
 
 // Return a context in CSS pixels, cleared, with its width and height.
