@@ -10,7 +10,7 @@ from tests.swarmabs_bringup.sample_run import PERIOD, make_run, make_step
 from swarmabs_bringup.view import picture as module
 from swarmabs_bringup.view.picture import MOST_EVENTS, SILENT_STEPS, Picture
 from swarmabs_bringup.view.protocol import Robot
-from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, Status, SwarmEvent
+from swarmabs_core.messages import AgentState, Basis, EventKind, Message, PlaneState, Source, Status, SwarmEvent
 
 
 def picture_of(messages: list[Message]) -> Picture:
@@ -120,3 +120,30 @@ def test_strangers_cannot_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> No
     assert made.event_count == 10 * MOST_EVENTS
     assert len(made._known_events) <= 4 * MOST_EVENTS
     assert len(made._steps) <= module.PENDING
+
+
+def test_by_a_clock_times_are_those_of_the_steps_and_the_law_begins_when_it_says() -> None:
+    made = Picture(reference=lambda time: 10 * time, period_ns=PERIOD)
+    now = 1_795_000_000 * 10**9
+    for step in range(100, 120):
+        for message in make_step(step):
+            made.add(message._replace(stamp=now + message.stamp))
+    frame = made.frame(None)
+    assert frame is not None
+    assert (frame.time, frame.reference) == (1.19, None)
+    made.add(Basis(now, 119, 118, 109, Source.CONTROLLER, (), (), ()))
+    made.add(Basis(now, 119, 118, 7, Source.PLANE, (), (), ()))
+    frame = made.frame(None)
+    assert frame is not None
+    assert frame.reference == 10 * 0.1
+
+
+def test_without_a_period_a_clock_counts_from_the_first_message() -> None:
+    made = Picture()
+    now = 1_795_000_000 * 10**9
+    for step in range(100, 120):
+        for message in make_step(step):
+            made.add(message._replace(stamp=now + message.stamp))
+    frame = made.frame(None)
+    assert frame is not None
+    assert frame.time == pytest.approx(0.19)

@@ -110,7 +110,7 @@ class RunView:
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
         reference = configure.parent_controller(scenario).reference
-        self._live.learn(hello, Picture(facts["robots"], reference=reference))
+        self._live.learn(hello, Picture(facts["robots"], reference=reference, period_ns=scenario.step_ns))
 
     async def _watch(self, processes: Mapping[str, int]) -> None:
         watch = ProcessWatch(processes)

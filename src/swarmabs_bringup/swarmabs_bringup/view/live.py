@@ -23,6 +23,7 @@ from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
+    BASIS,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     PLANE_STATE,
@@ -68,7 +69,7 @@ class Listener:
         arguments = ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"]
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         self._node: Node = SwarmNode(f"view_{os.getpid()}")
-        self._most = dict.fromkeys((PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
+        self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
         self._most |= {AGENT_STATE: max(ROBOT_DEPTH, 2 * robots), EVENTS: 1000}
         asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
         self._receiver = receiver(self._node, asked, "wait_set")

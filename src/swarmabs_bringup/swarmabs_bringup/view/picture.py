@@ -16,11 +16,13 @@ from swarmabs_bringup.view.protocol import Abstract, Event, Frame, Robot, RobotS
 from swarmabs_core.messages import (
     AbstractState,
     AgentState,
+    Basis,
     DesiredAbstractState,
     EventKind,
     Kind,
     Message,
     PlaneState,
+    Source,
     Status,
     SwarmEvent,
 )
@@ -37,16 +39,19 @@ SILENT_STEPS = 100
 PENDING = 256
 """Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
 
+CLOCK = 10**17
+"""Stamps beyond, ns, are those of a clock and not of steps: three years."""
+
 STATUS: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
 _ENDS: dict[int, RobotStatus] = {EventKind.DEAD: "dead", EventKind.LEFT: "left"}
 
 
-def event_of(event: SwarmEvent) -> Event:
-    """Return an event as the page shows it."""
+def event_of(event: SwarmEvent, time: float) -> Event:
+    """Return an event as the page shows it, at a time (s)."""
     known = {kind.value: kind.name for kind in EventKind}
     return Event(
         step=event.step,
-        time=event.stamp / 1e9,
+        time=time,
         agent=event.agent_id,
         kind=known.get(event.kind, str(event.kind)),
         value=finite(event.value),
@@ -86,7 +91,9 @@ class Picture:
     robots : sequence of Robot
         Those that are known beforehand; others are added when they are heard.
     reference : callable, optional
-        The angle wanted (rad) at a time (s).
+        The angle wanted (rad) at a time (s) of the law.
+    period_ns : int, optional
+        The control period, ns. Times are then those of the steps, whatever the clocks say that stamp the messages.
 
     Attributes
     ----------
@@ -102,13 +109,22 @@ class Picture:
         Changes with everything that comes.
     """
 
-    def __init__(self, robots: Sequence[Robot] = (), *, reference: Callable[[float], float] | None = None) -> None:
+    def __init__(
+        self,
+        robots: Sequence[Robot] = (),
+        *,
+        reference: Callable[[float], float] | None = None,
+        period_ns: int | None = None,
+    ) -> None:
         self.robots = list(robots)
         self.curves = CurveBuffer()
         self.events: list[Event] = []
         self.event_count = 0
         self.version = 0
         self._reference = reference
+        self._period_ns = period_ns
+        self._begun: Basis | None = None
+        self._first_stamp: int | None = None
         self._states: dict[int, list[AgentState]] = {}
         self._ended: dict[int, RobotStatus] = {}
         self._known_events: dict[tuple[int, int, int, str], None] = {}
@@ -129,6 +145,9 @@ class Picture:
             self._agent(message)
         elif isinstance(message, SwarmEvent):
             self._event(message)
+        elif isinstance(message, Basis):
+            if message.source == Source.CONTROLLER and _newer(message, self._begun):
+                self._begun = message
         elif isinstance(message, PlaneState):
             if _newer(message, self._latest.plane):
                 self._latest.plane = message
@@ -153,14 +172,14 @@ class Picture:
         if shown.plane is None or shown.plane.step + PENDING < latest.plane.step:  # somebody says nothing any more
             shown = latest
         plane, abstract, desired = shown.plane or latest.plane, shown.abstract, shown.desired
-        time = plane.stamp / 1e9
+        time = self._time(plane)
         states = [self._state(robot.id, plane.step) for robot in self.robots]
         return Frame(
             step=plane.step,
             time=time,
             angle=finite(plane.angle),
             angular_velocity=finite(plane.angular_velocity),
-            reference=self._wanted(time),
+            reference=self._wanted(plane),
             abstract=_pair(abstract),
             desired=_pair(desired),
             robots=RobotStates(
@@ -197,7 +216,7 @@ class Picture:
         self._known_events[key] = None
         if len(self._known_events) > 4 * MOST_EVENTS:
             del self._known_events[next(iter(self._known_events))]
-        self.events.append(event_of(event))
+        self.events.append(event_of(event, self._time(event)))
         self.event_count += 1
         del self.events[:-MOST_EVENTS]
         if event.kind in _ENDS:
@@ -231,13 +250,12 @@ class Picture:
             return
         if _newer(plane, self._shown.plane):
             self._shown = found
-        time = plane.stamp / 1e9
         self.curves.add(
             Point(
                 step,
-                time,
+                self._time(plane),
                 finite(plane.angle),
-                self._wanted(time),
+                self._wanted(plane),
                 finite(abstract.torque),
                 finite(desired.torque),
                 finite(abstract.inertia),
@@ -247,8 +265,22 @@ class Picture:
         for earlier in [one for one in self._steps if one <= step]:
             del self._steps[earlier]
 
-    def _wanted(self, time: float) -> float | None:
-        return None if self._reference is None else finite(self._reference(time))
+    def _time(self, message: Message) -> float:
+        """Return the time of a message's step, s; without a period by its stamp, of a clock since the first one."""
+        if self._period_ns is not None:
+            return message.step * self._period_ns / 1e9
+        if self._first_stamp is None:
+            self._first_stamp = message.stamp
+        return (message.stamp - (self._first_stamp if self._first_stamp > CLOCK else 0)) / 1e9
+
+    def _wanted(self, plane: PlaneState) -> float | None:
+        """Return the angle wanted at a step, rad; by the clock the law's time begins when the controller says."""
+        if self._reference is None or (self._begun is None and plane.stamp > CLOCK):
+            return None
+        begun = 0 if self._begun is None else self._begun.begun
+        if begun > plane.step:
+            return None
+        return finite(self._reference(self._time(plane._replace(step=plane.step - begun))))
 
 
 def _newer(message: Message, known: Message | None) -> bool:

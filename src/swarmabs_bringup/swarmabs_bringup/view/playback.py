@@ -104,7 +104,10 @@ class Recording:
     @cached_property
     def events(self) -> Events:
         """The latest events."""
-        return Events(replace=True, events=[event_of(event) for event in self.recorded.events[-MOST_EVENTS:]])
+        recorded = self.recorded
+        return Events(
+            replace=True, events=[event_of(one, recorded.time_of(one)) for one in recorded.events[-MOST_EVENTS:]]
+        )
 
     def frame(self, row: int, step_rate: float | None = None) -> Frame:
         """Return what is to be seen at a row of the arrays."""
