@@ -1,7 +1,7 @@
 """What a test host has instead of systemd: it keeps the services of unit files running, and obeys `systemctl`.
 
 It knows what the units of a bundle use: Type=notify with start timeout and watchdog, ExecStartPre, environment files,
-Restart=on-failure with its exception. It does not lock services in, and all of them run as root.
+StateDirectory, Restart=on-failure with its exception. It does not lock services in, and all of them run as root.
 
 Usage: python -m tests.hosts.service_manager                    (serves, and starts what is enabled)
        python -m tests.hosts.service_manager systemctl WORDS... (asks the one that serves)
@@ -25,6 +25,7 @@ from tests.processes import MARK
 
 UNITS = Path("/etc/systemd/system")
 WANTED = UNITS / "multi-user.target.wants"
+STATES = Path("/var/lib")
 LOGS = Path("/etc/log")
 """Beside the units, so that logs outlive the host."""
 _SOCKET = "/run/service_manager"
@@ -107,6 +108,8 @@ class Service:
         for file in self._settings["EnvironmentFile"]:
             lines = shlex.split(Path(file).read_text(encoding="utf-8"))
             environment |= dict(line.split("=", 1) for line in lines)
+        for folder in self._settings.get("StateDirectory", []):
+            (STATES / folder).mkdir(mode=0o750, exist_ok=True)
         for command in self._settings.get("ExecStartPre", []):
             done = subprocess.run(shlex.split(command), env=environment, stdout=log, stderr=log, check=False)  # type: ignore[call-overload]
             if done.returncode:

@@ -1,4 +1,4 @@
-"""Test hosts with what a robot's computer has: a disk with /etc that outlives power cuts, services, a checkout."""
+"""Test hosts with what a robot's computer has: a disk that outlives power cuts, services, a checkout."""
 
 from __future__ import annotations
 
@@ -60,9 +60,10 @@ class Station:
 
     def __init__(self, host: Host, name: str, folder: Path, checkout: Checkout) -> None:
         self.host, self.name = host, name
-        self.etc = folder / name / "etc"
+        self.etc, self.state = folder / name / "etc", folder / name / "lib"
         self._checkout = checkout
         (self.etc / "systemd" / "system").mkdir(parents=True)
+        self.state.mkdir()
         for kept in _KEPT:
             here = Path("/etc") / kept
             if here.is_dir():
@@ -84,7 +85,8 @@ class Station:
         self.host.kill()
 
     def _boot(self) -> None:
-        self.host.run(["mount", "--bind", self.etc, "/etc"])
+        for own, place in ((self.etc, "/etc"), (self.state, "/var/lib")):
+            self.host.run(["mount", "--bind", own, place])
         manager = self.host.python(_MANAGER, stdout=subprocess.PIPE)
         until_ready(manager)
 
