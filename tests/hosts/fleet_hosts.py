@@ -43,7 +43,7 @@ set:
 hosts:
 {hosts}
 robots:
-{robots}coordinators: {{plane: {{host: base}}, observer: {{host: base}}, controller: {{host: base}}}}
+{robots}coordinators: {{plane: {{host: base}}, observer: {{host: base}}, controller: {{host: base}}{recorder}}}
 network: {{domain: {domain}, interface: eth0, discovery: {discovery}}}
 security: {{level: none}}
 installation: {{checkout: {checkout}}}
@@ -82,6 +82,8 @@ class FleetOnHosts:
         Robots that must be there before the swarm moves.
     first_id : int
         Id of its first robot.
+    recorder : bool
+        Whether the base records.
     """
 
     def __init__(
@@ -95,6 +97,7 @@ class FleetOnHosts:
         discovery: str = "static",
         quorum: int = 3,
         first_id: int = 1,
+        recorder: bool = False,
     ) -> None:
         folder.mkdir(exist_ok=True)
         packages = folder / "packages"
@@ -118,6 +121,7 @@ class FleetOnHosts:
                 quorum=quorum,
                 hosts="\n".join(listed),
                 robots="".join(map(self._robot, self.ids)),
+                recorder=", recorder: {host: base}" if recorder else "",
                 domain=domain,
                 discovery=f"{discovery}{server}",
                 checkout=self.checkout.folder,
@@ -165,6 +169,10 @@ class FleetOnHosts:
     def notes(self, number: int) -> list[Note]:
         """Return what a robot's body has noted."""
         return black_box.notes(self._boxes / str(number))
+
+    def bags(self) -> list[Path]:
+        """Return the bags that the base has recorded, in order of time."""
+        return sorted((self.base.state / f"swarmabs-{self.name}").glob(f"{self.name}-*"))
 
     def check_bodies(self) -> None:
         """Prove that no robot was asked for more than it may do, and that none has left its lane."""

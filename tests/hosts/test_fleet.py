@@ -11,14 +11,15 @@ from typing import Any
 import pytest
 from tests.hosts import intruder
 from tests.hosts.cluster import hosts, until_ready
-from tests.hosts.fleet_hosts import LANE, PATIENCE, PERIOD, FleetOnHosts
+from tests.hosts.fleet_hosts import CALM, CALM_FOR, LANE, PATIENCE, PERIOD, FleetOnHosts
 from tests.hosts.impairment import Impairment
 from tests.hosts.sockets import bound_sockets, groups_joined
 from tests.hosts.storm import BOUND, Storm, stands
 from tests.processes import until
 
+from swarmabs_bringup.bag.reader import open_bag
 from swarmabs_bringup.fleet.profile import DISCOVERY_GROUP
-from swarmabs_core.messages import EventKind, Mode, Status
+from swarmabs_core.messages import PLANE_STATE, EventKind, Mode, PlaneState, Status
 
 pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
 
@@ -47,7 +48,7 @@ def check_sockets(fleet: FleetOnHosts, groups: Collection[str] = ()) -> None:
 @pytest.mark.timeout(600)
 def test_a_fleet_survives_what_networks_and_hosts_do(tmp_path: Path) -> None:
     with hosts(5) as machines:
-        fleet = FleetOnHosts(machines, tmp_path / "fleet")
+        fleet = FleetOnHosts(machines, tmp_path / "fleet", recorder=True)
         fleet.install()
         late = fleet.robots[4]
         late.cut_power()
@@ -84,7 +85,16 @@ def test_a_fleet_survives_what_networks_and_hosts_do(tmp_path: Path) -> None:
             fleet.robots[1].run(f"/etc/swarmabs/{fleet.name}/restart.sh")
             operator.until_following(*fleet.ids)
             operator.until_calm()
+        fleet.base.run("systemctl", "stop", "--", fleet.target)
         fleet.check_bodies()
+        (bag,) = fleet.bags()
+        verified = fleet.base.swarm("verify", bag)
+        assert verified.returncode == 0, verified.stdout + verified.stderr
+        angles = [
+            message.angle for _, _, message in open_bag(bag).decoded({PLANE_STATE}) if isinstance(message, PlaneState)
+        ]
+        assert angles[0] == 0.1
+        assert max(map(abs, angles[-CALM_FOR // 2 :])) <= CALM
 
 
 @pytest.mark.timeout(600)

@@ -87,3 +87,13 @@ def test_resolve_fills_in_defaults_and_checks() -> None:
 def test_resolve_names_unknown_parameters() -> None:
     with pytest.raises(InputError, match=r"node has no parameter 'ratios'; it has ratio, pair"):
         resolve((RATIO, PAIR), {"ratios": 1.0}, owner="node")
+
+
+def test_an_empty_array_says_what_its_items_are() -> None:
+    numbers = Parameter("ids", (), "ids", minimum=1, item=0)
+    assert numbers.check((2, 1)) == (2, 1)
+    assert numbers.check(()) == ()
+    for wrong in ((0,), ("x",), (1.5,)):
+        with pytest.raises(InputError, match="parameter ids"):
+            numbers.check(wrong)
+    assert Parameter("words", (), "texts").check(("x",)) == ("x",)

@@ -38,6 +38,8 @@ class Parameter:
         Length that an array must have.
     choices : tuple of str, optional
         The texts allowed.
+    item : Scalar
+        An item of an array whose default is empty, for its type.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Parameter:
     above: float | None = None
     length: int | None = None
     choices: tuple[str, ...] | None = None
+    item: Scalar = ""
 
     def check(self, value: Value) -> Value:
         """Return the value as the default's type: tuples for arrays, floats for integers where one is due.
@@ -66,8 +69,7 @@ class Parameter:
         items = value if isinstance(value, (tuple, list)) else (value,)
         if self.length is not None and len(items) != self.length:
             raise self._refusal(value, f"{self.length} elements")
-        # An empty default stands for an array of texts.
-        model = self.default[0] if isinstance(self.default, tuple) and self.default else ""
+        model = self.default[0] if isinstance(self.default, tuple) and self.default else self.item
         return tuple(self._check_scalar(item, model) for item in items)  # type: ignore[return-value]
 
     def _check_scalar(self, value: Value, model: Scalar) -> Scalar:

@@ -58,8 +58,8 @@ def _declare(node: Node, parameter: Parameter, given: Mapping[str, object]) -> V
     if name in given:
         node.undeclare_parameter(name)
     plain = list(value) if isinstance(value, tuple) else value
-    # The type of an empty list cannot be seen: such parameters are arrays of texts.
-    model = RosParameter.Type.STRING_ARRAY if plain == [] else plain
+    # The type of an empty list cannot be seen.
+    model = RosParameter.Type.from_parameter_value([parameter.item]) if plain == [] else plain
     node.declare_parameter(name, model, _descriptor(parameter), ignore_override=True)
     return value
 

@@ -17,7 +17,12 @@ from tests.swarmabs_bringup.fleet.fleets import EXAMPLES, ONE_HOST, contents, de
 
 from swarmabs_bringup.fleet.bundle import deploy
 from swarmabs_bringup.fleet.loader import load_fleet
+from swarmabs_bringup.fleet.parameters import parameters
+from swarmabs_bringup.fleet.participants import node_plans
+from swarmabs_bringup.orchestration.plan import RECORDER
+from swarmabs_bringup.recorder import realtime as recorder
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.parameters import resolve
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -31,6 +36,17 @@ def test_the_same_fleet_gives_the_same_bytes(name: str, tmp_path: Path) -> None:
         lists = {path for path in changed if path.endswith(("SHA256SUMS", "manifest.json"))}
         assert changed - lists
         assert all("/keystore/" in path or "/wireguard/" in path for path in changed - lists)
+
+
+@pytest.mark.parametrize("name", ["lan", "tunnel"])
+def test_the_recorder_takes_what_it_is_told(name: str) -> None:
+    """Also where robots have bodies or limits of their own."""
+    loaded = example(name)
+    (node,) = (node for node in node_plans(loaded.fleet) if node.name == RECORDER)
+    values = parameters(loaded.fleet, loaded.scenario, node, installed="/etc/x", state="/var/lib/x")
+    taken = resolve(recorder.PARAMETERS, values, owner="recorder")
+    if name == "tunnel":
+        assert (taken["driven"], taken["own_limits"]) == ((1, 2, 3), (3,))
 
 
 def test_a_robot_more_changes_no_other_robot(tmp_path: Path) -> None:

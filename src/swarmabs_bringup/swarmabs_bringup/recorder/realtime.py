@@ -41,8 +41,10 @@ PARAMETERS = (
     *choose(REALTIME_COMMON, "period_ns", "epoch_ns", "await_epoch", "clock_tolerance"),
     *choose(LOCKSTEP, "scenario_file", "bag", "max_bag_size", "max_bag_duration_ns", "logs"),
     Parameter("bags", "", "folder in which each start makes the folder of a bag of its own, instead of bag"),
-    Parameter("own_limits", (), "ids of the robots whose limits are not the scenario's", minimum=1, maximum=65535),
-    Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535),
+    Parameter(
+        "own_limits", (), "ids of the robots whose limits are not the scenario's", minimum=1, maximum=65535, item=0
+    ),
+    Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0),
     Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
 )
 
