@@ -8,9 +8,19 @@ import pytest
 from tests.swarmabs_bringup.sample_run import PERIOD, make_run, make_step
 
 from swarmabs_bringup.view import picture as module
-from swarmabs_bringup.view.picture import MOST_EVENTS, SILENT_STEPS, Picture
+from swarmabs_bringup.view.picture import MOST_EVENTS, SILENT_STEPS, STALE, Picture
 from swarmabs_bringup.view.protocol import Robot
-from swarmabs_core.messages import AgentState, Basis, EventKind, Message, PlaneState, Source, Status, SwarmEvent
+from swarmabs_core.messages import (
+    AgentState,
+    Basis,
+    DesiredAbstractState,
+    EventKind,
+    Message,
+    PlaneState,
+    Source,
+    Status,
+    SwarmEvent,
+)
 
 
 def picture_of(messages: list[Message]) -> Picture:
@@ -120,6 +130,20 @@ def test_strangers_cannot_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> No
     assert made.event_count == 10 * MOST_EVENTS
     assert len(made._known_events) <= 4 * MOST_EVENTS
     assert len(made._steps) <= module.PENDING
+
+
+def test_numbers_of_different_steps_are_never_shown_together() -> None:
+    run = make_run(30)
+    made = picture_of([m for m in run if m.step <= 10 or isinstance(m, PlaneState)])
+    frame = made.frame(None)
+    assert frame is not None
+    assert frame.step == 10
+    for step in range(31, 12 + STALE):  # the observer is not heard any more
+        made.add(PlaneState(step * PERIOD, step, 0.5, 0.0))
+        made.add(DesiredAbstractState(step * PERIOD, step, 1, 0.25, *[0.0] * 7))
+    frame = made.frame(None)
+    assert frame is not None
+    assert (frame.step, frame.angle, frame.desired.torque, frame.abstract.torque) == (11 + STALE, 0.5, 0.25, None)
 
 
 def test_by_a_clock_times_are_those_of_the_steps_and_the_law_begins_when_it_says() -> None:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 INTERVAL = 1.0 / 30.0
 """Time, s, between two looks at what has come."""
-DEPTH = 100
+DEPTH = 256
 """Messages of a coordinator that wait for the listener; at the highest step rates it so gets nearly all."""
 ROBOT_DEPTH = 256
 """States of robots that wait; more where the robots are more."""

@@ -39,6 +39,8 @@ SILENT_STEPS = 100
 PENDING = 256
 """Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
 
+STALE = 1000
+"""Steps after which the plane is shown alone, if observer or controller are not heard any more."""
 CLOCK = 10**17
 """Stamps beyond, ns, are those of a clock and not of steps: three years."""
 
@@ -169,8 +171,8 @@ class Picture:
         latest, shown = self._latest, self._shown
         if latest.plane is None:
             return None
-        if shown.plane is None or shown.plane.step + PENDING < latest.plane.step:  # somebody says nothing any more
-            shown = latest
+        if shown.plane is None or shown.plane.step + STALE < latest.plane.step:  # somebody says nothing any more
+            shown = self._steps.get(latest.plane.step, _Step())
         plane, abstract, desired = shown.plane or latest.plane, shown.abstract, shown.desired
         time = self._time(plane)
         states = [self._state(robot.id, plane.step) for robot in self.robots]
