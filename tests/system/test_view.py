@@ -180,7 +180,10 @@ def test_a_view_that_comes_later_sees_the_run_and_ends_by_itself(folder: Path) -
             assert view.wait().code == 0
     angle = ReadBag(folder).column("/plane/state", "angle")
     frames = kinds(found, "frame")
-    assert all(frame["angle"] == angle[frame["step"]] for frame in frames)
+    # A run that is ended is ahead of its recorder: the last that was seen need not be in the bag.
+    recorded = [frame for frame in frames if frame["step"] < len(angle)]
+    assert recorded
+    assert all(frame["angle"] == angle[frame["step"]] for frame in recorded)
     assert frames[-1]["step_rate"] > 0.0
     assert kinds(after, "hello")[-1]["playback"] is True
     again = swarm("view", "--live", folder)
