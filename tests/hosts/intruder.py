@@ -41,11 +41,8 @@ from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.qos import REALTIME
 
 _PACE = 0.004
-_LASTS = 1.0
-"""Time, s, for which he asks for the same."""
 MASSES = (0.4, 0.4)
 """Of the swarm that he makes up, kg: less than there is, so that it is believed."""
-GRAVITY = 9.81
 
 
 def environment(folder: Path, fleet: Fleet, address: str) -> dict[str, str]:
@@ -86,16 +83,15 @@ def flood(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
 
 
 def lead(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
-    """Return the broadcasts of a step: of a swarm that is made up, and of which the utmost is asked."""
+    """Return the broadcasts of a step: of a swarm that is made up, and that shall be as far from the axis as can be."""
     a, b = MASSES
-    place = draw.uniform(0.05, 0.3)
+    place = 0.1
     s0, s1, s2 = a * a + b * b, (a * a - b * b) * place, (a * a + b * b) * place * place
     spread = 4.0 * a * a * b * b * place * place
-    asked = draw.choice((-1.0, 1.0)) * 2.0, 0.5
     return [
         AbstractState(now, step, 2, 0.0, (a + b) * place * place, 0.0, 0.0),
         AuxiliaryState(now, step, s0, s1, s2, spread, 0.1, 0.0, 0.1 * place * place, 0.0),
-        DesiredAbstractState(now, step, Mode.RUN, *asked, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        DesiredAbstractState(now, step, Mode.RUN, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     ]
 
 
@@ -112,7 +108,6 @@ def main() -> None:
         now = time.time_ns()
         step = (now - int(epoch)) // int(period)
         if kind == "flood" or step > last:
-            draw = draw if kind == "flood" else Random(f"{seed} {step * int(period) // round(_LASTS * 1e9)}")
             last = step
             for message in make(draw, now, step, list(map(int, ids))):
                 publishers[type(message)].publish(encode(message))
