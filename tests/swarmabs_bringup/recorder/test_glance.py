@@ -7,7 +7,14 @@ import json
 import pytest
 from tests.swarmabs_bringup.sample_run import AGENTS, make_step
 
-from swarmabs_bringup.recorder.glance import EVENT_CHARACTERS, Glance, Onlooker, describe_event
+from swarmabs_bringup.recorder.glance import (
+    EVENT_CHARACTERS,
+    SILENT_STEPS,
+    Glance,
+    Onlooker,
+    RealtimeOnlooker,
+    describe_event,
+)
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.messages import EVENTS, TOPIC_OF, AgentState, EventKind, Message, Status, SwarmEvent
@@ -45,6 +52,19 @@ def test_a_robot_that_falls_silent_stays_where_it_was_seen() -> None:
     onlooker.glance()
     onlooker.take(robots(1, {1: (Status.ACTIVE, 0.1)}))
     assert onlooker.glance() == Glance({"-": 1, "A": 1}, "A-", [200, -500], [])
+
+
+def test_in_real_time_messages_come_one_by_one() -> None:
+    onlooker = RealtimeOnlooker((1, 2, 3), length=2.0)
+    assert onlooker.glance() is None
+    said = {state.agent_id: state for state in make_step(0, (1, 2, 3)) if isinstance(state, AgentState)}
+    onlooker.hear(said[1]._replace(position=0.5))
+    onlooker.hear(said[2]._replace(position=-0.5, status=Status.LEFT))
+    assert onlooker.glance() == Glance({"-": 1, "A": 1, "L": 1}, "AL-", [500, -500, 0], [])
+    onlooker.hear(SwarmEvent(0, 7, 1, EventKind.HELD, 0.0, ""))
+    onlooker.hear(said[3]._replace(step=SILENT_STEPS, position=1.0))
+    seen = onlooker.glance()
+    assert seen == Glance({"-": 1, "A": 1, "L": 1}, "-LA", [500, -500, 1000], ["step 7: robot 1 held"])
 
 
 @pytest.mark.parametrize(("position", "place"), [(7.0, 1000), (-7.0, -1000), (float("inf"), 1000), (float("nan"), 0)])

@@ -9,10 +9,12 @@ from typing import Any
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from tests.swarmabs_bringup.realtime_bags import realtime_bag
 
-from swarmabs_bringup.bag import open_bag
+from swarmabs_bringup.bag import SCENARIO_FILE, BagWriter, open_bag
 from swarmabs_bringup.cli import main
 from swarmabs_bringup.visualization.topics import message_class
+from swarmabs_core.messages import PLANE_STATE
 
 MARKERS, JOINTS = "/swarm/markers", "/plane/joint_states"
 THICKNESS = 0.02
@@ -98,3 +100,27 @@ def test_refusals(bags: tuple[Path, Path], tmp_path: Path, capfd: pytest.Capture
     errors = capfd.readouterr().err
     assert "is there already" in errors and "nothing" in errors and "Traceback" not in errors
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_a_bag_of_a_run_in_real_time(tmp_path: Path) -> None:
+    bag = realtime_bag(tmp_path / "bag")
+    assert main(["markers", str(bag), "-o", str(tmp_path / "shown")]) == 0
+    run, shown = open_bag(bag), open_bag(tmp_path / "shown")
+    assert list(run.messages()) == list(shown.messages())
+    published = [[m.publish_time for c, m in each.stored_messages() if c.topic is not None] for each in (run, shown)]
+    assert published[0] == published[1]
+    counts = {channel.name: channel.message_count for channel in shown.channels}
+    assert counts[MARKERS] == counts[JOINTS] > 10
+    assert main(["verify", str(tmp_path / "shown")]) == main(["verify", str(bag)]) == 0
+
+
+def test_a_message_that_is_none_is_damage(
+    bags: tuple[Path, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scenario = open_bag(bags[0]).attachment(SCENARIO_FILE)
+    assert scenario is not None
+    with BagWriter(tmp_path / "bag", topics=(PLANE_STATE,), attachments={SCENARIO_FILE: scenario}) as writer:
+        writer.write(PLANE_STATE, 0, b"\x00\x01\x00\x00short")
+    assert main(["markers", str(tmp_path / "bag"), "-o", str(tmp_path / "shown")]) == 1
+    assert "/plane/state at 0 s" in capfd.readouterr().err
+    assert not (tmp_path / "shown").exists()

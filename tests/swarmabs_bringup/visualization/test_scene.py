@@ -11,16 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.visualization.geometry import Layout, Vector, tilt, tilted
-from swarmabs_bringup.visualization.scene import GREY, KINDS, SAFE_STOP, SILENT_STEPS, Frame, Scene, Shape
+from swarmabs_bringup.visualization.scene import GREY, HISTORY, KINDS, SAFE_STOP, SILENT_STEPS, Frame, Scene, Shape
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
     AgentState,
+    Basis,
     DesiredAbstractState,
     EventKind,
     Kind,
     Mode,
     PlaneState,
+    Source,
     Status,
     SwarmEvent,
 )
@@ -124,10 +126,11 @@ def test_states_of_robots_are_seen() -> None:
 def test_who_leaves_the_plane_is_taken_away_once() -> None:
     scene = Scene(LAYOUT, torque_max=5.0)
     drawn(plane(0, 0.0), robot(0, 1, 0.1), robot(0, 3, 0.2), scene=scene)
-    frame, shapes = drawn(plane(1, 0.0), robot(1, 3, 0.2, Status.LEFT), scene=scene)
+    frame, shapes = drawn(plane(1, 0.0), robot(1, 1, 0.1), robot(1, 3, 0.2, Status.LEFT), scene=scene)
     assert ("robots", 3) not in shapes and 3 not in frame.places
     assert frame.gone == (("labels", 3), ("robots", 3))
-    frame, _ = drawn(plane(2, 0.0), scene=scene)
+    frame, _ = drawn(plane(2, 0.0), robot(2, 1, 0.1), scene=scene)
+    assert frame.step == 2
     assert frame.gone == ()
 
 
@@ -135,10 +138,50 @@ def test_what_does_not_belong_here_is_left_out() -> None:
     scene = Scene(LAYOUT, torque_max=5.0)
     assert scene.frame() is None
     frame, shapes = drawn(plane(3, 0.3), plane(2, 0.2), robot(3, 99, 0.1), robot(3, 1, math.nan), scene=scene)
-    assert (frame.angle, frame.stamp, frame.rate) == (0.3, 3 * PERIOD, 0.25)
+    assert (frame.step, frame.angle, frame.stamp, frame.rate) == (3, 0.3, 3 * PERIOD, 0.25)
     assert not any(group == "robots" for group, _ in shapes)
     scene.hear(plane(4, math.nan))
+    scene.hear(robot(4, 1, 0.0))
     assert scene.frame() is None
+
+
+def test_what_is_drawn_together_is_of_one_step() -> None:
+    """Queues are read one after the other, and the swarm goes on meanwhile."""
+    messages: list[object] = [robot(step, agent_id, step / 1000.0) for step in range(40) for agent_id in (1, 3)]
+    messages += [desired(step, step / 100.0) for step in range(10, 60)]
+    messages += [abstract(step, -step / 100.0) for step in range(20, 80)]
+    messages += [plane(step, step / 1000.0) for step in range(30, 90)]
+    frame, shapes = drawn(*messages)
+    assert (frame.step, frame.angle) == (39, 0.039)
+    assert [place.x for place in frame.places.values()] == [0.039, 0.039]
+    assert shapes["torque", 0].size.x == shapes["torque", 1].size.x == pytest.approx(0.39 / 5.0)
+    # Who is known to be dead, or silent for long, is not waited for.
+    dead = SwarmEvent(0, 0, 1, EventKind.DEAD, 0.0, "kill")
+    frame, _ = drawn(*messages, robot(40, 3, 0.5), dead)
+    assert frame.step == 40
+    frame, _ = drawn(*messages, *(plane(step, 0.0) for step in range(90, 300)))
+    assert frame.step == 299
+
+
+def test_what_is_kept_is_bounded() -> None:
+    scene = Scene(LAYOUT, torque_max=5.0)
+    for step in range(10 * HISTORY):
+        for message in (plane(step, 0.1), robot(step, 1, 0.1), abstract(step, 1.0), desired(step, 1.0)):
+            scene.hear(message)
+    kept = (scene._planes, scene._abstract, scene._desired, scene._robots[1])
+    assert {len(each) for each in kept} == {HISTORY}
+    frame = scene.frame()
+    assert frame is not None and frame.step == 10 * HISTORY - 1
+
+
+def test_by_a_clock_the_reference_begins_with_the_law() -> None:
+    scene = Scene(LAYOUT, 5.0, lambda time: time, PERIOD)
+    begin = 1_700_000_000 * 10**9
+    _, shapes = drawn(plane(30, 0.0)._replace(stamp=begin), scene=scene)
+    assert ("reference", 0) not in shapes
+    basis = Basis(begin, 30, NEVER, 10, Source.CONTROLLER, (), (), ())
+    _, shapes = drawn(basis, scene=scene)
+    assert shapes["reference", 0].pose.orientation == tilt(0.2)  # 20 periods
 
 
 def test_a_scenario_gives_its_dimensions() -> None:

@@ -35,8 +35,11 @@ def shown_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def shown_beside(options: dict[str, Any]) -> Callable[[Path], AbstractContextManager[None]]:
-    """Take these options out of those of a run; return what shows a run in a folder for the time of a block."""
+def shown_beside(options: dict[str, Any], *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
+    """Take these options out of those of a run; return what shows a run in a folder for the time of a block.
+
+    With `clock` the run's time is not that of the machine, and is published.
+    """
     markers, foxglove, port = (options.pop(name) for name in ("markers", "foxglove", "foxglove_port"))
     if not (markers or foxglove):
         return lambda _: nullcontext()
@@ -46,7 +49,8 @@ def shown_beside(options: dict[str, Any]) -> Callable[[Path], AbstractContextMan
     if foxglove:
         check_foxglove(port)
         click.echo(f"Foxglove: open a connection to ws://127.0.0.1:{port}", err=True)
-    return lambda folder: markers_beside(folder, ros=markers, foxglove_port=port if foxglove else None)
+    served = port if foxglove else None
+    return lambda folder: markers_beside(folder, ros=markers, foxglove_port=served, clock=clock)
 
 
 @click.command()

@@ -148,7 +148,7 @@ def run(
                     split=split,
                 ).run()
 
-        shown = shown_beside(options)
+        shown = shown_beside(options, clock=not realtime)
         code = _carry_out(execute, realtime=realtime, **options)
         if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
             interrupt_once()

@@ -6,14 +6,7 @@ import json
 import os
 from typing import TYPE_CHECKING, cast
 
-from swarmabs_bringup.orchestration.dds_profile import (
-    FIRST_FREE,
-    GROUP_VARIABLE,
-    PARTICIPANT_VARIABLE,
-    dds_environment,
-    multicast_group,
-    profile_xml,
-)
+from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,7 +15,6 @@ if TYPE_CHECKING:
 
 NETWORK_FILE = "network.json"
 PROCESSES_FILE = "processes.json"
-RUN_PROFILE = "fastdds.xml"
 TOOL_PROFILE = "fastdds_tool.xml"
 
 
@@ -66,28 +58,6 @@ def environment_of_run(run: Path) -> dict[str, str]:
     """
     logs = run / "logs"
     return dds_environment(_domain(run), str((logs / TOOL_PROFILE).resolve()))
-
-
-def environment_of_spare(run: Path, participant: int) -> dict[str, str]:
-    """Return the environment variables with which a process takes the place of a coordinator that a run has not.
-
-    The robots' states reach it by the multicast group of the other coordinators: no robot sends once more for it.
-
-    Parameters
-    ----------
-    run : Path
-        Folder of a run that is going on.
-    participant : int
-        A participant id below `COORDINATORS` that no node of the run has.
-
-    Raises
-    ------
-    InputError
-        If this is no run's folder.
-    """
-    profile = str((run / "logs" / RUN_PROFILE).resolve())
-    own = {PARTICIPANT_VARIABLE: str(participant), GROUP_VARIABLE: multicast_group(participant)}
-    return dds_environment(_domain(run), profile) | own
 
 
 def _domain(run: Path) -> int:

@@ -6,12 +6,12 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.cdr import decode
-from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status
+from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status, SwarmEvent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from swarmabs_core.messages import SwarmEvent
+    from swarmabs_core.messages import Message
     from swarmabs_core.recording import Step
 
 SHOWN_ROBOTS = 200
@@ -23,7 +23,8 @@ THOUSAND = 1000
 
 _LETTERS: dict[int, str] = {Status.ACTIVE: "A", Status.SAFE_STOP: "S", Status.LEFT: "L"}
 SILENT = "-"
-"""Letter of a robot that has said nothing in the latest step."""
+"""Letter of a robot that has said nothing in the latest step, in real time in the latest `SILENT_STEPS`."""
+SILENT_STEPS = 50
 
 
 class Glance(NamedTuple):
@@ -82,15 +83,13 @@ class Onlooker:
 
     def glance(self) -> Glance | None:
         """Return what is to be seen now, None before the first step."""
-        if self._latest is None:
+        states = self._states()
+        if states is None:
             return None
         found = {}
-        for topic, _, payload in self._latest.stored():
-            if topic is AGENT_STATE:
-                state = decode(AgentState, payload)
-                assert isinstance(state, AgentState)  # noqa: S101 - as the topic says
-                found[state.agent_id] = _LETTERS.get(state.status, SILENT)
-                self._places[state.agent_id] = self._place(state.position)
+        for state in states:
+            found[state.agent_id] = _LETTERS.get(state.status, SILENT)
+            self._places[state.agent_id] = self._place(state.position)
         statuses = [found.get(member, SILENT) for member in self._members]
         few = len(statuses) <= SHOWN_ROBOTS
         return Glance(
@@ -100,9 +99,38 @@ class Onlooker:
             list(self._events),
         )
 
+    def _states(self) -> list[AgentState] | None:
+        """Return what the robots have said in the latest step, None before the first."""
+        if self._latest is None:
+            return None
+        states = (decode(AgentState, payload) for topic, _, payload in self._latest.stored() if topic is AGENT_STATE)
+        return [state for state in states if isinstance(state, AgentState)]
+
     def _place(self, position: float) -> int:
         part = THOUSAND * position / self._half
         return round(max(-THOUSAND, min(part, THOUSAND))) if part == part else 0  # noqa: PLR0124 - NaN is nowhere
+
+
+class RealtimeOnlooker(Onlooker):
+    """The same for runs in real time, where messages come one by one; parameters as of `Onlooker`."""
+
+    def __init__(self, members: Sequence[int], length: float) -> None:
+        super().__init__(members, length)
+        self._said: dict[int, AgentState] = {}
+        self._newest = -1
+
+    def hear(self, message: Message) -> None:
+        """Take a message."""
+        if isinstance(message, AgentState):
+            self._said[message.agent_id] = message
+            self._newest = max(self._newest, message.step)
+        elif isinstance(message, SwarmEvent):
+            self._events.append(describe_event(message))
+
+    def _states(self) -> list[AgentState] | None:
+        # Who has left says nothing any more, and is still known to have left.
+        heard = (s for s in self._said.values() if s.status == Status.LEFT or s.step + SILENT_STEPS > self._newest)
+        return list(heard) if self._said else None
 
 
 def describe_event(event: SwarmEvent) -> str:

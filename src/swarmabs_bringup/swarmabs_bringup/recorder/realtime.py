@@ -121,7 +121,9 @@ class RealtimeRecorder:
         self._reported = now
         latest = recording.latest
         angle, error = (None, None) if latest is None else (latest.angle, latest.error)
-        self._status.send("progress", step=recording.newest, angle=angle, error=error)
+        seen = recording.glance()
+        told = None if seen is None else seen.report()
+        self._status.send("progress", step=recording.newest, angle=angle, error=error, glance=told)
 
 
 def _scenario(settings: Settings) -> Scenario:

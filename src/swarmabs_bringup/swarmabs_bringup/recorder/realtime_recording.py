@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_bringup.bag import BagWriter
 from swarmabs_bringup.bag.realtime import DRIVER, RealtimeWorld
 from swarmabs_bringup.provenance import provenance_json
+from swarmabs_bringup.recorder.glance import RealtimeOnlooker
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.cdr import encode
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
+    from swarmabs_bringup.recorder.glance import Glance
     from swarmabs_core.messages import Message
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.recording import Latest
@@ -73,6 +75,7 @@ class RealtimeRecording:
         members = configure.members(scenario)
         self._collector = RealtimeCollector(members, schedule)
         self._figures = RealtimeFigures(configure.parent_controller(scenario).reference, schedule)
+        self._onlooker = RealtimeOnlooker(members, scenario.plane.length)
         self._received = 0
         self._last_step = last_step
         self._writer = None
@@ -96,6 +99,10 @@ class RealtimeRecording:
         """What the run looks like now; None until the law of the parent controller has begun."""
         return self._figures.latest
 
+    def glance(self) -> Glance | None:
+        """Return what people see of the robots now; it costs some time, so not for every message."""
+        return self._onlooker.glance()
+
     @property
     def newest(self) -> int:
         """The newest step recorded, -1 if there is none."""
@@ -115,6 +122,7 @@ class RealtimeRecording:
         self._received = max(self._received, now)
         for kept in self._collector.add(message, now):
             self._figures.add(kept)
+            self._onlooker.hear(kept)
             if self._writer is not None:
                 self._writer.write(TOPIC_OF[type(kept)], self._received, encode(kept), max(0, kept.stamp))
 

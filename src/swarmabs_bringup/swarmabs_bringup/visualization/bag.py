@@ -7,17 +7,28 @@ from typing import TYPE_CHECKING
 
 from rclpy.serialization import serialize_message
 
-from swarmabs_bringup.bag import SCENARIO_FILE, BagWriter, NotABagError, UnknownTypeError, message_schema, open_bag
+from swarmabs_bringup.bag import (
+    PROVENANCE_FILE,
+    SCENARIO_FILE,
+    BagWriter,
+    DamagedBagError,
+    NotABagError,
+    UnknownTypeError,
+    message_schema,
+    open_bag,
+)
 from swarmabs_bringup.bag.attached import attached_scenario
+from swarmabs_bringup.bag.definitions import check_definitions
 from swarmabs_bringup.export.tables import new_folder
 from swarmabs_bringup.visualization.description import plane_urdf
 from swarmabs_bringup.visualization.ros_messages import Translator, description
 from swarmabs_bringup.visualization.scene import Scene
 from swarmabs_bringup.visualization.topics import CLOCK, VISUAL_TOPICS, available_topics
 from swarmabs_core.cdr import decode
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PlaneState, Topic
-from swarmabs_core.scenario import dump_scenario
-from swarmabs_ros.qos import OFFERED
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import BASIS, PlaneState, Topic
+from swarmabs_core.realtime.recording import RECORDED
+from swarmabs_ros.qos import OFFERED, REALTIME
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,6 +36,8 @@ if TYPE_CHECKING:
 
     from swarmabs_bringup.visualization.topics import VisualTopic
 
+_KEPT = (SCENARIO_FILE, PROVENANCE_FILE)
+"""Attachments that the new bag has too, so that it can be verified and run again."""
 _TOLERANCE = 1e-6
 """Part of the time between two frames by which one may come early: periods need not be exact in binary."""
 
@@ -55,16 +68,17 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
     scenario = attached_scenario(bag).resolved()
     scene, translator = Scene.of(scenario), Translator()
-    own = tuple(topic for topic in (*MAIN_TOPICS, EVENTS) if topic in bag.topics())
+    check_definitions(bag.path, bag.channels)
+    own = tuple(topic for topic in RECORDED if topic in bag.topics())
     drawn = {topic: Topic(topic.name, PlaneState, topic.ros_type) for topic in _recordable()}
     with (
         new_folder(folder) as part,
         BagWriter(
             part,
             topics=(*own, *drawn.values()),
-            attachments={SCENARIO_FILE: dump_scenario(scenario).encode()},
+            attachments={name: text for name in _KEPT if (text := bag.attachment(name)) is not None},
             namespace=bag.namespace,
-            qos=OFFERED | {topic: shown.qos for shown, topic in drawn.items()},
+            qos=(REALTIME if BASIS in own else OFFERED) | {topic: shown.qos for shown, topic in drawn.items()},
         ) as writer,
     ):
         now = bag.start
@@ -75,12 +89,19 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
 
         write(*description(plane_urdf(scene.layout, scenario.plane.inertia)))
         due = float(now)
-        for topic, time, payload in bag.messages(own):
-            if time > now:  # all of the time before has been heard
+        for channel, stored in bag.stored_messages():
+            if channel.topic is None:
+                continue
+            if stored.log_time > now:  # all of the time before has been heard
                 due = _draw(scene, translator, write, now, due, 1e9 / rate)
-                now = time
-            writer.write(topic, time, payload)
-            scene.hear(decode(topic.message, payload))
+                now = stored.log_time
+            writer.write(channel.topic, stored.log_time, stored.payload, stored.publish_time)
+            try:
+                scene.hear(decode(channel.topic.message, stored.payload))
+            except MalformedMessageError as error:
+                raise DamagedBagError(
+                    f"{bag.path}: {channel.name} at {stored.log_time / 1e9:.9g} s: {error}"
+                ) from error
         _draw(scene, translator, write, now, due, 1e9 / rate)
     return folder
 

@@ -26,7 +26,7 @@ _LOOK = 0.05
 
 
 @contextmanager
-def markers_beside(folder: Path, *, ros: bool, foxglove_port: int | None, clock: bool = True) -> Iterator[None]:
+def markers_beside(folder: Path, *, ros: bool, foxglove_port: int | None, clock: bool) -> Iterator[None]:
     """Show the run in a folder, which is about to begin, for the time of the block.
 
     Parameters

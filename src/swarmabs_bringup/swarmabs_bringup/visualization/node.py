@@ -20,11 +20,12 @@ from swarmabs_bringup.visualization.foxglove_port import HOST
 from swarmabs_bringup.visualization.ros_messages import Translator, description
 from swarmabs_bringup.visualization.scene import Scene
 from swarmabs_bringup.visualization.sinks import FoxgloveSink, RosSink
-from swarmabs_core.cdr import decode
+from swarmabs_core.cdr import agent_id_of, decode
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
+    BASIS,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     PLANE_STATE,
@@ -55,12 +56,15 @@ SHARE = 0.2
 """Largest part of a core that drawing takes: where a frame costs more, there are fewer."""
 REPEAT = 1.0
 """Time, s, between two descriptions for clients that do not keep the last."""
-_ROBOT_DEPTH = 64
+DEPTH = 256
+"""Messages of a coordinator that wait to be read, and at least of the robots."""
+ROBOT_STEPS = 4
+"""Steps of all robots that wait to be read."""
 _SLICE = 0.05
 
 
 class Audience:
-    """Listens to a swarm and keeps the newest of what it says.
+    """Listens to a swarm.
 
     Parameters
     ----------
@@ -71,8 +75,9 @@ class Audience:
     """
 
     def __init__(self, node: SwarmNode, robots: int) -> None:
-        self._most = dict.fromkeys((PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), 1)
-        self._most |= {AGENT_STATE: max(_ROBOT_DEPTH, 2 * robots), EVENTS: 1000}
+        # The robots first: what is read later reaches back to the steps of what was read before.
+        self._most = {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
+        self._most |= dict.fromkeys((DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, PLANE_STATE, BASIS), DEPTH)
         asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
         self._receiver = WaitSetReceiver(node, asked)
 
@@ -82,18 +87,22 @@ class Audience:
         return tuple(self._most)
 
     def hear(self, scene: Scene, sinks: Sequence[Sink]) -> None:
-        """Hand on what has come; bytes that are no message of a swarm are left out."""
+        """Hand on what has come, to the sinks only the newest of each; bytes that are no message are left out."""
+        newest: dict[tuple[Topic, int], bytes] = {}
         for topic, most in self._most.items():
-            for _ in range(most):
+            for number in range(most):
                 payload = self._receiver.take(topic)
                 if payload is None:
                     break
                 try:
-                    scene.hear(decode(topic.message, payload))
+                    message = decode(topic.message, payload)
                 except MalformedMessageError:
                     continue
-                for sink in sinks:
-                    sink.forward(topic, payload)
+                scene.hear(message)
+                newest[topic, number if topic is EVENTS else agent_id_of(message)] = payload
+        for (topic, _), payload in newest.items():
+            for sink in sinks:
+                sink.forward(topic, payload)
 
 
 def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = None) -> int:
@@ -153,9 +162,9 @@ def show(
     while not wait(pause):
         begun = time.monotonic()
         audience.hear(scene, sinks)
-        frame = scene.frame() if scene.step != shown else None
-        if frame is not None:
-            shown = scene.step
+        frame = scene.frame()
+        if frame is not None and frame.step != shown:
+            shown = frame.step
             for topic, message in translator.messages(frame, clock=settings.flag("clock")):
                 for sink in sinks:
                     sink.publish(topic, message)

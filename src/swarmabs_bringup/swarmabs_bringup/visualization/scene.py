@@ -4,34 +4,40 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, isfinite
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from swarmabs_bringup.visualization.geometry import Layout, Pose, Quaternion, Robot, Vector, tilt, tilted
 from swarmabs_core import configure
 from swarmabs_core.messages import (
     AbstractState,
     AgentState,
+    Basis,
     DesiredAbstractState,
     EventKind,
     Kind,
     PlaneState,
+    Source,
     Status,
     SwarmEvent,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from swarmabs_core.messages import Message
     from swarmabs_core.scenario import Scenario
 
 SILENT_STEPS = 50
 """A robot whose latest state is older than so many steps is drawn as silent."""
+HISTORY = 512
+"""Steps that are kept, so that what is drawn together is of one step even if a queue is read later than another."""
+CLOCK = 10**17
+"""Stamps beyond, ns, are those of a clock and not of steps: three years."""
 LABELLED = 50
 """More robots than these have no labels."""
 
 CUBE, CYLINDER, ARROW, LINES, TEXT = "cube", "cylinder", "arrow", "lines", "text"
-_Known = TypeVar("_Known", PlaneState, AbstractState, DesiredAbstractState, AgentState)
+_Kept = TypeVar("_Kept", PlaneState, AbstractState, DesiredAbstractState, AgentState)
 
 NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
 
@@ -93,8 +99,8 @@ class Frame(NamedTuple):
 
     Parameters
     ----------
-    stamp : int
-        Time of the plane's state, ns.
+    step, stamp : int
+        Of the plane's state; the stamp in ns.
     angle, rate : float
         Of the plane, rad and rad/s.
     effort : float, optional
@@ -107,6 +113,7 @@ class Frame(NamedTuple):
         Pose of each robot in the frame `plane`, by id.
     """
 
+    step: int
     stamp: int
     angle: float
     rate: float
@@ -117,7 +124,7 @@ class Frame(NamedTuple):
 
 
 class Scene:
-    """Keeps the newest of every message and draws it.
+    """Keeps the latest messages and draws the newest step of which all is there.
 
     Parameters
     ----------
@@ -127,16 +134,26 @@ class Scene:
         Torque, N m, at which an arrow is as long as half the plane.
     reference : callable, optional
         Angle, rad, that the plane should have at a time, s.
+    period_ns : int
+        The control period, ns.
     """
 
-    def __init__(self, layout: Layout, torque_max: float, reference: Callable[[float], float] | None = None) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        torque_max: float,
+        reference: Callable[[float], float] | None = None,
+        period_ns: int = 10_000_000,
+    ) -> None:
         self.layout = layout
         self._torque_max = torque_max
         self._reference = reference
-        self._plane: PlaneState | None = None
-        self._abstract: AbstractState | None = None
-        self._desired: DesiredAbstractState | None = None
-        self._robots: dict[int, AgentState] = {}
+        self._period_ns = period_ns
+        self._begun: Basis | None = None
+        self._planes: dict[int, PlaneState] = {}
+        self._abstract: dict[int, AbstractState] = {}
+        self._desired: dict[int, DesiredAbstractState] = {}
+        self._robots: dict[int, dict[int, AgentState]] = {agent_id: {} for agent_id in layout.robots}
         self._dead: set[int] = set()
         self._drawn: set[tuple[str, int]] = set()
 
@@ -145,23 +162,24 @@ class Scene:
         """Return the scene of a scenario whose robots are listed."""
         robots = [(agent.id, int(Kind[agent.kind.upper()]), agent.mass) for agent in scenario.agents]
         layout = Layout.of(scenario.plane.length, robots)
-        return cls(layout, scenario.manifold.torque_max, configure.parent_controller(scenario).reference)
-
-    @property
-    def step(self) -> int | None:
-        """The step of the newest state of the plane."""
-        return None if self._plane is None else self._plane.step
+        reference = configure.parent_controller(scenario).reference
+        return cls(layout, scenario.manifold.torque_max, reference, scenario.step_ns)
 
     def hear(self, message: Message) -> None:
-        """Take a message; older ones than those that are known, and robots that do not belong here, are left out."""
+        """Take a message; robots that do not belong here are left out."""
         if isinstance(message, PlaneState):
-            self._plane = _newer(self._plane, message)
+            _keep(self._planes, message)
         elif isinstance(message, AbstractState):
-            self._abstract = _newer(self._abstract, message)
+            _keep(self._abstract, message)
         elif isinstance(message, DesiredAbstractState):
-            self._desired = _newer(self._desired, message)
-        elif isinstance(message, AgentState) and message.agent_id in self.layout.robots:
-            self._robots[message.agent_id] = _newer(self._robots.get(message.agent_id), message)
+            _keep(self._desired, message)
+        elif isinstance(message, AgentState):
+            if message.agent_id in self._robots:
+                _keep(self._robots[message.agent_id], message)
+        elif isinstance(message, Basis):
+            known = self._begun
+            if message.source == Source.CONTROLLER and (known is None or message.step > known.step):
+                self._begun = message
         elif isinstance(message, SwarmEvent):
             if message.kind == EventKind.DEAD:
                 self._dead.add(message.agent_id)
@@ -170,30 +188,48 @@ class Scene:
 
     def frame(self) -> Frame | None:
         """Return what to draw now, None before the first state of the plane."""
-        plane = self._plane
-        if plane is None or not isfinite(plane.angle):
+        step = self._step()
+        if step is None or not isfinite(self._planes[step].angle):
             return None
-        places = self._places()
+        plane = self._planes[step]
+        states = self._states(step)
+        places = self._places(states)
+        abstract, desired = _at(self._abstract, step), _at(self._desired, step)
         shapes = (
             *self._still(plane.angle),
             *self._wanted(plane),
-            *self._bodies(plane, places),
-            *self._torques(),
+            *self._bodies(plane, states, places),
+            *self._torques(abstract, desired),
         )
         drawn = {(shape.group, shape.number) for shape in shapes}
         gone, self._drawn = tuple(sorted(self._drawn - drawn)), drawn
-        torque = self._abstract.torque if self._abstract is not None else None
-        effort = None if torque is None else -cos(plane.angle) * torque
-        return Frame(plane.stamp, plane.angle, plane.angular_velocity, effort, shapes, gone, places)
+        effort = None if abstract is None else -cos(plane.angle) * abstract.torque
+        return Frame(step, plane.stamp, plane.angle, plane.angular_velocity, effort, shapes, gone, places)
 
-    def _places(self) -> dict[int, Vector]:
+    def _step(self) -> int | None:
+        """Return the newest step of which everything is there that those who are heard now say."""
+        newest = max(self._planes, default=None)
+        if newest is None:
+            return None
+        kept: list[Mapping[int, Any]] = [self._abstract, self._desired]
+        kept += [states for agent_id, states in self._robots.items() if agent_id not in self._dead]
+        speaking = [said for said in kept if said and newest - SILENT_STEPS <= max(said)]
+        # A robot that has left has said so with its last words.
+        speaking = [said for said in speaking if getattr(said[max(said)], "status", None) != Status.LEFT]
+        complete = (step for step in sorted(self._planes, reverse=True) if all(step in said for said in speaking))
+        return next(complete, newest)
+
+    def _states(self, step: int) -> dict[int, AgentState]:
+        """Return the robots' states of a step, or the latest ones before."""
+        found = {agent_id: _at(kept, step) for agent_id, kept in self._robots.items()}
+        return {agent_id: state for agent_id, state in found.items() if state is not None}
+
+    def _places(self, states: dict[int, AgentState]) -> dict[int, Vector]:
         """Return where the robots are that are on the plane."""
         return {
-            agent_id: self.layout.on_plane(robot, state.position)
-            for agent_id, robot in self.layout.robots.items()
-            if (state := self._robots.get(agent_id)) is not None
-            and state.status != Status.LEFT
-            and isfinite(state.position)
+            agent_id: self.layout.on_plane(self.layout.robots[agent_id], state.position)
+            for agent_id, state in states.items()
+            if state.status != Status.LEFT and isfinite(state.position)
         }
 
     def _still(self, angle: float) -> tuple[Shape, ...]:
@@ -210,9 +246,11 @@ class Scene:
 
     def _wanted(self, plane: PlaneState) -> tuple[Shape, ...]:
         """Return the line along which the plane should lie, at both its sides."""
-        if self._reference is None:
+        begun = 0 if self._begun is None else self._begun.begun
+        # By the clock the law's time begins when the controller says.
+        if self._reference is None or (self._begun is None and plane.stamp > CLOCK) or begun > plane.step:
             return ()
-        wanted = self._reference(plane.stamp / 1e9)
+        wanted = self._reference((plane.step - begun) * self._period_ns / 1e9)
         if not isfinite(wanted):
             return ()
         layout = self.layout
@@ -220,12 +258,12 @@ class Scene:
         pose = Pose(Vector(0.0, 0.0, 0.0), tilt(wanted))
         return (Shape("reference", 0, LINES, pose, Vector(0.1 * layout.lane_width, 0.0, 0.0), REFERENCE, tuple(sides)),)
 
-    def _bodies(self, plane: PlaneState, places: dict[int, Vector]) -> list[Shape]:
+    def _bodies(self, plane: PlaneState, states: dict[int, AgentState], places: dict[int, Vector]) -> list[Shape]:
         shapes = []
         turn = tilt(plane.angle)
         labelled = len(self.layout.robots) <= LABELLED
         for agent_id, place in places.items():
-            robot, state = self.layout.robots[agent_id], self._robots[agent_id]
+            robot, state = self.layout.robots[agent_id], states[agent_id]
             pose = Pose(tilted(place, plane.angle), turn)
             body = CYLINDER if robot.kind == Kind.SINGLE_INTEGRATOR else CUBE
             size = Vector(robot.size, robot.size, robot.size)
@@ -243,11 +281,11 @@ class Scene:
             return SAFE_STOP
         return KINDS.get(Kind(robot.kind), GREY)
 
-    def _torques(self) -> list[Shape]:
+    def _torques(self, abstract: AbstractState | None, desired: DesiredAbstractState | None) -> list[Shape]:
         """Return the arrows of the swarm's torque, actual and wanted: they point to the end that is pushed down."""
         layout = self.layout
         shapes = []
-        for number, (state, colour) in enumerate(((self._abstract, ACTUAL), (self._desired, DESIRED))):
+        for number, (state, colour) in enumerate(((abstract, ACTUAL), (desired, DESIRED))):
             if state is None or not isfinite(state.torque) or state.torque == 0.0:
                 continue
             length = layout.length / 2.0 * min(abs(state.torque) / self._torque_max, 1.0)
@@ -258,5 +296,16 @@ class Scene:
         return shapes
 
 
-def _newer(known: _Known | None, message: _Known) -> _Known:
-    return message if known is None or message.step >= known.step else known
+def _keep(kept: dict[int, _Kept], message: _Kept) -> None:
+    """Keep the first message of a step, and only so many steps."""
+    kept.setdefault(message.step, message)
+    if len(kept) > HISTORY:
+        del kept[next(iter(kept))]
+
+
+def _at(kept: dict[int, _Kept], step: int) -> _Kept | None:
+    """Return the message of a step, or the latest before, or the first if there is none."""
+    if step in kept:
+        return kept[step]
+    before = max((known for known in kept if known < step), default=None)
+    return kept.get(min(kept, default=0) if before is None else before)
