@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SEARCH_PATH = {"PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
-"""Environment in which processes can import the tests' own modules."""
+"""Variables with which processes can import the tests' own modules: Python does not search where it was started."""
 
 MARK = "SWARMABS_TEST_MARK"
 """Environment variable that every process which a test starts inherits."""

@@ -28,6 +28,7 @@ def load(name: str) -> Any:
 @pytest.fixture
 def example(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(FOLDER)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)  # the tests have it, the shell of a user has not
     return load("run")
 
 

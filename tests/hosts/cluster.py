@@ -18,7 +18,7 @@ from typing import Any, Literal
 from tests.hosts.impairment import Impairment
 from tests.hosts.namespaces import children_born_in
 from tests.hosts.switches import DIRECTIONS, KernelBridge, SoftwareSwitch, Switch
-from tests.processes import ROOT, until
+from tests.processes import ROOT, SEARCH_PATH, until
 
 LONGEST = 60.0
 """Time, s, after which a command on a host is taken to hang."""
@@ -56,11 +56,15 @@ class Host:
         """Switch the host on. It comes with its old addresses and cables, and without any process."""
         assert self._holder is None, f"{self.name} is alive"
         words = [sys.executable, "-m", "tests.hosts.init", str(os.getpid()), self.name]
-        self._holder = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, cwd=ROOT, text=True)
-        assert self._holder.stdout is not None
-        pid = self._holder.stdout.readline()
-        assert pid, f"{self.name} has not started; its message stands above"
-        self.pid = int(pid)
+        environment = os.environ | SEARCH_PATH
+        holder = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, text=True)
+        assert holder.stdout is not None
+        pid = holder.stdout.readline()
+        if not pid:
+            with holder:
+                holder.kill()
+            raise AssertionError(f"{self.name} has not started; its message stands above")
+        self._holder, self.pid = holder, int(pid)
         for network, switch in enumerate(self._networks):
             interface = f"eth{network}"
             switch.attach(self._number, self.pid, interface, self.hardware_address(network))
@@ -134,7 +138,7 @@ class Host:
         entering += ["env", f"--chdir={cwd}", *map(str, words)]
         options = {"stdin": subprocess.DEVNULL, "text": True, **options}
         with children_born_in(self.pid):
-            process = subprocess.Popen(entering, env={**os.environ, **(env or {})}, **options)
+            process = subprocess.Popen(entering, env={**os.environ, **SEARCH_PATH, **(env or {})}, **options)
         self._started.append(process)
         return process
 

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 from tests.hosts.impairment import Impairment
-from tests.processes import ROOT, until
+from tests.processes import SEARCH_PATH, until
 
 DIRECTIONS = ("from", "to")
 """Of a cable, seen from the host."""
@@ -50,7 +50,7 @@ class SoftwareSwitch:
             [sys.executable, "-m", "tests.hosts.software_switch", str(os.getpid()), seed],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            cwd=ROOT,
+            env=os.environ | SEARCH_PATH,
             text=True,
         )
 
@@ -88,9 +88,8 @@ class KernelBridge:
     """Bridges in a network namespace of its own, one for each group of hosts, and netem at both ends of a cable."""
 
     def __init__(self) -> None:
-        self._holder = subprocess.Popen(
-            [sys.executable, "-m", "tests.hosts.holder", str(os.getpid())], stdout=subprocess.PIPE, cwd=ROOT, text=True
-        )
+        words = [sys.executable, "-m", "tests.hosts.holder", str(os.getpid())]
+        self._holder = subprocess.Popen(words, stdout=subprocess.PIPE, env=os.environ | SEARCH_PATH, text=True)
         assert self._holder.stdout is not None and self._holder.stdout.readline()
         self._hosts: dict[int, tuple[int, str]] = {}
         self._bridges: set[int] = set()
