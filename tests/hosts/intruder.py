@@ -4,7 +4,7 @@ Usage: python -m tests.hosts.intruder KIND SEED EPOCH_NS PERIOD_NS AGENT_ID...
 
 With `flood` he forges anything for the steps around now: of every robot, and of all who command them; true-looking or
 nonsense. With `lead` he plays observer and parent controller, so well that robots believe him when the real ones are
-gone. He says "ready", and goes on until he is ended.
+gone; he opens the latch of those that are stopped. He says "ready", and goes on until he is ended.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from swarmabs_core.messages import (
     PlaneState,
     Status,
 )
+from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.qos import REALTIME
 
@@ -57,8 +58,8 @@ def environment(folder: Path, fleet: Fleet, address: str) -> dict[str, str]:
     return {**dds_environment(fleet.network.domain, str(profile)), "ROS_LOG_DIR": "/run"}
 
 
-def flood(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
-    """Return one message, of any kind."""
+def flood(draw: Random, now: int, step: int, mode: Mode, ids: list[int]) -> list[Message]:
+    """Return one message, of any kind and mode."""
 
     def number() -> float:
         return draw.choice((0.0, nan, inf, -1e300, draw.gauss(0.0, 0.1), draw.gauss(0.0, 1.0), draw.gauss(0.0, 10.0)))
@@ -82,7 +83,7 @@ def flood(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
     return [PlaneState(now, step, number(), number())]
 
 
-def lead(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
+def lead(draw: Random, now: int, step: int, mode: Mode, ids: list[int]) -> list[Message]:
     """Return the broadcasts of a step: of a swarm that is made up, and that shall be as far from the axis as can be."""
     a, b = MASSES
     place = 0.1
@@ -91,7 +92,7 @@ def lead(draw: Random, now: int, step: int, ids: list[int]) -> list[Message]:
     return [
         AbstractState(now, step, 2, 0.0, (a + b) * place * place, 0.0, 0.0),
         AuxiliaryState(now, step, s0, s1, s2, spread, 0.1, 0.0, 0.1 * place * place, 0.0),
-        DesiredAbstractState(now, step, Mode.RUN, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        DesiredAbstractState(now, step, mode, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     ]
 
 
@@ -103,13 +104,15 @@ def main() -> None:
     kinds = (AgentState, AbstractState, AuxiliaryState, DesiredAbstractState, PlaneState)
     publishers = {message: advertise(node, TOPIC_OF[message], REALTIME) for message in kinds}
     draw, last = Random(seed), -1
+    reset_until = time.time_ns() + round(RESET_SECONDS * 1e9)
     say("ready")
     while True:
         now = time.time_ns()
         step = (now - int(epoch)) // int(period)
         if kind == "flood" or step > last:
             last = step
-            for message in make(draw, now, step, list(map(int, ids))):
+            mode = Mode.RESET if now < reset_until else Mode.RUN
+            for message in make(draw, now, step, mode, list(map(int, ids))):
                 publishers[type(message)].publish(encode(message))
         time.sleep(_PACE)
 
