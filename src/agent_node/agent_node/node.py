@@ -42,7 +42,7 @@ PARAMETERS = (
     Parameter("limits.velocity", 0.0, "largest speed, m/s; 0: no limit", minimum=0.0),
     Parameter("limits.force", 0.0, "largest force, N; 0: no limit", minimum=0.0),
     Parameter("first_step", 0, "step at which the robot joins", minimum=0),
-    Parameter("end", "none", "how the robot ends by plan", choices=("none", "kill", "freeze", "leave")),
+    Parameter("end", "none", "how the robot ends by plan", choices=("none", "kill", "freeze", "leave", "remove")),
     Parameter("end_step", 0, "step of the planned end", minimum=0),
     Parameter("faults", (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'"),
     Parameter("seed", 1, "seed of what is drawn of the faults and of the sensor's noise", minimum=0),

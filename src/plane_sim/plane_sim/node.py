@@ -12,6 +12,7 @@ from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.sensing import Sensor
+from swarmabs_core.steering import Stair
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
@@ -52,6 +53,9 @@ PARAMETERS = (
     Parameter("seed", 1, "seed of the sensor's noise", minimum=0),
     Parameter("actuator_lag", 0.0, "time constant of the robots' drives, s", minimum=0.0),
     Parameter("lies", (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'"),
+    Parameter(
+        "torques", (), "constant torque, N m, that disturbs the plane, each 'STEP VALUE' from a step on: '500 0.1'"
+    ),
 )
 
 
@@ -77,6 +81,7 @@ def config(settings: Settings) -> PlaneConfig:
         seed=settings.integer("seed"),
         actuator_lag=settings.number("actuator_lag"),
         lies=tuple(map(Lie.parse, settings.texts("lies"))),
+        torques=tuple(map(Stair.parse, settings.texts("torques"))),
     )
 
 

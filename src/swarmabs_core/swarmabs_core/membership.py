@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 SILENT = "silent"
 """Reason of the end of a robot that did not answer and was dropped."""
 
+UNPLANNED = 2**63 - 1
+"""Step at which a robot joins that is only there when it is added: beyond every run."""
+
 
 class ChangeKind(str, Enum):
     """How a robot's membership changes at a step."""
@@ -31,6 +34,13 @@ class ChangeKind(str, Enum):
     """It publishes its last state at the step; afterwards it stands still where it was."""
     FREEZE = "freeze"
     """Like `KILL`, but the process is stopped and not ended."""
+    REMOVE = "remove"
+    """It publishes its last state, not knowing it, at the step; afterwards its weight is gone."""
+
+    @property
+    def stays(self) -> bool:
+        """Whether the robot's weight stays on the plane when it has ended so."""
+        return self in (ChangeKind.KILL, ChangeKind.FREEZE)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -104,7 +114,7 @@ class Membership:
             if change.kind is ChangeKind.JOIN:
                 span.first = change.step
             else:
-                self._end(span, change.step, stays=change.kind is not ChangeKind.LEAVE, reason=change.kind.value)
+                self._end(span, change.step, stays=change.kind.stays, reason=change.kind.value)
         self._cached: tuple[int, tuple[int, ...]] = (-1, ())
 
     def _end(self, span: _Span, last: int, *, stays: bool, reason: str) -> None:

@@ -42,7 +42,12 @@ POLL = 0.1
 STARTED_AGAIN = "did not come up: again"
 """What the orchestrator's log says of a process that it starts once more."""
 
-_SIGNALS = {ChangeKind.KILL: signal.SIGKILL, ChangeKind.FREEZE: signal.SIGSTOP, ChangeKind.LEAVE: signal.SIGTERM}
+_SIGNALS = {
+    ChangeKind.KILL: signal.SIGKILL,
+    ChangeKind.FREEZE: signal.SIGSTOP,
+    ChangeKind.LEAVE: signal.SIGTERM,
+    ChangeKind.REMOVE: signal.SIGTERM,
+}
 
 
 class LockstepRun:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
+from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -25,6 +26,7 @@ from swarmabs_core.messages import (
     Kind,
     Topic,
 )
+from swarmabs_core.steering import DISTURBANCE, REFERENCE
 from swarmabs_ros.repeat import FIRST, WINDOW
 
 if TYPE_CHECKING:
@@ -167,6 +169,7 @@ def plan(
                 "seed": scenario.seed,
                 "actuator_lag": scenario.swarm.actuator_lag,
                 "lies": tuple(map(str, configure.lies(scenario))),
+                "torques": tuple(map(str, configure.stairs(scenario, DISTURBANCE))),
             },
             (EVENTS, PLANE_STATE),
             (AGENT_STATE, EVENTS),
@@ -195,6 +198,7 @@ def plan(
                 "manifold.torque_max": manifold.torque_max,
                 "recording_window": configure.recording_window(scenario),
                 "controller.type": scenario.controller.type,
+                "offsets": tuple(map(str, configure.stairs(scenario, REFERENCE))),
                 "packed": packed,
             }
             | {f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
@@ -234,7 +238,8 @@ def _observer_parameters(scenario: Scenario) -> dict[str, object]:
 def _agent_processes(
     scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int
 ) -> list[ProcessPlan]:
-    configs = configure.agent_configs(scenario)
+    # Who is there only when it is added has no process in a run to which nothing can be added.
+    configs = [config for config in configure.agent_configs(scenario) if config.life.first_step != UNPLANNED]
     heard = (BROADCAST,) if common["packed"] else BROADCASTS
     processes = []
     for index, first in enumerate(range(0, len(configs), per_process)):

@@ -57,7 +57,7 @@ class Recording:
         replay: Mapping[str, object] | None = None,
     ) -> None:
         self._digest = Digest()
-        self._metrics = Metrics(configure.parent_controller(scenario).reference)
+        self._metrics = Metrics(configure.reference(scenario))
         self._writer = None
         if folder is not None:
             self._writer = BagWriter(

@@ -101,7 +101,7 @@ class Recorded:
     @cached_property
     def reference(self) -> Floats:
         """The angle wanted at each step, rad."""
-        reference = configure.parent_controller(self.scenario).reference
+        reference = configure.reference(self.scenario)
         return np.array([reference(t) for t in self.arrays.time.tolist()])
 
     @cached_property
@@ -172,7 +172,7 @@ def _events(bag: BagReader) -> tuple[SwarmEvent, ...]:
 
 def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, float | int | str | None]:
     """Return the figures of the run, by the same arithmetic as while it is recorded."""
-    metrics = Metrics(configure.parent_controller(scenario).reference)
+    metrics = Metrics(configure.reference(scenario))
     states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.angle.tolist(), strict=True)
     for time, step, angle in states:
         if not np.isnan(angle):

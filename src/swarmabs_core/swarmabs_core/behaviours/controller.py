@@ -11,16 +11,20 @@ from swarmabs_core.messages import (
     NEVER,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    EventKind,
     Message,
     Messages,
     PlaneState,
     RecordingProgress,
+    SwarmEvent,
     Topic,
 )
+from swarmabs_core.steering import REFERENCE, Stair, Staircase
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers.base import ParentController
     from swarmabs_core.manifold import Manifold
+
 
 @dataclass(frozen=True, slots=True)
 class ControllerConfig:
@@ -36,12 +40,15 @@ class ControllerConfig:
         How many steps the run may be ahead of the recorder; 0 if it is not recorded.
     last_step : int, optional
         The step with which the run ends.
+    offsets : tuple of Stair
+        By how much the angle wanted is above the law's reference, rad, by step.
     """
 
     period_ns: int
     manifold: Manifold
     recording_window: int = 0
     last_step: int | None = None
+    offsets: tuple[Stair, ...] = ()
 
 
 class Controller:
@@ -58,6 +65,7 @@ class Controller:
     def __init__(self, config: ControllerConfig, law: ParentController) -> None:
         self._config = config
         self._generator = DesiredStateGenerator(config.period_ns, config.manifold, law)
+        self._offsets = Staircase(config.offsets)
         self._step = 0
         self._plane: PlaneState | None = None
         self._written = -1
@@ -101,6 +109,9 @@ class Controller:
         plane = self._plane
         assert plane is not None  # noqa: S101 - `handle` has checked it
         step, self._plane = self._step, None
-        events, desired = self._generator.advance(step * self._config.period_ns, plane)
+        stamp = step * self._config.period_ns
+        events, desired = self._generator.advance(stamp, plane, offset=self._offsets.at(step))
         self._step += 1
+        if (offset := self._offsets.changing(step)) is not None:
+            events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)
         return (*events, desired)
