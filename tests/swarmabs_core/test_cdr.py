@@ -22,6 +22,7 @@ from swarmabs_core.messages import (
     Message,
     PlaneState,
     RecordingProgress,
+    Steering,
     SwarmEvent,
 )
 
@@ -72,6 +73,11 @@ CASES = [
         (3, 5),
     ),
     Case(RecordingProgress(STAMP, STEP, 1230), b"\xce\x04\x00\x00\x00\x00\x00\x00"),
+    Case(
+        Steering(STAMP, STEP, 7, 1, 513, 1.0),
+        b"\x07" + b"\x00" * 7 + b"\x01\x00\x01\x02" + b"\x00" * 4 + doubles(1.0),
+        (12, 4),
+    ),
 ]
 PARTS = [CASES[2], CASES[3], CASES[4]]
 CASES.append(
@@ -94,6 +100,7 @@ messages = st.one_of(
     st.builds(DesiredAbstractState, stamps, u64, u8, *[f64] * 8),
     st.builds(SwarmEvent, stamps, u64, u16, u8, f64, st.text(max_size=30)),
     st.builds(RecordingProgress, stamps, u64, u64),
+    st.builds(Steering, stamps, u64, u64, u8, u16, f64),
     st.builds(
         Broadcast,
         stamps,

@@ -10,7 +10,7 @@ from typing import get_type_hints
 import pytest
 from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
 
-from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Status
+from swarmabs_core.messages import NEVER, TOPICS, Action, EventKind, Kind, Mode, Status
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
@@ -18,6 +18,7 @@ CONSTANTS: dict[str, tuple[type[IntEnum], ...]] = {
     "AgentState": (Kind, Status),
     "DesiredAbstractState": (Mode,),
     "SwarmEvent": (EventKind,),
+    "Steering": (Action,),
 }
 CONTRACT = {
     "PlaneState": ["angle", "angular_velocity"],
@@ -34,6 +35,7 @@ CONTRACT = {
     "SwarmEvent": ["agent_id", "kind", "value", "detail"],
     "RecordingProgress": ["written_step"],
     "Broadcast": ["abstract", "auxiliary", "desired"],
+    "Steering": ["request", "action", "agent_id", "value"],
 }
 UNIT = re.compile(r"^(kg|m|rad|N|s|1)\b[\w^/() ]*(,| along|$)|\bkg\^?\d?\b|\bm/s\b|\bN\b|\bin the unit\b")
 

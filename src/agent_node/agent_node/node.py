@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_agent
+from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_newcomer
 from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault
@@ -19,7 +19,7 @@ from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import GRAVITY, PACKED, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import GRAVITY, PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ PARAMETERS = (
     Parameter("seed", 1, "seed of what is drawn of the faults and of the sensor's noise", minimum=0),
     Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
     PACKED,
+    STEERED,
     LAW,
     Parameter(
         "sensor.noise",
@@ -140,7 +141,7 @@ def config(settings: Settings) -> AgentConfig:
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    agent: Listener = make_agent(config(settings))
+    agent: Listener = make_newcomer(config(settings), steered=settings.flag(STEERED.name))
     if settings.flag(PACKED.name):
         agent = Unpacking(agent)
     return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})

@@ -40,7 +40,9 @@ def plugin_versions(scenario: Scenario) -> dict[str, str]:
     return dict(package for package in packages if package is not None)
 
 
-def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None) -> dict[str, object]:
+def provenance(
+    scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None, steered: bool = False
+) -> dict[str, object]:
     """Return the provenance of a run.
 
     Parameters
@@ -51,6 +53,8 @@ def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] 
         What moved the state machines: ``lockstep`` or ``simulate``.
     replay : mapping, optional
         What of which bag was replayed, if it is no run of its own.
+    steered : bool
+        Whether the run could be steered: then its events say what was done to it, and its scenario does not.
     """
     own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
@@ -62,9 +66,14 @@ def provenance(scenario: Scenario, *, driver: str, replay: Mapping[str, object] 
         "byte_order": sys.byteorder,
         "libm_fingerprint": libm_fingerprint(),
     }
+    if steered:
+        own["steered"] = True
     return own if replay is None else own | {"replay": dict(replay)}
 
 
-def provenance_json(scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None) -> bytes:
+def provenance_json(
+    scenario: Scenario, *, driver: str, replay: Mapping[str, object] | None = None, steered: bool = False
+) -> bytes:
     """Return the provenance as a bag's attachment; parameters as of `provenance`."""
-    return json.dumps(provenance(scenario, driver=driver, replay=replay), indent=2, sort_keys=True).encode() + b"\n"
+    said = provenance(scenario, driver=driver, replay=replay, steered=steered)
+    return json.dumps(said, indent=2, sort_keys=True).encode() + b"\n"

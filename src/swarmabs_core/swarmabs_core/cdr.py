@@ -44,6 +44,7 @@ _FIELDS = {
     "DesiredAbstractState": "B7x8d",
     "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
     "RecordingProgress": "Q",
+    "Steering": "QBxH4xd",
 }
 _PARTS = ("AbstractState", "AuxiliaryState", "DesiredAbstractState")
 _FIELDS["Broadcast"] = "".join(_HEAD + _FIELDS[part] for part in _PARTS)

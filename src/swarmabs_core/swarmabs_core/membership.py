@@ -107,15 +107,19 @@ class Membership:
 
     def __init__(self, members: Iterable[int], schedule: Iterable[Change] = ()) -> None:
         self._spans = {agent_id: _Span() for agent_id in sorted(members)}
+        self._cached: tuple[int, tuple[int, ...]] = (-1, ())
         for change in sorted(schedule):
             if change.agent_id not in self._spans:
                 raise InputError(f"membership change '{change}': there is no robot {change.agent_id}")
-            span = self._spans[change.agent_id]
-            if change.kind is ChangeKind.JOIN:
-                span.first = change.step
-            else:
-                self._end(span, change.step, stays=change.kind.stays, reason=change.kind.value)
-        self._cached: tuple[int, tuple[int, ...]] = (-1, ())
+            self.plan(change)
+
+    def plan(self, change: Change) -> None:
+        """Note a change, which may be scheduled or ordered from outside; an earlier end that is known stands."""
+        if change.kind is ChangeKind.JOIN:
+            self._spans[change.agent_id].first = change.step
+            self._cached = (-1, ())
+        else:
+            self.end(change.agent_id, change.step, stays=change.kind.stays, reason=change.kind.value)
 
     def _end(self, span: _Span, last: int, *, stays: bool, reason: str) -> None:
         span.last, span.stays, span.reason = last, stays, reason
@@ -134,6 +138,10 @@ class Membership:
         """Tell whether a robot publishes its state of a step."""
         span = self._spans.get(agent_id)
         return span is not None and span.covers(step)
+
+    def first(self, agent_id: int) -> int:
+        """Return the first step at which a robot publishes its state; `UNPLANNED` if nobody knows."""
+        return self._spans[agent_id].first
 
     def stays(self, agent_id: int) -> bool:
         """Tell whether a robot that publishes no more remains on the plane."""

@@ -11,14 +11,30 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import Action
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from swarmabs_core.messages import Steering
 
 REFERENCE = "reference"
 """`SwarmEvent.detail` where the offset (rad) of the plane's reference changes."""
 DISTURBANCE = "disturbance"
 """`SwarmEvent.detail` where the constant torque (N m) that disturbs the plane changes."""
+
+
+ENDS = {Action.KILL: ChangeKind.KILL, Action.FREEZE: ChangeKind.FREEZE, Action.REMOVE: ChangeKind.REMOVE}
+"""The actions that end a robot, and as what each is planned."""
+
+
+def change_of(order: Steering) -> Change | None:
+    """Return the change of the membership that is ordered from outside; None if it is something else."""
+    if order.action == Action.ADD:
+        return Change(order.step, order.agent_id, ChangeKind.JOIN)
+    kind = ENDS.get(Action(order.action))
+    return None if kind is None else Change(order.step - 1, order.agent_id, kind)
 
 
 class Stair(NamedTuple):

@@ -22,6 +22,7 @@ from swarmabs_core.messages import (
     EVENTS,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    STEERING,
     Topic,
 )
 
@@ -52,6 +53,7 @@ OFFERED: dict[Topic, Qos] = {
     EVENTS: Qos("reliable", 1000, "transient_local"),
     RECORDING_PROGRESS: Qos("best_effort", 10),
     BROADCAST: Qos("best_effort", 10),
+    STEERING: Qos("reliable", 100),
 }
 """What the publishers of a topic offer."""
 

@@ -15,7 +15,7 @@ from typing import Literal
 REPORT_FD = "SWARMABS_REPORT_FD"
 START_FD = "SWARMABS_START_FD"
 
-Report = Literal["ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing"]
+Report = Literal["ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing", "steered"]
 
 
 class StatusChannel:

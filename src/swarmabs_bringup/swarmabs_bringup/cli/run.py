@@ -12,7 +12,7 @@ import click
 from swarmabs_bringup.cli.display import shown_progress
 from swarmabs_bringup.cli.interrupts import no_more_interrupts
 from swarmabs_bringup.cli.output import json_option, print_json
-from swarmabs_core.errors import RunError
+from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,7 +87,19 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
     help="Robots that share a process, for large simulations.",
 )
 @click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
-def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: FBT001 - click names it
+@click.option("--steer", is_flag=True, help="Let the run be changed while it goes on, by the command `steer`.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(0.0, min_open=True, max=1e6),
+    help="With --steer: simulated time per real time, at most.  [default: as fast as possible]",
+)
+def run(
+    agents_per_process: int,
+    packed: bool,  # noqa: FBT001 - click names it
+    steer: bool,  # noqa: FBT001
+    rate: float | None,
+    **options: Any,
+) -> int:
     """Run a scenario as one process per robot over DDS, in lockstep.
 
     SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
@@ -110,9 +122,35 @@ def run(agents_per_process: int, packed: bool, **options: Any) -> int:  # noqa: 
             agents_per_process=agents_per_process,
             packed=packed,
             split=split,
+            steered=steer,
+            step_seconds=_step_seconds(scenario, rate),
         ).run()
 
-    return _carry_out(execute, **options)
+    if rate is not None and not steer:
+        raise InputError("--rate is for a run with --steer; leave one of them out, or add the other")
+    if steer and options["no_bag"]:
+        raise InputError("--steer with --no-bag: what is done to a run is recorded; leave one of them out")
+    return _carry_out(execute, check=lambda scenario: _step_seconds(scenario, rate), steered=steer, **options)
+
+
+def _step_seconds(scenario: Scenario, rate: float | None) -> float:
+    """Return the shortest wall time of a step, s; 0 for none.
+
+    Raises
+    ------
+    InputError
+        If a run that is as slow could not be told from one that stalls.
+    """
+    from swarmabs_bringup.steering.pace import SLOWEST  # noqa: PLC0415 - slow, not for --help
+
+    seconds = 0.0 if rate is None else scenario.period / rate
+    slowest = min(SLOWEST, 0.5 * scenario.lockstep.stall_timeout)
+    if seconds > slowest:
+        raise InputError(
+            f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s looks like a stall; use "
+            f"at least {scenario.period / slowest:g}"
+        )
+    return seconds
 
 
 @click.command()
@@ -145,6 +183,8 @@ def _carry_out(
     max_bag_size: int,
     max_bag_duration: int,
     as_json: bool,
+    steered: bool = False,
+    check: Callable[[Scenario], object] = bool,
 ) -> int:
     """Load, run, sum up, print; return the exit code."""
     from swarmabs_bringup.rerun import recorded_run  # noqa: PLC0415
@@ -159,11 +199,14 @@ def _carry_out(
         overrides = (*overrides, f"duration={duration}")
     recorded = recorded_run(scenario, overrides) if names_bag(scenario) else None
     loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
+    check(loaded)
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
     differences = recorded.differences if recorded is not None else ()
     for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded)), *differences):
         click.echo(f"warning: {warning}", err=True)
     loaded = loaded.resolved()
+    if steered:
+        click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
     try:
         with shown_progress(loaded) as show:
             outcome = execute(loaded, folder, not no_bag, Split(max_bag_size, max_bag_duration * 10**9), show)
@@ -175,7 +218,9 @@ def _carry_out(
             reason=outcome.reason,
             wall_time=since_start(),
             stepping_seconds=outcome.stepping_seconds,
-            rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides)) if recorded is not None else None,
+            rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)
+            if recorded is not None
+            else None,
         )
         folder.write_summary(summary)
     except OSError as error:

@@ -21,15 +21,15 @@ from swarmabs_bringup.orchestration.progress import Outcome, Progress
 from swarmabs_bringup.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_bringup.splitting import ONE_FILE, Split
+from swarmabs_bringup.steering.protocol import SOCKET
 from swarmabs_core import configure
-from swarmabs_core.membership import ChangeKind
+from swarmabs_core.membership import Change, ChangeKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from swarmabs_bringup.orchestration.progress import Phase
     from swarmabs_bringup.run_folder import RunFolder
-    from swarmabs_core.membership import Change
     from swarmabs_core.scenario import Scenario
 
 START_SILENCE = 30.0
@@ -73,6 +73,10 @@ class LockstepRun:
         Whether the robots hear the three broadcasts as one message, which costs less where they are many.
     split : Split
         When the bag goes on in a new file, by default never.
+    steered : bool
+        Whether the run can be steered, by a socket in its folder.
+    step_seconds : float
+        Shortest wall time, s, of a step of such a run; 0: as fast as possible.
     """
 
     def __init__(
@@ -87,6 +91,8 @@ class LockstepRun:
         agents_per_process: int = 1,
         packed: bool = False,
         split: Split = ONE_FILE,
+        steered: bool = False,
+        step_seconds: float = 0.0,
     ) -> None:
         self._scenario = scenario
         self._folder = folder
@@ -101,6 +107,8 @@ class LockstepRun:
             agents_per_process=agents_per_process,
             packed=packed,
             split=split,
+            steered=steered,
+            step_seconds=step_seconds,
         )
         self._plan = tuple(arrange(planned))
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
@@ -133,6 +141,7 @@ class LockstepRun:
         profile = self._folder.logs / "fastdds.xml"
         with ExitStack() as stack:
             stack.enter_context(tracing_files_removed())
+            stack.callback((self._folder.path / SOCKET).unlink, missing_ok=True)
             domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
             self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
             profile.write_text(profile_xml(domain, multicast=multicast_works()), encoding="utf-8")
@@ -240,8 +249,19 @@ class LockstepRun:
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         return Failure(f"not all processes have met within {START_SILENCE:g} s without news: {shown}", missing[:2])
 
+    def _take_orders(self) -> None:
+        """Note what was done from outside, and plan the ends of processes that follow from it."""
+        for order in self._supervision.orders:
+            self._note(f"steered: {order['text']}")
+            if order["change"]:
+                change = Change.parse(order["change"])
+                later = (fault for fault in self._faults if fault.agent_id != change.agent_id)
+                self._faults = sorted((change, *later))
+        self._supervision.orders.clear()
+
     def _inject_faults(self, launcher: LauncherClient) -> None:
-        """End or stop the processes whose last state is recorded; as state machines they have fallen silent already."""
+        """End or stop the processes whose last state is recorded; from then on nobody listens to them any more."""
+        self._take_orders()
         while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)
             if fault.agent_id not in self._own_process:  # its state machine is silent, its neighbours go on

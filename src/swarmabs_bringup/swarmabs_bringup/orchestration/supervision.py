@@ -68,6 +68,7 @@ class Supervision:
     progress: Mapping[str, Any] | None = None
     done: Mapping[str, Any] | None = None
     failure: Failure | None = None
+    orders: list[Mapping[str, Any]] = field(default_factory=list)
 
     def take(self, report: Mapping[str, Any]) -> None:
         """Take a report of a node or of the launcher."""
@@ -86,6 +87,8 @@ class Supervision:
             self._fail(Failure(f"{node}: {report['reason']}"))
         elif event == "progress":
             self.progress = report
+        elif event == "steered":
+            self.orders.append(report)
         elif event == "done":
             self.done = report
             if report["problem"]:

@@ -39,6 +39,8 @@ class Recording:
         When the bag goes on in a new file, by default never.
     replay : mapping, optional
         What of which bag is replayed, for the provenance.
+    steered : bool
+        Whether the run may be steered, for the provenance.
 
     Raises
     ------
@@ -55,9 +57,11 @@ class Recording:
         namespace: str = "/",
         split: Split = ONE_FILE,
         replay: Mapping[str, object] | None = None,
+        steered: bool = False,
     ) -> None:
         self._digest = Digest()
-        self._metrics = Metrics(configure.reference(scenario))
+        self._reference = configure.reference(scenario)
+        self._metrics = Metrics(self._reference)
         self._writer = None
         if folder is not None:
             self._writer = BagWriter(
@@ -67,7 +71,7 @@ class Recording:
                 split=split,
                 attachments={
                     "scenario.yaml": dump_scenario(scenario).encode(),
-                    "provenance.json": provenance_json(scenario, driver=driver, replay=replay),
+                    "provenance.json": provenance_json(scenario, driver=driver, replay=replay, steered=steered),
                 },
             )
 
@@ -89,6 +93,10 @@ class Recording:
         if self._writer is not None:
             for topic, stamp, payload in step.stored():
                 self._writer.write(topic, stamp, payload)
+
+    def offset(self, step: int, offset: float) -> None:
+        """Take note of an offset of the reference (rad) that holds from a step on, for the figures."""
+        self._reference.shift(step, offset)
 
     def poll(self) -> None:
         """Hand what is old enough to the operating system."""

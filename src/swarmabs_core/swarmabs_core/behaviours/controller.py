@@ -11,6 +11,7 @@ from swarmabs_core.messages import (
     NEVER,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    Action,
     EventKind,
     Message,
     Messages,
@@ -24,6 +25,7 @@ from swarmabs_core.steering import REFERENCE, Stair, Staircase
 if TYPE_CHECKING:
     from swarmabs_core.controllers.base import ParentController
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.messages import Steering
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,11 @@ class Controller:
         else:
             raise UnexpectedMessageError("parent controller", message)
         return self._finish() if self._plane is not None and self._credit() else ()
+
+    def steer(self, order: Steering) -> None:
+        """Take over an offset of the reference that is ordered from outside."""
+        if order.action == Action.REFERENCE:
+            self._offsets.set(order.step, order.value)
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, then, if the recorder is too far behind, for the recorder."""

@@ -14,18 +14,20 @@ from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
+    Action,
     AgentState,
     EventKind,
     Kind,
     Message,
     Messages,
     PlaneState,
+    Steering,
     SwarmEvent,
     Topic,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
 from swarmabs_core.sensing import Sensor
-from swarmabs_core.steering import DISTURBANCE, Stair, Staircase
+from swarmabs_core.steering import DISTURBANCE, Stair, Staircase, change_of
 
 CURVED_FROM = 0.25
 """Lag, in control periods, from which on a single integrator's path is better told by a cubic than by a line."""
@@ -139,6 +141,13 @@ class Plane:
         else:
             raise UnexpectedMessageError("plane", message)
         return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def steer(self, order: Steering) -> None:
+        """Take over a torque, or a change of the membership, that is ordered from outside."""
+        if order.action == Action.DISTURBANCE:
+            self._torques.set(order.step, order.value)
+        elif (change := change_of(order)) is not None:
+            self._membership.plan(change)
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for robots' states, and for news of robots that will send none."""
