@@ -31,13 +31,13 @@ LIVE = "100000"
 
 
 @contextmanager
-def page_of(folder: Path, *arguments: str) -> Iterator[str]:
-    """Start a command that serves a page, in a folder, and yield the page's address."""
+def page_of(folder: Path, *arguments: str, said: str = "") -> Iterator[str]:
+    """Start a command that serves a page, in a folder, and yield the page's address, before which it says so much."""
     words = [*SWARM, *arguments]
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:
             lines = iter(process.stdout or ())
-            yield next(line for line in lines if "http://" in line).removeprefix("view: ").strip()
+            yield next(line for line in lines if line.startswith(f"{said}http://")).removeprefix(said).strip()
         finally:
             process.terminate()
             for _ in lines:
@@ -93,11 +93,23 @@ def main() -> int:
             page = opened(browser, url, (390, 844), "light")
             seek(page, 40)
             keep(page, folder / "view_phone.webp")
-        with page_of(here, "run", "arise_het_20", "--duration", LIVE, "--view") as url:
+        with page_of(here, "run", "arise_het_20", "--duration", LIVE, "--view", said="view: ") as url:
             page = opened(browser, url, (1280, 900), "light")
             page.wait_for_selector("#processes tbody tr", timeout=60_000)
             page.wait_for_timeout(6000)
             keep(page, folder / "view_live.webp", whole=True)
+        steered = ("run", "pd_het_4", "--duration", LIVE, "--view", "--steer", "--rate", "1")
+        with page_of(here, *steered, said="view, to steer: ") as url:
+            page = opened(browser, url, (1280, 960), "light")
+            page.get_by_label("Offset of the reference, rad").fill("0.05")
+            page.get_by_role("button", name="Set reference").click()
+            page.get_by_text("reference 0.05: from step").wait_for()
+            page.wait_for_timeout(4000)
+            page.get_by_label("Robot", exact=True).select_option("robot 2")
+            page.get_by_role("button", name="Kill").click()
+            page.get_by_text("kill robot 2: from step").wait_for()
+            page.wait_for_timeout(2000)
+            keep(page, folder / "view_steering.webp")
         browser.close()
     return 0
 

@@ -24,14 +24,15 @@ import parent_controller.realtime
 import plane_sim.driver
 import plane_sim.node
 import plane_sim.realtime
-from swarmabs_bringup.orchestration.plan import plan
+from swarmabs_bringup.orchestration.plan import ProcessPlan, plan
 from swarmabs_bringup.orchestration.realtime_plan import realtime_plan
 from swarmabs_bringup.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_bringup.replay import node as replay_player
 from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bringup.steering import node as steering
 from swarmabs_bringup.view.protocol import json_schema
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.messages import BASIS, BROADCAST, TOPICS
+from swarmabs_core.messages import BASIS, BROADCAST, STEERING, TOPICS, Topic
 from swarmabs_core.realtime import topic_drive
 from swarmabs_core.scenario import (
     AGENT_KINDS,
@@ -46,7 +47,7 @@ from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from swarmabs_core.parameters import Parameter
 
@@ -116,13 +117,19 @@ def parameters(declared: Iterable[Parameter], prefix: str = "") -> str:
 def topics() -> str:
     """Return the table of topics: type, QoS offered, who publishes and who subscribes."""
     scenario, files = find_scenario("pd_het_4").resolved(), (Path("scenario.yaml"), Path("bag"), Path("logs"))
-    usual, packed = (
-        plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2], packed=packed) for packed in (False, True)
-    )
-    realtime = realtime_plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2])
 
-    def names(relation: str, topic: object) -> str:
-        processes = packed if topic is BROADCAST else realtime if topic is BASIS else usual
+    def planned(**options: bool) -> Sequence[ProcessPlan]:
+        return plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2], **options)  # type: ignore[arg-type]
+
+    special = {
+        BROADCAST: planned(packed=True),
+        STEERING: planned(steered=True),
+        BASIS: realtime_plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2]),
+    }
+    usual = planned()
+
+    def names(relation: str, topic: Topic) -> str:
+        processes = special.get(topic, usual)
         found = (p.module.rpartition(".")[0].rpartition(".")[2] for p in processes if topic in getattr(p, relation))
         return ", ".join(dict.fromkeys(found))
 
@@ -244,12 +251,11 @@ def all_tables() -> dict[str, str]:
         "agent_group": parameters(agent_node.group.PARAMETERS),
         "recorder": parameters(recorder.PARAMETERS),
         "replay_player": parameters(replay_player.PARAMETERS),
+        "steering": parameters(steering.PARAMETERS),
         "realtime common": parameters(REALTIME_COMMON),
         "realtime plane_sim": parameters(plane_sim.realtime.PARAMETERS),
         "realtime abstraction_observer": parameters(abstraction_observer.realtime.PARAMETERS),
-        "realtime parent_controller": parameters(
-            (parent_controller.node.LAW, *parent_controller.realtime.PARAMETERS)
-        ),
+        "realtime parent_controller": parameters((parent_controller.node.LAW, *parent_controller.realtime.PARAMETERS)),
         "realtime agent_node": parameters(agent_node.realtime.PARAMETERS),
         "realtime recorder": parameters(realtime_recorder.PARAMETERS),
         "realtime qos": realtime_qos(),

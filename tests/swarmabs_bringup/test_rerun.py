@@ -15,7 +15,10 @@ from swarmabs_bringup.cli import main
 from swarmabs_bringup.comparison import compare_bags
 from swarmabs_bringup.provenance import provenance
 from swarmabs_bringup.rerun import recorded_run
+from swarmabs_bringup.verify import BagToVerify
+from swarmabs_core import configure
 from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import EventKind, Message, PlaneState, SwarmEvent
 from swarmabs_core.scenario import dump_scenario, parse_scenario
 
@@ -180,15 +183,51 @@ def test_a_robot_that_fell_silent_is_named(remake: Remake) -> None:
     def silent(messages: list[Message]) -> list[Message]:
         return [*messages, SwarmEvent(60_000_000, 6, 2, EventKind.DEAD, 0.1, "silent")]
 
-    assert "robot 2 fell silent at step 6" in recorded_run(remake(silent)).differences[0]
+    found = recorded_run(remake(silent))
+    assert "robot 2 fell silent at step 6" in found.differences[0]
+    assert Change(5, 2, ChangeKind.KILL) in configure.schedule(found.scenario)
 
 
-def test_steering_is_refused(remake: Remake) -> None:
+def test_steering_that_nobody_knows_is_refused(remake: Remake) -> None:
     def steered(messages: list[Message]) -> list[Message]:
         return [*messages, SwarmEvent(50_000_000, 5, 0, EventKind.STEERING, 4.0, "controller.gains.0")]
 
     with pytest.raises(InputError, match=r"a setting was changed from outside at step 5 \('controller.gains.0'\)"):
         recorded_run(remake(steered))
+
+
+def steered(messages: list[Message], *events: SwarmEvent) -> list[Message]:
+    return [*messages, *events]
+
+
+def test_what_was_done_from_outside_is_planned(remake: Remake) -> None:
+    done = (
+        SwarmEvent(50_000_000, 5, 0, EventKind.STEERING, 0.1, "reference"),
+        SwarmEvent(70_000_000, 7, 2, EventKind.DEAD, 0.1, "freeze"),
+        SwarmEvent(90_000_000, 9, 3, EventKind.LEFT, 0.1, "remove"),
+    )
+    found = recorded_run(remake(lambda messages: steered(messages, *done), steered=True)).scenario
+    assert configure.stairs(found, "reference") == ((5, 0.1),)
+    assert configure.schedule(found) == (Change(6, 2, ChangeKind.FREEZE), Change(8, 3, ChangeKind.REMOVE))
+    (loss,) = found.robot_faults
+    assert loss.kind == "loss"
+
+
+def test_what_a_run_that_could_not_be_steered_says_is_not_planned(remake: Remake) -> None:
+    event = SwarmEvent(70_000_000, 7, 2, EventKind.DEAD, 0.1, "freeze")
+    bag = remake(lambda messages: steered(messages, event))
+    assert configure.schedule(recorded_run(bag).scenario) == ()
+    assert BagToVerify(bag).verify().difference is not None
+
+
+def test_steering_that_contradicts_the_scenario_is_refused_and_no_secret_to_verify(remake: Remake) -> None:
+    event = SwarmEvent(70_000_000, 7, 9, EventKind.DEAD, 0.1, "freeze")
+    bag = remake(lambda messages: steered(messages, event), steered=True)
+    with pytest.raises(InputError, match="there is no robot 9"):
+        recorded_run(bag)
+    verdict = BagToVerify(bag).verify()
+    assert verdict.difference is not None
+    assert (verdict.difference.step, verdict.difference.topic) == (7, "swarm/events")
 
 
 def test_a_split_bag_is_one_run(original: Path, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from swarmabs_core.messages import (
     Message,
     PlaneState,
     RecordingProgress,
+    Steering,
     SwarmEvent,
 )
 
@@ -80,6 +81,11 @@ CASES = [
         b"\x03\x00\x00\x00" + b"\x01\x00\x02\x01\xff\xff" + b"\x00\x00" + b"\x03\x00\x00\x00" + b"\x00\x01\x00",
         (17, 3),
     ),
+    Case(
+        Steering(STAMP, STEP, 7, 1, 513, 1.0),
+        b"\x07" + b"\x00" * 7 + b"\x01\x00\x01\x02" + b"\x00" * 4 + doubles(1.0),
+        (12, 4),
+    ),
 ]
 PARTS = [CASES[2], CASES[3], CASES[4]]
 CASES.append(
@@ -111,6 +117,7 @@ messages = st.one_of(
             ),
         )
     ),
+    st.builds(Steering, stamps, u64, u64, u8, u16, f64),
     st.builds(
         Broadcast,
         stamps,

@@ -3,10 +3,11 @@ from __future__ import annotations
 import pytest
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Change, ChangeKind, Membership
+from swarmabs_core.membership import UNPLANNED, Change, ChangeKind, Membership
 from swarmabs_core.messages import EventKind
 
 JOIN, LEAVE, KILL, FREEZE = ChangeKind.JOIN, ChangeKind.LEAVE, ChangeKind.KILL, ChangeKind.FREEZE
+REMOVE = ChangeKind.REMOVE
 
 
 def member(*schedule: Change) -> Membership:
@@ -20,6 +21,7 @@ def member(*schedule: Change) -> Membership:
         (Change(5, 2, LEAVE), [0, 4, 5], 6, (2, EventKind.LEFT, "leave")),
         (Change(5, 2, KILL), [0, 4, 5], 6, (2, EventKind.DEAD, "kill")),
         (Change(5, 2, FREEZE), [0, 4, 5], 6, (2, EventKind.DEAD, "freeze")),
+        (Change(5, 2, REMOVE), [0, 4, 5], 6, (2, EventKind.LEFT, "remove")),
     ],
 )
 def test_scheduled_change(change: Change, publishes: list[int], first: int, event: tuple[int, EventKind, str]) -> None:
@@ -35,6 +37,12 @@ def test_scheduled_change(change: Change, publishes: list[int], first: int, even
 def test_robot_that_joins_and_leaves() -> None:
     membership = member(Change(4, 2, LEAVE), Change(2, 2, JOIN))
     assert [step for step in range(8) if membership.publishes(2, step)] == [2, 3, 4]
+
+
+def test_robot_that_nobody_has_planned_to_join() -> None:
+    membership = member(Change(UNPLANNED, 2, JOIN))
+    assert [membership.publishing(step) for step in (0, 5, 10**9)] == [(1, 3)] * 3
+    assert not any(membership.changes(step) for step in range(20))
 
 
 def test_join_at_step_0_is_no_change() -> None:

@@ -10,7 +10,7 @@ from typing import get_type_hints
 import pytest
 from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
 
-from swarmabs_core.messages import NEVER, TOPICS, EventKind, Kind, Mode, Source, Status
+from swarmabs_core.messages import NEVER, TOPICS, Action, EventKind, Kind, Mode, Source, Status
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
@@ -20,6 +20,7 @@ CONSTANTS: dict[str, tuple[type[IntEnum], ...]] = {
     "DesiredAbstractState": (Mode,),
     "SwarmEvent": (EventKind,),
     "Basis": (Source,),
+    "Steering": (Action,),
 }
 CONTRACT = {
     "PlaneState": ["angle", "angular_velocity"],
@@ -37,6 +38,7 @@ CONTRACT = {
     "RecordingProgress": ["written_step"],
     "Broadcast": ["abstract", "auxiliary", "desired"],
     "Basis": ["since", "begun", "source", "state_steps", "agent_ids", "standing"],
+    "Steering": ["request", "action", "agent_id", "value"],
 }
 UNIT = re.compile(r"^(kg|m|rad|N|s|1)\b[\w^/() ]*(,| along|$)|\bkg\^?\d?\b|\bm/s\b|\bN\b|\bin the unit\b")
 

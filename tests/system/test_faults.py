@@ -38,6 +38,15 @@ CASES = {
     "kill": (faults("at: 0.5, kind: kill, agent: 3"), [(51, 3, EventKind.DEAD)]),
     "freeze": (faults("at: 0.5, kind: freeze, agent: 2"), [(51, 2, EventKind.DEAD)]),
     "leave": (faults("at: 0.5, kind: leave, agent: 1"), [(51, 1, EventKind.LEFT)]),
+    "remove": (faults("at: 0.5, kind: remove, agent: 1"), [(51, 1, EventKind.LEFT)]),
+    "settings": (
+        faults(
+            "at: 0.3, kind: reference, offset: 0.05",
+            "at: 0.5, kind: disturbance, torque: -0.2, until: 0.9",
+            "at: null, kind: join, agent: 2",
+        ),
+        [],
+    ),
     "join": (faults("at: 0.5, kind: join, agent: 4"), [(50, 4, EventKind.JOINED)]),
     "loss": (faults("kind: loss, probability: 0.2"), []),
     "delay": (faults("kind: delay, steps: 2"), []),

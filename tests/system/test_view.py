@@ -18,6 +18,7 @@ from tests.swarmabs_bringup.figures.conftest import ReadBag
 from tests.swarmabs_bringup.view.conftest import browser_arguments, chromium
 from tests.system.helpers import (
     Command,
+    bag_messages,
     named_processes,
     seconds,
     simulated_digest,
@@ -28,10 +29,12 @@ from tests.system.helpers import (
 )
 
 from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_processes
+from swarmabs_core.cdr import decode
+from swarmabs_core.messages import EventKind, SwarmEvent
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
-LONG = seconds(200.0)
+LONG = seconds(100.0)
 EVENTS = ("limits.velocity=0.02", "swarm.sensor.noise=[0.001, 0.001]")
 
 
@@ -81,7 +84,7 @@ def kinds(found: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
 
 
 def test_what_is_shown_of_a_run_is_what_is_recorded(folder: Path) -> None:
-    overrides = (LONG, "faults=[{at: 100.0, kind: freeze, agent: 2}]")
+    overrides = (LONG, "faults=[{at: 50.0, kind: freeze, agent: 2}]")
     words = [part for override in overrides for part in ("--set", override)]
     with started_swarm("run", "-o", folder, "--view", *words) as command:
         found = asyncio.run(look(address(command), lambda _: False))
@@ -115,7 +118,9 @@ def test_what_is_shown_of_a_run_is_what_is_recorded(folder: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, signal.SIGSTOP, pytest.param(signal.SIGTERM, marks=pytest.mark.full)]
+)
 def test_a_view_that_dies_or_hangs_changes_nothing(folder: Path, mark: str, number: signal.Signals) -> None:
     overrides = (LONG, *EVENTS)
     words = [part for override in overrides for part in ("--set", override)]
@@ -214,6 +219,102 @@ def test_a_swarm_is_found_by_its_namespace(folder: Path) -> None:
     ]
     angle = ReadBag(folder).column("/plane/state", "angle")
     assert all(frame["angle"] == angle[frame["step"]] for frame in kinds(found, "frame"))
+
+
+def test_a_run_is_steered_from_the_page(folder: Path) -> None:
+    program = chromium()
+    absent = "faults=[{kind: join, at: null, agent: 4}]"
+    words = ("--steer", "--rate", 1, "--view", "--duration", 100_000, "--set", absent)
+    with started_swarm("run", "-o", folder, *words) as run:
+        plain = address(run)
+        assert run.process.stderr is not None
+        with_token = run.process.stderr.readline().removeprefix("view, to steer: ").strip()
+        assert with_token.startswith(f"{plain}#steer=")
+        until_stepping(folder)
+        with (
+            sync_playwright() as playwright,
+            playwright.chromium.launch(executable_path=program, args=browser_arguments()) as browser,
+        ):
+            asked: list[str] = []
+            page = browser.new_page()
+            page.on("request", lambda request: asked.append(request.url))
+            page.goto(with_token)
+            done = page.locator("#steered")
+            page.get_by_label("Offset of the reference, rad").fill("0.05")
+            page.get_by_role("button", name="Set reference").click()
+            expect(done).to_contain_text("reference 0.05: from step ", timeout=30_000)
+            expect(page.locator("#held-reference")).to_have_attribute("value", "0.05")
+            expect(page.locator("#reference")).to_have_attribute("value", "0.05")
+            page.get_by_label("Torque on the plane, N m").fill("99")
+            page.get_by_role("button", name="Set disturbance").click()  # the browser itself refuses
+            page.get_by_label("Torque on the plane, N m").fill("0.1")
+            page.get_by_role("button", name="Set disturbance").click()
+            expect(done).to_contain_text("disturbance 0.1: from step ")
+            page.get_by_role("button", name="Add").click()
+            expect(done).to_contain_text("add robot 4: from step ")
+            page.get_by_label("Robot", exact=True).select_option("robot 3")
+            page.get_by_role("button", name="Kill").click()
+            expect(done).to_contain_text("kill robot 3: from step ")
+            expect(page.get_by_label("Robot", exact=True).locator("option")).to_have_count(3)
+            expect(page.locator("#steer-absent")).to_be_hidden()
+            theme = page.locator("#theme").text_content()
+            page.locator("#steer-reference-value").press("t")  # is typed, and no key of the page
+            assert page.locator("#theme").text_content() == theme
+            assert page.url == plain
+            token = with_token.partition("=")[2]
+            assert asked
+            assert not any(token in url for url in asked)
+
+            stranger = browser.new_context().new_page()
+            stranger.goto(plain)
+            expect(stranger.locator("#steering")).to_be_visible()
+            expect(stranger.locator("#steer-controls")).to_be_hidden()
+            stranger.get_by_label("Token, from the terminal of the run").fill("guessed")
+            stranger.get_by_role("button", name="Use").click()
+            stranger.get_by_role("button", name="Freeze").click()
+            expect(stranger.locator("#steered")).to_contain_text("not done: the token is wrong")
+            expect(stranger.locator("#steer-controls")).to_be_hidden()
+            run.process.terminate()
+            run.wait()
+    events = [
+        decode(SwarmEvent, message.payload) for message in bag_messages(folder) if message.topic == "swarm/events"
+    ]
+    steered = {(event.kind, event.agent_id, event.detail, event.value) for event in events}  # type: ignore[union-attr]
+    assert steered >= {
+        (EventKind.STEERING, 0, "reference", 0.05),
+        (EventKind.STEERING, 0, "disturbance", 0.1),
+    }
+    ended = {(kind, agent) for kind, agent, _, _ in steered if agent}
+    assert ended >= {(EventKind.JOINED, 4), (EventKind.DEAD, 3)}
+    assert not any(agent in {1, 2} and kind == EventKind.DEAD for kind, agent in ended)
+    verdict = swarm("verify", folder)
+    assert verdict.code == 0, verdict.out + verdict.err
+
+
+def test_without_being_asked_for_nothing_can_be_steered(folder: Path) -> None:
+    wish = {"v": 1, "type": "steer", "token": "", "request": "r", "action": "kill", "agent": 1}
+
+    async def attempt(url: str) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = []
+        async with ClientSession() as session:
+            page = await session.ws_connect(f"{url}socket", headers={"Origin": url.rstrip("/")})
+            await page.send_json(wish)
+            while len(kinds(found, "frame")) < 20:
+                found.append(json.loads((await page.receive()).data))
+            await page.close()
+        return found
+
+    with started_swarm("run", "-o", folder, "--duration", 100_000, "--view") as run:
+        url = address(run)
+        until_stepping(folder)
+        found = asyncio.run(attempt(url))
+        assert not (folder / "steer.sock").exists()
+        run.process.terminate()
+        run.wait()
+    assert not kinds(found, "steering")
+    assert not kinds(found, "answer")
+    assert set(found[-1]["robots"]["status"]) <= {"active", None} if "robots" in found[-1] else True
+    assert "swarm/events" not in {message.topic for message in bag_messages(folder)}
 
 
 def test_a_command_that_is_killed_takes_the_view_with_it(folder: Path, mark: str) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 
-from swarmabs_core.behaviours import ObserverConfig, make_observer
+from swarmabs_core.behaviours import Behaviour, ObserverConfig, Steered, make_observer
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS, PLANE_STATE, Messages
+from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS, PLANE_STATE, STEERING, Messages
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.parent_response import ParentModel
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
@@ -35,6 +35,7 @@ PARAMETERS = (
     ),
     Parameter("bandwidth", 50.0, "parent_response: bandwidth of the torque's filter, rad/s", above=0.0),
     Parameter("on_stall", "fail", "what becomes of a robot that does not answer", choices=("fail", "drop")),
+    STEERED,
 )
 
 
@@ -66,11 +67,19 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     if watched is not None:
         subscriptions[PLANE_STATE] = requested(PLANE_STATE, depth=10)
 
+    behaviour: Behaviour = observer
+    gate = Steered(observer) if settings.flag(STEERED.name) else None
+    if gate is not None:
+        behaviour = gate
+        subscriptions[STEERING] = requested(STEERING, depth=100)
+
     def drop() -> Messages:
+        if gate is not None and not gate.open:  # it is not the robots who are waited for
+            return ()
         return observer.drop(observer.missing_agents(), SILENT)
 
     return NodeSpec(
-        observer,
+        behaviour,
         (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
         subscriptions,
         on_stall=drop if settings.text("on_stall") == "drop" else None,

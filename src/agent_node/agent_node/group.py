@@ -12,13 +12,14 @@ from swarmabs_core.messages import AGENT_STATE, EVENTS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import PACKED, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
     Parameter("agent_ids", (1,), "ids of the robots in this process", minimum=1, maximum=65535),
     PACKED,
+    STEERED,
 )
 
 
@@ -36,7 +37,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     missing = [agent_id for agent_id in settings.integers("agent_ids") if agent_id not in configs]
     if missing:
         raise InputError(f"parameter agent_ids: the scenario has no robot {missing[0]}")
-    group: AgentGroup | Unpacking = AgentGroup([configs[agent_id] for agent_id in settings.integers("agent_ids")])
+    group: AgentGroup | Unpacking = AgentGroup(
+        [configs[agent_id] for agent_id in settings.integers("agent_ids")], steered=settings.flag(STEERED.name)
+    )
     if settings.flag(PACKED.name):
         group = Unpacking(group)
     return NodeSpec(group, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in group.needs})

@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_agent
+from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_newcomer
 from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault
@@ -19,7 +19,7 @@ from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import GRAVITY, PACKED, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import GRAVITY, PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -42,12 +42,13 @@ PARAMETERS = (
     Parameter("limits.velocity", 0.0, "largest speed, m/s; 0: no limit", minimum=0.0),
     Parameter("limits.force", 0.0, "largest force, N; 0: no limit", minimum=0.0),
     Parameter("first_step", 0, "step at which the robot joins", minimum=0),
-    Parameter("end", "none", "how the robot ends by plan", choices=("none", "kill", "freeze", "leave")),
+    Parameter("end", "none", "how the robot ends by plan", choices=("none", "kill", "freeze", "leave", "remove")),
     Parameter("end_step", 0, "step of the planned end", minimum=0),
     Parameter("faults", (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'"),
     Parameter("seed", 1, "seed of what is drawn of the faults and of the sensor's noise", minimum=0),
     Parameter("feels_gravity", default=False, description="whether the plane's tilt acts on a double integrator"),
     PACKED,
+    STEERED,
     LAW,
     Parameter(
         "sensor.noise",
@@ -140,7 +141,7 @@ def config(settings: Settings) -> AgentConfig:
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    agent: Listener = make_agent(config(settings))
+    agent: Listener = make_newcomer(config(settings), steered=settings.flag(STEERED.name))
     if settings.flag(PACKED.name):
         agent = Unpacking(agent)
     return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})

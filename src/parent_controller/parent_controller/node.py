@@ -6,8 +6,10 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import Controller, ControllerConfig, PackingController
+from swarmabs_core.behaviours import Behaviour, Controller, ControllerConfig, PackingController, Steered
 from swarmabs_core.controllers import CONTROLLERS, ParentContext, controller_type, make_controller
+from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
@@ -18,11 +20,13 @@ from swarmabs_core.messages import (
     EVENTS,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    STEERING,
 )
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.steering import Stair
 from swarmabs_ros.parameters import given_values
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import PACKED, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -44,7 +48,9 @@ PARAMETERS = (
     Parameter("manifold.offset", 0.025, "B of J_sd = A tau^2 + B, kg m^2", above=0.0),
     Parameter("manifold.torque_max", 5.0, "limit of the desired torque, N m", above=0.0),
     Parameter("recording_window", 0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0),
+    Parameter("offsets", (), "what is added to the law's reference, rad, each 'STEP VALUE' from a step on: '500 0.1'"),
     PACKED,
+    STEERED,
 )
 
 
@@ -79,13 +85,28 @@ def law_of(settings: Settings) -> ParentController:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints."""
+    """Return behaviour and endpoints.
+
+    Raises
+    ------
+    InputError
+        If the reference shall be offset, and the law cannot do it.
+    """
     window = settings.integer("recording_window")
     subscriptions = {PLANE_STATE: requested(PLANE_STATE, depth=10)}
     if window:
         subscriptions[RECORDING_PROGRESS] = requested(RECORDING_PROGRESS, depth=1)
-    config = ControllerConfig(settings.integer("period_ns"), manifold_of(settings), window, settings.last_step())
-    controller = Controller(config, law_of(settings))
+    law = law_of(settings)
+    offsets = tuple(map(Stair.parse, settings.texts("offsets")))
+    if offsets and not isinstance(law, OffsetController):
+        raise InputError("parameter offsets: the law has no method offset_torque; leave the parameter out")
+    period_ns = settings.integer("period_ns")
+    config = ControllerConfig(period_ns, manifold_of(settings), window, settings.last_step(), offsets)
+    plain = Controller(config, law)
+    controller: Behaviour = plain
+    if settings.flag(STEERED.name):
+        controller = Steered(plain)
+        subscriptions[STEERING] = requested(STEERING, depth=100)
     if not settings.flag(PACKED.name):
         return NodeSpec(controller, (EVENTS, DESIRED_ABSTRACT_STATE), subscriptions)
     subscriptions |= {topic: requested(topic, depth=10) for topic in (ABSTRACT_STATE, AUXILIARY_STATE)}

@@ -5,15 +5,16 @@ from __future__ import annotations
 import sys
 from math import inf
 
-from swarmabs_core.behaviours import Plane, PlaneConfig
+from swarmabs_core.behaviours import Behaviour, Plane, PlaneConfig, Steered
 from swarmabs_core.faults import Lie
 from swarmabs_core.friction import Friction
-from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, STEERING
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.sensing import Sensor
+from swarmabs_core.steering import Stair
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
@@ -52,6 +53,10 @@ PARAMETERS = (
     Parameter("seed", 1, "seed of the sensor's noise", minimum=0),
     Parameter("actuator_lag", 0.0, "time constant of the robots' drives, s", minimum=0.0),
     Parameter("lies", (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'"),
+    Parameter(
+        "torques", (), "constant torque, N m, that disturbs the plane, each 'STEP VALUE' from a step on: '500 0.1'"
+    ),
+    STEERED,
 )
 
 
@@ -77,19 +82,22 @@ def config(settings: Settings) -> PlaneConfig:
         seed=settings.integer("seed"),
         actuator_lag=settings.number("actuator_lag"),
         lies=tuple(map(Lie.parse, settings.texts("lies"))),
+        torques=tuple(map(Stair.parse, settings.texts("torques"))),
     )
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
-    return NodeSpec(
-        Plane(config(settings)),
-        (EVENTS, PLANE_STATE),
-        {
-            AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members")))),
-            EVENTS: requested(EVENTS, depth=1000, reliable=True),
-        },
-    )
+    subscriptions = {
+        AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members")))),
+        EVENTS: requested(EVENTS, depth=1000, reliable=True),
+    }
+    plane = Plane(config(settings))
+    behaviour: Behaviour = plane
+    if settings.flag(STEERED.name):
+        behaviour = Steered(plane)
+        subscriptions[STEERING] = requested(STEERING, depth=100)
+    return NodeSpec(behaviour, (EVENTS, PLANE_STATE), subscriptions)
 
 
 def main(args: list[str] | None = None) -> int:

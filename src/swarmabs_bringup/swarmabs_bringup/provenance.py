@@ -46,6 +46,7 @@ def provenance(
     driver: str,
     replay: Mapping[str, object] | None = None,
     realtime: Mapping[str, object] | None = None,
+    steered: bool = False,
 ) -> dict[str, object]:
     """Return the provenance of a run.
 
@@ -59,6 +60,8 @@ def provenance(
         What of which bag was replayed, if it is no run of its own.
     realtime : mapping, optional
         How time became steps, and what was simulated, of a run in real time.
+    steered : bool
+        Whether the run could be steered: then its events say what was done to it, and its scenario does not.
     """
     own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
@@ -72,6 +75,8 @@ def provenance(
     }
     if realtime is not None:
         own["realtime"] = dict(realtime)
+    if steered:
+        own["steered"] = True
     return own if replay is None else own | {"replay": dict(replay)}
 
 
@@ -81,7 +86,8 @@ def provenance_json(
     driver: str,
     replay: Mapping[str, object] | None = None,
     realtime: Mapping[str, object] | None = None,
+    steered: bool = False,
 ) -> bytes:
     """Return the provenance as a bag's attachment; parameters as of `provenance`."""
-    found = provenance(scenario, driver=driver, replay=replay, realtime=realtime)
+    found = provenance(scenario, driver=driver, replay=replay, realtime=realtime, steered=steered)
     return json.dumps(found, indent=2, sort_keys=True).encode() + b"\n"

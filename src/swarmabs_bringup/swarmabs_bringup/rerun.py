@@ -9,14 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from swarmabs_bringup.bag import DamagedBagError, NotABagError, open_bag
-from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
+from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario, was_steered
 from swarmabs_bringup.comparison.steps import recorded_steps
 from swarmabs_bringup.provenance import SCHEMA_VERSION, plugin_versions, versions
+from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
+from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
 from swarmabs_core.recording import Digest
 from swarmabs_core.scenario.errors import printable, shorten, show
+from swarmabs_core.scenario.steered import as_planned
+from swarmabs_core.steering import DISTURBANCE, REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -137,19 +141,22 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun
     _check_repeatable(bag, provenance)
     differences = [*_differences(provenance, recorded)]
     digest, last_step, steps = Digest(), -1, 0
+    ends: list[Change] = []
     try:
         for step in recorded_steps(bag.decoded(), str(bag.path)):
             if step.records[0].topic is EVENTS:
-                differences += _unrepeatable(bag, step)
+                differences += _unrepeatable(bag, step, ends)
             else:
                 digest.update(step)
                 last_step = step.step
                 steps += 1
     except DamagedBagError as error:
         differences.append(f"only a part of the bag can be compared: {error}")
+    there = set(configure.members(scenario))
+    ends = [end for end in ends if end.agent_id in there and 0 <= end.step <= scenario.steps]
     return RecordedRun(
         Path(path),
-        scenario,
+        as_planned(scenario, (), ends=ends, source=str(bag.path)),
         digest.hexdigest() if last_step >= 0 else None,
         last_step,
         last_step == recorded.steps == steps - 1,
@@ -175,21 +182,26 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
         raise InputError(f"{bag.path} is the replay of another bag, and no run of its own; {_REMEDY}")
 
 
-def _unrepeatable(bag: BagReader, step: RecordedStep) -> Iterator[str]:
-    """Yield what happened to a run that its scenario does not say; refuse what was done to it from outside."""
+def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Iterator[str]:
+    """Yield what happened to a run that its scenario does not say, and note ends of robots that nobody had planned.
+
+    What was done from outside is part of the scenario already, unless the run could not be steered.
+    """
+    steered = was_steered(bag)
     for record in step.records:
         event = record.message
         if not isinstance(event, SwarmEvent):
             continue
-        if event.kind == EventKind.STEERING:
+        if event.kind == EventKind.STEERING and not steered and event.detail not in (REFERENCE, DISTURBANCE):
             raise InputError(
                 f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "
                 f"which cannot be repeated; {_REMEDY}"
             )
-        if event.kind == EventKind.DEAD and event.detail == "silent":
+        if event.kind == EventKind.DEAD and event.detail == SILENT:
+            ends.append(Change(event.step - 1, event.agent_id, ChangeKind.KILL))
             yield (
                 f"in the bag robot {event.agent_id} fell silent at step {event.step} and was taken out, "
-                "which the scenario does not say: it stays in now"
+                "which the scenario does not say: now it is killed at the step before"
             )
 
 

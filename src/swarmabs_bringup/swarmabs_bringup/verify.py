@@ -129,7 +129,7 @@ class BagToVerify:
         missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
         if missing and not self._bag.problem:
             raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
-        self.scenario = _scenario(self._bag)
+        self.scenario, self._from_outside = _scenario(self._bag)
         self._provenance = attached_provenance(self._bag)
         driver = self._provenance.get("driver", DRIVERS[0])
         if driver not in DRIVERS:
@@ -176,7 +176,7 @@ class BagToVerify:
             ended_early=aborted,
             digest=digest,
             tolerance=tolerance,
-            notes=() if difference is None else self._elsewhere(),
+            notes=(*self._from_outside, *(() if difference is None else self._elsewhere())),
         )
 
     def _verify_realtime(
@@ -270,10 +270,19 @@ def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify |
         return Verdict(str(path), None, None, str(error))
 
 
-def _scenario(bag: BagReader) -> Scenario:
+def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
+    """Return the scenario of a bag, and a note on what of it was done from outside, which nothing can recompute."""
     if bag.problem is not None and bag.attachment(SCENARIO_FILE) is None:
         raise DamagedBagError(f"{bag.path}: {bag.problem}; with its end it has lost its scenario")
-    return attached_scenario(bag)
+    planned = attached_scenario(bag, steered=False)
+    try:
+        scenario = attached_scenario(bag)
+    except InputError:  # the events contradict the scenario: the first that does is a difference
+        return planned, ()
+    done = [fault for fault in scenario.faults if fault not in planned.faults]
+    shown = "; ".join(" ".join(f"{name} {value}" for name, value in fault if value is not None) for fault in done[:20])
+    more = f" and {len(done) - 20} more" if len(done) > 20 else ""
+    return scenario, (f"from outside, by the events in the bag: {shown}{more}",) if done else ()
 
 
 def _other_digest(bag: BagReader, digest: str) -> Difference | None:

@@ -47,6 +47,7 @@ _FIELDS = {
     "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
     "RecordingProgress": "Q",
     "Basis": "QQB3xI",  # then so many steps, which are aligned, and as many robots and marks
+    "Steering": "QBxH4xd",
 }
 _PARTS = ("AbstractState", "AuxiliaryState", "DesiredAbstractState")
 _FIELDS["Broadcast"] = "".join(_HEAD + _FIELDS[part] for part in _PARTS)

@@ -22,6 +22,7 @@ from swarmabs_core.messages import Kind
 from swarmabs_core.parent_response import ParentModel
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.sensing import Sensor
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Stair, Staircase
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -73,6 +74,17 @@ def lies(scenario: Scenario) -> tuple[Lie, ...]:
         for fault in robot_faults(scenario, agent.id)
         if fault.kind is FaultKind.LIE
     )
+
+
+def stairs(scenario: Scenario, kind: str) -> tuple[Stair, ...]:
+    """Return the changes of a setting (`REFERENCE` or `DISTURBANCE`) by step; one that ends is 0 from then on."""
+    found: dict[int, float] = {}
+    for fault in scenario.setting_faults:
+        if fault.kind == kind:
+            if fault.until is not None:
+                found.setdefault(scenario.fault_step(fault.until), 0.0)
+            found[scenario.fault_step(fault.at)] = fault.value
+    return tuple(Stair(step, found[step]) for step in sorted(found))
 
 
 def recording_window(scenario: Scenario) -> int:
@@ -143,6 +155,7 @@ def plane_config(scenario: Scenario) -> PlaneConfig:
         seed=scenario.seed,
         actuator_lag=scenario.swarm.actuator_lag,
         lies=lies(scenario),
+        torques=stairs(scenario, DISTURBANCE),
     )
 
 
@@ -153,6 +166,7 @@ def controller_config(scenario: Scenario, *, recording_window: int) -> Controlle
         manifold=manifold(scenario),
         recording_window=recording_window,
         last_step=scenario.steps,
+        offsets=stairs(scenario, REFERENCE),
     )
 
 
@@ -184,6 +198,12 @@ def parent_controller(scenario: Scenario) -> ParentController:
     """Return the control law of the plane."""
     context = ParentContext(scenario.period, scenario.plane.inertia, friction(scenario), manifold(scenario))
     return make_controller(scenario.controller.type, controller_settings(scenario), context)
+
+
+def reference(scenario: Scenario) -> OffsetReference:
+    """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
+    offsets = Staircase(stairs(scenario, REFERENCE))
+    return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
 
 
 def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:

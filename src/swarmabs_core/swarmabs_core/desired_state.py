@@ -6,7 +6,8 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_core.command_filter import CommandFilter
-from swarmabs_core.errors import RunError
+from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
 
 if TYPE_CHECKING:
@@ -44,7 +45,9 @@ class DesiredStateGenerator:
         """Go on as if the filter were in this state: torque (N m) and its rate (N m/s)."""
         self._state = (torque, rate)
 
-    def advance(self, time_ns: int, plane: PlaneState, mode: Mode = Mode.RUN) -> tuple[Messages, DesiredAbstractState]:
+    def advance(
+        self, time_ns: int, plane: PlaneState, mode: Mode = Mode.RUN, *, offset: float = 0.0
+    ) -> tuple[Messages, DesiredAbstractState]:
         """Return events, and the desired abstract state that follows a state of the plane.
 
         Parameters
@@ -55,11 +58,15 @@ class DesiredStateGenerator:
             The plane's state, whose step the answer takes over.
         mode : Mode
             What the answer asks of the swarm.
+        offset : float
+            By how much the angle wanted is above the law's own reference, rad.
 
         Raises
         ------
         RunError
             If the plane is too steep, or the law gives no finite torque.
+        InputError
+            If there is an offset, and the law knows none.
         """
         manifold, period, step = self._manifold, self._period, plane.step
         if not abs(plane.angle) < STEEPEST:
@@ -67,7 +74,7 @@ class DesiredStateGenerator:
                 f"step {step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: "
                 "the swarm cannot hold the plane in this scenario"
             )
-        raw = self._law.torque(time_ns / 1e9, plane)
+        raw = self._torque(time_ns / 1e9, plane, offset)
         if not isfinite(raw):
             raise RunError(
                 f"step {step}: the parent controller asks for a torque of {raw} N m at an angle of "
@@ -93,6 +100,13 @@ class DesiredStateGenerator:
             manifold.inertia_acceleration(torque, rate, acceleration),
         )
         return self._limit(raw, command, time_ns, step), desired
+
+    def _torque(self, time: float, plane: PlaneState, offset: float) -> float:
+        if not offset:
+            return self._law.torque(time, plane)
+        if not isinstance(self._law, OffsetController):
+            raise InputError("the parent controller's law has no method offset_torque: its reference cannot be offset")
+        return self._law.offset_torque(time, plane, offset)
 
     def _limit(self, raw: float, command: float, stamp: int, step: int) -> Messages:
         """Say when the wanted torque begins to be limited."""

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 SILENT = "silent"
 """Reason of the end of a robot that did not answer and was dropped."""
 
+UNPLANNED = 2**63 - 1
+"""Step at which a robot joins that is only there when it is added: beyond every run."""
+
 
 class ChangeKind(str, Enum):
     """How a robot's membership changes at a step."""
@@ -31,6 +34,13 @@ class ChangeKind(str, Enum):
     """It publishes its last state at the step; afterwards it stands still where it was."""
     FREEZE = "freeze"
     """Like `KILL`, but the process is stopped and not ended."""
+    REMOVE = "remove"
+    """It publishes its last state, not knowing it, at the step; afterwards its weight is gone."""
+
+    @property
+    def stays(self) -> bool:
+        """Whether the robot's weight stays on the plane when it has ended so."""
+        return self in (ChangeKind.KILL, ChangeKind.FREEZE)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -97,15 +107,19 @@ class Membership:
 
     def __init__(self, members: Iterable[int], schedule: Iterable[Change] = ()) -> None:
         self._spans = {agent_id: _Span() for agent_id in sorted(members)}
+        self._cached: tuple[int, tuple[int, ...]] = (-1, ())
         for change in sorted(schedule):
             if change.agent_id not in self._spans:
                 raise InputError(f"membership change '{change}': there is no robot {change.agent_id}")
-            span = self._spans[change.agent_id]
-            if change.kind is ChangeKind.JOIN:
-                span.first = change.step
-            else:
-                self._end(span, change.step, stays=change.kind is not ChangeKind.LEAVE, reason=change.kind.value)
-        self._cached: tuple[int, tuple[int, ...]] = (-1, ())
+            self.plan(change)
+
+    def plan(self, change: Change) -> None:
+        """Note a change, which may be scheduled or ordered from outside; an earlier end that is known stands."""
+        if change.kind is ChangeKind.JOIN:
+            self._spans[change.agent_id].first = change.step
+            self._cached = (-1, ())
+        else:
+            self.end(change.agent_id, change.step, stays=change.kind.stays, reason=change.kind.value)
 
     def _end(self, span: _Span, last: int, *, stays: bool, reason: str) -> None:
         span.last, span.stays, span.reason = last, stays, reason
@@ -129,6 +143,10 @@ class Membership:
         """Return the first and the last step of which a robot publishes its state; None: no last one is known."""
         span = self._spans[agent_id]
         return span.first, span.last
+
+    def first(self, agent_id: int) -> int:
+        """Return the first step at which a robot publishes its state; `UNPLANNED` if nobody knows."""
+        return self._spans[agent_id].first
 
     def stays(self, agent_id: int) -> bool:
         """Tell whether a robot that publishes no more remains on the plane."""

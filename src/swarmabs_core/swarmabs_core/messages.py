@@ -67,6 +67,18 @@ class Source(IntEnum):
     CONTROLLER = 3
 
 
+class Action(IntEnum):
+    """What is changed in a run from outside (``Steering.action``)."""
+
+    NONE = 0
+    REFERENCE = 1
+    DISTURBANCE = 2
+    KILL = 3
+    FREEZE = 4
+    REMOVE = 5
+    ADD = 6
+
+
 class PlaneState(NamedTuple):
     """Angle (rad) and angular velocity (rad/s) of the plane."""
 
@@ -193,6 +205,17 @@ class Basis(NamedTuple):
     standing: tuple[int, ...]
 
 
+class Steering(NamedTuple):
+    """What is changed from outside from a step on; ``request`` is the number of the request, 0 if nothing is."""
+
+    stamp: int
+    step: int
+    request: int
+    action: int
+    agent_id: int
+    value: float
+
+
 Message = (
     PlaneState
     | AgentState
@@ -203,6 +226,7 @@ Message = (
     | RecordingProgress
     | Broadcast
     | Basis
+    | Steering
 )
 """Any message of the swarm."""
 
@@ -230,6 +254,7 @@ EVENTS = Topic("swarm/events", SwarmEvent, "swarmabs_msgs/msg/SwarmEvent")
 RECORDING_PROGRESS = Topic("recording/progress", RecordingProgress, "swarmabs_msgs/msg/RecordingProgress")
 BROADCAST = Topic("swarm/broadcast", Broadcast, "swarmabs_msgs/msg/Broadcast")
 BASIS = Topic("recording/basis", Basis, "swarmabs_msgs/msg/Basis")
+STEERING = Topic("swarm/steering", Steering, "swarmabs_msgs/msg/Steering")
 
 MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """The five topics that make up a run, in the order in which a bag holds them within a step."""
@@ -237,6 +262,6 @@ MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRE
 BROADCASTS = (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """All that a robot hears from the swarm."""
 
-TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS)
+TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS, STEERING)
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
 """The topic on which a message of a class is published."""

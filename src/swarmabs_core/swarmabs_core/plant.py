@@ -171,8 +171,21 @@ class PlaneDynamics:
         self._end_stop = end_stop
         self.impact: tuple[float, float] | None = None
 
-    def advance(self, angle: float, angular_velocity: float, time: float, load: SwarmLoad) -> tuple[float, float]:
+    def advance(
+        self, angle: float, angular_velocity: float, time: float, load: SwarmLoad, extra: float = 0.0
+    ) -> tuple[float, float]:
         """Return angle (rad) and angular velocity (rad/s) one period after `time` (s).
+
+        Parameters
+        ----------
+        angle, angular_velocity : float
+            At that time, rad and rad/s.
+        time : float
+            s.
+        load : SwarmLoad
+            The swarm over the period.
+        extra : float
+            Constant torque over the period besides the disturbance, N m, with the sign of the disturbance.
 
         Raises
         ------
@@ -181,6 +194,8 @@ class PlaneDynamics:
         """
         count, period = self._count, self._period
         torque, inertia, inertia_rate, disturbance = self._sample(time, load)
+        if extra:
+            disturbance = [value + extra for value in disturbance]
         g1, g2, g3 = self._friction.g1, self._friction.g2, self._friction.g3
         g4, g5, g6 = self._friction.g4, self._friction.g5, self._friction.g6
 

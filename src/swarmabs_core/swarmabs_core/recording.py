@@ -11,6 +11,8 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
+from swarmabs_core.behaviours.player import NodeKind, publisher_of
+from swarmabs_core.behaviours.steered import HELM, Orders
 from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
@@ -18,13 +20,17 @@ from swarmabs_core.messages import (
     MAIN_TOPICS,
     PLANE_STATE,
     TOPIC_OF,
+    Action,
     AgentState,
+    EventKind,
     Message,
     PlaneState,
     Status,
+    Steering,
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, change_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -177,14 +183,25 @@ class RunCollector:
         The step with which the run ends.
     memory : int
         How many steps back repeats are still compared with what was recorded.
+    steered : bool
+        Whether the run is steered. Then a step is complete only when it is known what was ordered for it, and when the
+        events that say so are there: what is recorded can always be repeated.
     """
 
     def __init__(
-        self, members: Iterable[int], schedule: Iterable[Change], last_step: int, *, memory: int = 250
+        self,
+        members: Iterable[int],
+        schedule: Iterable[Change],
+        last_step: int,
+        *,
+        memory: int = 250,
+        steered: bool = False,
     ) -> None:
         self._membership = Membership(members, schedule)
         self._last_step = last_step
         self._memory = memory
+        self._orders = Orders() if steered else None
+        self._settings: dict[int, str] = {}
         self._step = 0
         self._slots: dict[int, _Slot] = {}
 
@@ -231,6 +248,17 @@ class RunCollector:
                 raise ConflictError(topic.name, step)
         return self._complete() if step == self._step else []
 
+    def steer(self, order: Steering) -> tuple[list[Steering], list[RecordedStep]]:
+        """Take what is ordered for a step; return the orders that are known with it, and the steps complete with it."""
+        assert self._orders is not None  # noqa: S101 - nobody else listens to orders
+        found = self._orders.add(order)
+        for known in found:
+            if (change := change_of(known)) is not None:
+                self._membership.plan(change)
+            elif known.action != Action.NONE:
+                self._settings[known.step] = REFERENCE if known.action == Action.REFERENCE else DISTURBANCE
+        return found, self._complete()
+
     def _add_agent(self, slot: _Slot, topic: Topic, state: AgentState) -> None:
         agent_id = state.agent_id
         known = slot.agents.get(agent_id)
@@ -253,6 +281,8 @@ class RunCollector:
         record = slot.events[payload] = Record(topic, event.agent_id, event, payload)
         self._membership.apply(event.kind, event.agent_id, event.step, event.detail)
         if event.step < self._step:  # its step is recorded already: it stands late, but it stands
+            if self._is_void(event):
+                return []
             return [RecordedStep(event.step, (record,), slot.main[PLANE_STATE].message.stamp)]
         return self._complete()
 
@@ -262,7 +292,8 @@ class RunCollector:
             return ()
         slot = self._slots.get(self._step, _Slot())
         topics = [topic.name for topic in _COORDINATED if topic not in slot.main]
-        return (*(f"agent {i}" for i in self.missing_agents()), *topics)
+        ordered = self._orders is None or self._step <= self._orders.known
+        return (*(() if ordered else (HELM,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state of the current step is missing."""
@@ -277,19 +308,41 @@ class RunCollector:
             expected = self._membership.publishing(self._step)
             if len(slot.main) < len(_COORDINATED) or any(i not in slot.agents for i in expected):
                 break
+            if self._orders is not None and not self._announced(slot, self._orders):
+                break
             steps.append(
                 RecordedStep(
                     self._step,
                     (
                         *(slot.agents[i] for i in expected),
                         *(slot.main[topic] for topic in _COORDINATED),
-                        *(slot.events[key] for key in sorted(slot.events)),
+                        *(r for _, r in sorted(slot.events.items()) if not self._is_void(r.message)),
                     ),
                 )
             )
             self._slots.pop(self._step - self._memory, None)
             self._step += 1
         return steps
+
+    def _announced(self, slot: _Slot, orders: Orders) -> bool:
+        """Tell whether the order of the current step is known, and announced by those whom it concerns."""
+        if self._step > orders.known:
+            return False
+        events = [record.message for record in slot.events.values()]
+        told = {(e.agent_id, e.kind) for e in events if isinstance(e, SwarmEvent)}
+        if not all((agent_id, kind) in told for agent_id, kind, _ in self._membership.changes(self._step)):
+            return False
+        setting = self._settings.get(self._step)
+        return setting is None or any(
+            isinstance(e, SwarmEvent) and e.kind == EventKind.STEERING and e.detail == setting for e in events
+        )
+
+    def _is_void(self, event: Message) -> bool:
+        """Tell whether an event is what a robot that does not know that it is out says of itself."""
+        if self._orders is None:
+            return False
+        publisher = publisher_of(event)
+        return publisher.kind is NodeKind.AGENT and not self._membership.publishes(publisher.agent_id, event.step)
 
 
 class Latest(NamedTuple):

@@ -23,6 +23,7 @@ from swarmabs_core.messages import (
     EVENTS,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    STEERING,
     Topic,
 )
 
@@ -54,6 +55,7 @@ OFFERED: dict[Topic, Qos] = {
     RECORDING_PROGRESS: Qos("best_effort", 10),
     BROADCAST: Qos("best_effort", 10),
     BASIS: Qos("reliable", 100),
+    STEERING: Qos("reliable", 100),
 }
 """What the publishers of a topic offer."""
 

@@ -51,6 +51,9 @@ SCHEDULE = Parameter(
 )
 MEMBERS = Parameter("members", (1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
 PACKED = Parameter("packed", default=False, description="whether robots hear the three broadcasts as one message")
+STEERED = Parameter(
+    "steered", default=False, description="whether the run is steered: each step begins with what is ordered for it"
+)
 GRAVITY = Parameter("gravity", 9.81, "acceleration of gravity, m/s^2", above=0.0)
 
 

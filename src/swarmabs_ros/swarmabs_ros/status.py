@@ -21,7 +21,7 @@ START_FD = "SWARMABS_START_FD"
 EPOCH_RECORD = 20
 """Bytes of the decimal number by which a process is told the epoch."""
 
-Report = Literal["ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing"]
+Report = Literal["ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing", "steered"]
 
 
 class StatusChannel:
@@ -54,7 +54,6 @@ class StatusChannel:
             return True
         ready, _, _ = select.select([self._start], [], [], timeout)
         return bool(ready)
-
 
     def wait_for_epoch(self) -> int:
         """Wait for the start and return the time, ns since 1970, that it comes with.

@@ -37,6 +37,7 @@ from swarmabs_core.messages import (
     MAIN_TOPICS,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    STEERING,
     TOPICS,
 )
 from swarmabs_core.parameters import Parameter, resolve
@@ -244,9 +245,43 @@ def test_everything_published_is_heard_and_everything_heard_is_published(key: st
     processes = planned(scenario_of(key)).values()
     published = {topic for process in processes for topic in process.publications}
     heard = {topic for process in processes for topic in process.subscriptions}
-    assert published == heard == set(TOPICS) - {BROADCAST, BASIS}
+    assert published == heard == set(TOPICS) - {BROADCAST, BASIS, STEERING}
     assert {*MAIN_TOPICS, EVENTS} <= set(planned(scenario_of(key))[RECORDER].subscriptions)
     assert RECORDING_PROGRESS in planned(scenario_of(key))[CONTROLLER].subscriptions
+
+
+def steerable(*faults: str, agents_per_process: int = 1, steered: bool = True) -> dict[str, ProcessPlan]:
+    scenario = load_scenario(builtin_scenarios()["pd_het_4"], [f"faults=[{', '.join(faults)}]"]).resolved()
+    folder = Path("/runs/x")
+    processes = plan(
+        scenario,
+        scenario_file=folder / "scenario.yaml",
+        bag=folder / "bag",
+        logs=folder / "logs",
+        agents_per_process=agents_per_process,
+        steered=steered,
+    )
+    return {process.name: process for process in processes}
+
+
+def test_orders_reach_whom_they_concern_and_no_robot_that_is_there() -> None:
+    processes = steerable("{kind: join, at: null, agent: 3}", "{kind: join, at: 1, agent: 4}")
+    assert [p.name for p in processes.values() if STEERING in p.publications] == ["steering"]
+    hearing = {p.name for p in processes.values() if STEERING in p.subscriptions}
+    assert hearing == {PLANE, OBSERVER, CONTROLLER, RECORDER, "agent_003"}
+    assert {name for name, p in processes.items() if p.parameters.get("steered")} == hearing
+    assert processes["steering"].parameters["folder"] == "/runs/x"
+    participants = [p.participant for p in processes.values()]
+    assert len(set(participants)) == len(participants)
+    shared = steerable("{kind: join, at: null, agent: 3}", agents_per_process=2)
+    assert {n for n, p in shared.items() if STEERING in p.subscriptions and p.agents} == {"agents_003_to_004"}
+
+
+def test_who_can_only_be_added_has_no_process_where_nobody_is() -> None:
+    processes = steerable("{kind: join, at: null, agent: 3}", steered=False)
+    assert [p.agents for p in processes.values() if p.agents] == [(1,), (2,), (4,)]
+    assert not any("steered" in p.parameters for p in processes.values())
+    assert "steering" not in processes
 
 
 @pytest.mark.parametrize("agents_per_process", [1, 3])

@@ -21,10 +21,15 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Staircase
+
+
+def ten_times() -> OffsetReference:
+    return OffsetReference(lambda time: 10 * time, Staircase(), PERIOD)
 
 
 def picture_of(messages: list[Message]) -> Picture:
-    made = Picture(reference=lambda time: 10 * time)
+    made = Picture(reference=ten_times())
     for message in messages:
         made.add(message)
     return made
@@ -49,6 +54,15 @@ def test_frame_is_that_of_the_latest_step() -> None:
     assert frame.robots.position == [robot.position for robot in robots]  # type: ignore[union-attr]
     assert frame.robots.command == [robot.command for robot in robots]  # type: ignore[union-attr]
     assert frame.robots.status == ["active"] * 3
+
+
+def test_the_reference_shown_has_the_offset_that_was_announced() -> None:
+    steered = [event(7, 0, EventKind.STEERING, REFERENCE), event(9, 0, EventKind.STEERING, DISTURBANCE)]
+    run = make_run(20)
+    found = picture_of(sorted([*steered, *run], key=lambda message: message.step))
+    curves = found.curves.since(-1, 0)
+    assert curves is not None
+    assert curves.reference == pytest.approx([0.1 * step + 0.5 * (step >= 7) for step in range(21)])
 
 
 def test_order_and_repeats_change_nothing() -> None:
@@ -147,7 +161,7 @@ def test_numbers_of_different_steps_are_never_shown_together() -> None:
 
 
 def test_by_a_clock_times_are_those_of_the_steps_and_the_law_begins_when_it_says() -> None:
-    made = Picture(reference=lambda time: 10 * time, period_ns=PERIOD)
+    made = Picture(reference=ten_times(), period_ns=PERIOD)
     now = 1_795_000_000 * 10**9
     for step in range(100, 120):
         for message in make_step(step):

@@ -24,6 +24,7 @@ from swarmabs_bringup.view.protocol import (
     RobotStates,
     Seek,
     Speed,
+    Steer,
     json_schema,
 )
 
@@ -60,8 +61,8 @@ def test_schema_says_who_sends_what() -> None:
 
 
 FROM = {
-    "from_server": {"Hello", "Frame", "Curves", "Events", "Health", "State"},
-    "from_page": {"Play", "Pause", "Seek", "Speed"},
+    "from_server": {"Hello", "Frame", "Curves", "Events", "Health", "State", "Steering", "Answer"},
+    "from_page": {"Play", "Pause", "Seek", "Speed", "Steer"},
 }
 
 
@@ -95,6 +96,10 @@ def test_numbers_keep_every_bit_and_what_is_not_finite_is_null() -> None:
         ('{"v": 1, "type": "pause"}', Pause(v=1, type="pause")),
         ('{"v": 1, "type": "seek", "step": 7}', Seek(v=1, type="seek", step=7)),
         ('{"v": 1, "type": "speed", "speed": 2.5}', Speed(v=1, type="speed", speed=2.5)),
+        (
+            '{"v": 1, "type": "steer", "token": "t", "request": "r", "action": "kill", "agent": 3}',
+            Steer(v=1, type="steer", token="t", request="r", action="kill", agent=3),
+        ),
     ],
 )
 def test_wishes_of_a_page(text: str, wish: object) -> None:
@@ -117,6 +122,9 @@ def test_wishes_of_a_page(text: str, wish: object) -> None:
         '{"v": 1, "type": "speed", "speed": 1e9}',
         '{"v": 1, "type": "speed", "speed": NaN}',
         '{"v": 1, "type": "hello"}',
+        '{"v": 1, "type": "steer", "token": "t", "request": "r", "action": "status"}',
+        '{"v": 1, "type": "steer", "request": "r", "action": "kill", "agent": 3}',
+        '{"v": 1, "type": "steer", "token": "t", "request": "r", "action": "reference", "value": Infinity}',
     ],
 )
 def test_what_is_no_wish_is_refused(text: str) -> None:

@@ -176,3 +176,24 @@ def test_the_law_of_the_paper_has_no_settings() -> None:
     assert law_type("paper").settings == ()
     with pytest.raises(ScenarioError, match=r"swarm\.law\.k: unknown key 'k'"):
         parse(law="{type: paper, k: [1, 1]}")
+
+
+def test_the_reference_of_a_law_without_offset_cannot_be_offset(packages: Path) -> None:
+    offset = "faults=[{kind: reference, at: 1, offset: 0.1}]"
+    with pytest.raises(ScenarioError) as caught:
+        parse("{type: bang_bang}", offset)
+    assert str(caught.value).startswith(
+        f"--set {offset}: faults.0: the reference of controller 'bang_bang' cannot be offset (see line 2); leave it out"
+    )
+    method = """
+        def offset_torque(self, time, plane, offset):
+            return self.torque(time, plane._replace(angle=plane.angle - offset))
+
+        def reference(self, time):"""
+    install(
+        packages,
+        "controller",
+        "bang_bong",
+        BANG_BANG.replace("bang_bang", "bang_bong").replace("\n        def reference(self, time):", method),
+    )
+    parse("{type: bang_bong}", offset)

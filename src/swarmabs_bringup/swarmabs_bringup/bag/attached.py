@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.bag.errors import DamagedBagError
 from swarmabs_bringup.bag.info import PROVENANCE_FILE, SCENARIO_FILE
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import EVENTS, SwarmEvent
 from swarmabs_core.scenario import parse_scenario
+from swarmabs_core.scenario.steered import as_planned
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from swarmabs_bringup.bag.reader import BagReader
     from swarmabs_core.scenario import Scenario
 
 
-def attached_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario:
+def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
     """Return the scenario that a bag holds, of several swarms in it that of all.
+
+    Of a run that was steered it is the one in which all that was done from outside is planned: the recorded run follows
+    from it.
 
     Parameters
     ----------
@@ -26,11 +32,14 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario
         The bag.
     overrides : sequence of str
         ``a.b=value`` each.
+    steered : bool
+        Whether what was done from outside is part of it.
 
     Raises
     ------
     InputError
-        If there is none, it is not valid, or there are several swarms with different ones.
+        If there is none, it is not valid, there are several swarms with different ones, or what was done from outside
+        contradicts it.
     DamagedBagError
         If its bytes are damaged.
     """
@@ -40,10 +49,25 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = ()) -> Scenario
     if len(bag.swarms) > 1 and len(set(bag.attachments(SCENARIO_FILE))) > 1:
         raise InputError(f"{bag.path} holds several scenarios and does not say which of its swarms each is of")
     source = f"{bag.path}:{SCENARIO_FILE}"
+    acted = steered and was_steered(bag) and len(bag.swarms) <= 1
     try:
-        return parse_scenario(text.decode(), source=source, overrides=overrides)
+        scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides)
     except UnicodeDecodeError as error:
         raise InputError(f"{source} is not UTF-8 text, so it is not known what it is a run of") from error
+    return as_planned(scenario, _events(bag), source=source, overrides=overrides) if acted else scenario
+
+
+def was_steered(bag: BagReader) -> bool:
+    """Say whether a bag's run could be steered."""
+    return attached_provenance(bag).get("steered") is True
+
+
+def _events(bag: BagReader) -> Iterator[SwarmEvent]:
+    """Yield the events of a bag, as far as they can be read: what is damaged, others tell."""
+    with suppress(DamagedBagError):
+        for _, _, message in bag.decoded((EVENTS,)):
+            if isinstance(message, SwarmEvent):
+                yield message
 
 
 def attached_provenance(bag: BagReader) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from swarmabs_bringup.cli.report import report
 from swarmabs_bringup.cli.run import run, simulate
 from swarmabs_bringup.cli.scenario import scenario
 from swarmabs_bringup.cli.soak import soak
+from swarmabs_bringup.cli.steer import steer
 from swarmabs_bringup.cli.sweep import sweep
 from swarmabs_bringup.cli.test import test
 from swarmabs_bringup.cli.top import top
@@ -40,6 +41,7 @@ def swarm() -> None:
 for command in (
     run,
     simulate,
+    steer,
     check,
     info,
     verify,

@@ -94,6 +94,12 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
 @click.option("--realtime", is_flag=True, help="Let the clock make the steps, as on robots, with simulated bodies.")
+@click.option("--steer", is_flag=True, help="Let the run be changed while it goes on, by the command `steer`.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(0.0, min_open=True, max=1e6),
+    help="With --steer: simulated time per real time, at most.  [default: as fast as possible]",
+)
 @click.option("--view", is_flag=True, help="Show the run as a page in the browser.")
 @click.option("--view-port", type=click.IntRange(0, 65535), help="With --view: port of the page.  [default: any]")
 @click.option("--open", "open_browser", is_flag=True, help="With --view: open the page in the browser.")
@@ -103,6 +109,8 @@ def run(
     agents_per_process: int,
     packed: bool,
     realtime: bool,
+    steer: bool,
+    rate: float | None,
     view: bool,
     view_port: int | None,
     open_browser: bool,
@@ -114,12 +122,17 @@ def run(
 
     With --view, on a terminal, the page stays when the run is over, and plays its bag, until Ctrl-C.
     """
-    if realtime and (packed or agents_per_process > 1):
-        option = "--packed" if packed else "--agents-per-process"
+    given = {"--packed": packed, "--agents-per-process": agents_per_process > 1, "--steer": steer}
+    if realtime and any(given.values()):
+        option = next(name for name, there in given.items() if there)
         raise InputError(f"{option} is for runs in lockstep; leave it or --realtime out")
+    if rate is not None and not steer:
+        raise InputError("--rate is for a run with --steer; leave one of them out, or add the other")
+    if steer and options["no_bag"]:
+        raise InputError("--steer with --no-bag: what is done to a run is recorded; leave one of them out")
     if not view and (view_port is not None or open_browser):
         raise click.UsageError(f"{'--open' if open_browser else '--view-port'} is for a run with --view.")
-    with _viewer(view_port or 0) if view else nullcontext() as viewer:
+    with _viewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
 
         def execute(
             scenario: Scenario,
@@ -133,6 +146,8 @@ def run(
             if viewer is not None:
                 viewer.start(folder.path)
                 click.echo(f"view: {viewer.url}", err=True)
+                if viewer.steering_url is not None:
+                    click.echo(f"view, to steer: {viewer.steering_url}", err=True)
                 if open_browser:
                     open_page(viewer.url)
             with shown(folder.path):
@@ -146,10 +161,18 @@ def run(
                     agents_per_process=agents_per_process,
                     packed=packed,
                     split=split,
+                    steered=steer,
+                    step_seconds=_step_seconds(scenario, rate),
                 ).run()
 
         shown = shown_beside(options, clock=not realtime)
-        code = _carry_out(execute, realtime=realtime, **options)
+        code = _carry_out(
+            execute,
+            realtime=realtime,
+            check=lambda scenario: _step_seconds(scenario, rate),
+            steered=steer,
+            **options,
+        )
         if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
             interrupt_once()
             click.echo(f"view: {viewer.url} plays the bag until Ctrl-C", err=True)
@@ -157,10 +180,30 @@ def run(
         return code
 
 
-def _viewer(port: int) -> Viewer:
+def _viewer(port: int, *, steered: bool) -> Viewer:
     from swarmabs_bringup.view.beside import Viewer  # noqa: PLC0415 - slow, not for --help
 
-    return Viewer(port)
+    return Viewer(port, steered=steered)
+
+
+def _step_seconds(scenario: Scenario, rate: float | None) -> float:
+    """Return the shortest wall time of a step, s; 0 for none.
+
+    Raises
+    ------
+    InputError
+        If a run that is as slow could not be told from one that stalls.
+    """
+    from swarmabs_bringup.steering.pace import SLOWEST  # noqa: PLC0415 - slow, not for --help
+
+    seconds = 0.0 if rate is None else scenario.period / rate
+    slowest = min(SLOWEST, 0.5 * scenario.lockstep.stall_timeout)
+    if seconds > slowest:
+        raise InputError(
+            f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s looks like a stall; use "
+            f"at least {scenario.period / slowest:g}"
+        )
+    return seconds
 
 
 @click.command()
@@ -194,6 +237,8 @@ def _carry_out(
     max_bag_size: int,
     max_bag_duration: int,
     as_json: bool,
+    steered: bool = False,
+    check: Callable[[Scenario], object] = bool,
 ) -> int:
     """Load, run, sum up, print; return the exit code."""
     from swarmabs_bringup.rerun import recorded_run  # noqa: PLC0415
@@ -208,6 +253,7 @@ def _carry_out(
         overrides = (*overrides, f"duration={duration}")
     recorded = recorded_run(scenario, overrides) if names_bag(scenario) else None
     loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
+    check(loaded)
     if realtime:
         _check_realtime(loaded, recorded)
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, loaded.name)
@@ -215,6 +261,8 @@ def _carry_out(
     for warning in (*loaded.warnings(), *theory_warnings(check_scenario(loaded)), *differences):
         click.echo(f"warning: {warning}", err=True)
     loaded = loaded.resolved()
+    if steered:
+        click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
     try:
         with shown_progress(loaded) as show:
             outcome = execute(loaded, folder, not no_bag, Split(max_bag_size, max_bag_duration * 10**9), show)
@@ -226,7 +274,9 @@ def _carry_out(
             reason=outcome.reason,
             wall_time=since_start(),
             stepping_seconds=outcome.stepping_seconds,
-            rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides)) if recorded is not None else None,
+            rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)
+            if recorded is not None
+            else None,
         )
         folder.write_summary(summary)
     except OSError as error:

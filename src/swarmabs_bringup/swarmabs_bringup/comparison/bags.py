@@ -186,7 +186,7 @@ class _Side:
     def _reference(self) -> Reference:
         try:
             self.scenario = attached_scenario(self.bag)
-            return configure.parent_controller(self.scenario).reference
+            return configure.reference(self.scenario)
         except (InputError, DamagedBagError) as error:
             self._scenario_problem = str(error)
             return lambda _: math.nan

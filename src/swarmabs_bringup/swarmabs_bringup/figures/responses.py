@@ -93,7 +93,7 @@ def draw_large_swarms(runs: Sequence[RecordedRun]) -> Figure:
 def parent_state(axes: Axes, run: RecordedRun) -> Pair:
     """Draw angle and angular velocity of the plane, and the angle wanted unless it is 0; return both pairs of axes."""
     time, other = run.arrays.time, axes.twinx()
-    reference = configure.parent_controller(run.scenario).reference
+    reference = configure.reference(run.scenario)
     wanted = [reference(t) for t in time.tolist()]
     axes.plot(time, run.arrays.angle, color=BLUE, label="θ")
     if any(wanted):

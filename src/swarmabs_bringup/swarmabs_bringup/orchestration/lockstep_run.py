@@ -10,23 +10,28 @@ import psutil
 from swarmabs_bringup.orchestration.plan import ProcessPlan, agent_name, plan
 from swarmabs_bringup.orchestration.process_run import ProcessRun
 from swarmabs_bringup.splitting import ONE_FILE, Split
+from swarmabs_bringup.steering.protocol import SOCKET
 from swarmabs_core import configure
-from swarmabs_core.membership import ChangeKind
+from swarmabs_core.membership import Change, ChangeKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from swarmabs_bringup.orchestration.launcher_client import LauncherClient
-    from swarmabs_bringup.orchestration.progress import Progress
+    from swarmabs_bringup.orchestration.progress import Outcome, Progress
     from swarmabs_bringup.orchestration.supervision import Failure
     from swarmabs_bringup.run_folder import RunFolder
-    from swarmabs_core.membership import Change
     from swarmabs_core.scenario import Scenario
 
 STALL_GRACE = 1.0
 """Time, s, for which reports of a stall are gathered before they are judged."""
 
-_SIGNALS = {ChangeKind.KILL: signal.SIGKILL, ChangeKind.FREEZE: signal.SIGSTOP, ChangeKind.LEAVE: signal.SIGTERM}
+_SIGNALS = {
+    ChangeKind.KILL: signal.SIGKILL,
+    ChangeKind.FREEZE: signal.SIGSTOP,
+    ChangeKind.LEAVE: signal.SIGTERM,
+    ChangeKind.REMOVE: signal.SIGTERM,
+}
 
 
 class LockstepRun(ProcessRun):
@@ -52,6 +57,10 @@ class LockstepRun(ProcessRun):
         Whether the robots hear the three broadcasts as one message, which costs less where they are many.
     split : Split
         When the bag goes on in a new file, by default never.
+    steered : bool
+        Whether the run can be steered, by a socket in its folder.
+    step_seconds : float
+        Shortest wall time, s, of a step of such a run; 0: as fast as possible.
     """
 
     def __init__(
@@ -66,6 +75,8 @@ class LockstepRun(ProcessRun):
         agents_per_process: int = 1,
         packed: bool = False,
         split: Split = ONE_FILE,
+        steered: bool = False,
+        step_seconds: float = 0.0,
     ) -> None:
         planned = plan(
             scenario,
@@ -75,6 +86,8 @@ class LockstepRun(ProcessRun):
             agents_per_process=agents_per_process,
             packed=packed,
             split=split,
+            steered=steered,
+            step_seconds=step_seconds,
         )
         super().__init__(
             scenario,
@@ -91,6 +104,13 @@ class LockstepRun(ProcessRun):
         self._stalled_since: float | None = None
         self._stalled_at = -1
 
+    def run(self) -> Outcome:
+        """Run to the end, whatever it is; afterwards nothing of the run is left but its results; see `ProcessRun`."""
+        try:
+            return super().run()
+        finally:
+            (self._folder.path / SOCKET).unlink(missing_ok=True)
+
     def _start(self, launcher: LauncherClient, now: float) -> float:
         self._note("all processes have met their counterparts: start")
         launcher.start_all()
@@ -100,8 +120,19 @@ class LockstepRun(ProcessRun):
         self._inject_faults(launcher)
         return self._check_stalls(now)
 
+    def _take_orders(self) -> None:
+        """Note what was done from outside, and plan the ends of processes that follow from it."""
+        for order in self._supervision.orders:
+            self._note(f"steered: {order['text']}")
+            if order["change"]:
+                change = Change.parse(order["change"])
+                later = (fault for fault in self._faults if fault.agent_id != change.agent_id)
+                self._faults = sorted((change, *later))
+        self._supervision.orders.clear()
+
     def _inject_faults(self, launcher: LauncherClient) -> None:
-        """End or stop the processes whose last state is recorded; as state machines they have fallen silent already."""
+        """End or stop the processes whose last state is recorded; from then on nobody listens to them any more."""
+        self._take_orders()
         while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)
             if fault.agent_id not in self._own_process:  # its state machine is silent, its neighbours go on

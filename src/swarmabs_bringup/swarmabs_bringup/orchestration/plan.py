@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from swarmabs_bringup.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
+from swarmabs_core.behaviours.steered import HELM
+from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -22,10 +24,13 @@ from swarmabs_core.messages import (
     MAIN_TOPICS,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    STEERING,
     Kind,
     Topic,
 )
+from swarmabs_core.steering import DISTURBANCE, REFERENCE
 from swarmabs_ros.repeat import FIRST, WINDOW
+from swarmabs_ros.runner import STEERED
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -38,6 +43,8 @@ PATIENCE = 1e-4
 """Time, s, per robot that a node waits at least for an answer before it repeats itself."""
 
 PLANE, OBSERVER, CONTROLLER, RECORDER = "plane_sim", "abstraction_observer", "parent_controller", "recorder"
+STEERING_PARTICIPANT = 4
+"""DDS participant id of the node that steers: the first one that a run leaves free among the coordinators."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +119,8 @@ def plan(
     agents_per_process: int = 1,
     packed: bool = False,
     split: Split = ONE_FILE,
+    steered: bool = False,
+    step_seconds: float = 0.0,
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
@@ -131,6 +140,10 @@ def plan(
         Whether the robots hear the three broadcasts as one message.
     split : Split
         When the bag goes on in a new file.
+    steered : bool
+        Whether the run can be steered.
+    step_seconds : float
+        Shortest wall time, s, of a step of a run that can be steered.
     """
     common: dict[str, object] = {
         "period_ns": scenario.step_ns,
@@ -139,6 +152,9 @@ def plan(
         "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
         "repeat_steps": min(WINDOW, 2 * configure.recording_window(scenario)),
     }
+    # Who begins each step with what is ordered for it.
+    obeying = common | ({STEERED.name: True} if steered else {})
+    orders = (STEERING,) if steered else ()
     swarm: dict[str, object] = {
         "members": configure.members(scenario),
         "schedule": tuple(str(change) for change in configure.schedule(scenario)),
@@ -149,43 +165,48 @@ def plan(
             PLANE,
             "plane_sim.node",
             0,
-            common
+            obeying
             | swarm
             | plane_parameters(scenario)
             | {
                 "length": scenario.plane.length,
                 "actuator_lag": scenario.swarm.actuator_lag,
                 "lies": tuple(map(str, configure.lies(scenario))),
+                "torques": tuple(map(str, configure.stairs(scenario, DISTURBANCE))),
             },
             (EVENTS, PLANE_STATE),
-            (AGENT_STATE, EVENTS),
+            (AGENT_STATE, EVENTS, *orders),
         ),
         ProcessPlan(
             OBSERVER,
             "abstraction_observer.node",
             1,
-            common
+            obeying
             | swarm
             | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall}
             | _observer_parameters(scenario),
             (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
-            (AGENT_STATE,) if scenario.observer.type == "sum" else (AGENT_STATE, PLANE_STATE),
+            (*((AGENT_STATE,) if scenario.observer.type == "sum" else (AGENT_STATE, PLANE_STATE)), *orders),
         ),
         ProcessPlan(
             CONTROLLER,
             "parent_controller.node",
             CONTROLLER_PARTICIPANT,
-            common
+            obeying
             | controller_parameters(scenario)
-            | {"recording_window": configure.recording_window(scenario), "packed": packed},
+            | {
+                "recording_window": configure.recording_window(scenario),
+                "offsets": tuple(map(str, configure.stairs(scenario, REFERENCE))),
+                "packed": packed,
+            },
             (EVENTS, DESIRED_ABSTRACT_STATE, *((BROADCAST,) if packed else ())),
-            (PLANE_STATE, RECORDING_PROGRESS, *((ABSTRACT_STATE, AUXILIARY_STATE) if packed else ())),
+            (PLANE_STATE, RECORDING_PROGRESS, *((ABSTRACT_STATE, AUXILIARY_STATE) if packed else ()), *orders),
         ),
         ProcessPlan(
             RECORDER,
             "swarmabs_bringup.recorder.node",
             3,
-            common
+            obeying
             | {
                 "scenario_file": str(scenario_file),
                 "bag": str(bag or ""),
@@ -194,9 +215,10 @@ def plan(
                 "logs": str(logs),
             },
             (RECORDING_PROGRESS,),
-            (*MAIN_TOPICS, EVENTS),
+            (*MAIN_TOPICS, EVENTS, *orders),
         ),
-        *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process),
+        *([_steering_process(common | {"step_seconds": step_seconds}, scenario_file)] if steered else ()),
+        *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process, steered=steered),
     ]
     expect_counterparts(processes)
     return tuple(processes)
@@ -234,6 +256,18 @@ def controller_parameters(scenario: Scenario) -> dict[str, object]:
     }
 
 
+def _steering_process(common: dict[str, object], scenario_file: Path) -> ProcessPlan:
+    """Return the process of the node that steers; its socket lies beside the scenario, in the folder of the run."""
+    return ProcessPlan(
+        HELM,
+        "swarmabs_bringup.steering.node",
+        STEERING_PARTICIPANT,
+        common | {"scenario_file": str(scenario_file), "folder": str(scenario_file.parent)},
+        (STEERING,),
+        (PLANE_STATE, EVENTS),
+    )
+
+
 def _observer_parameters(scenario: Scenario) -> dict[str, object]:
     """Return what the observer knows of the plane, if it watches it."""
     model = configure.parent_model(scenario)
@@ -244,9 +278,12 @@ def _observer_parameters(scenario: Scenario) -> dict[str, object]:
 
 
 def _agent_processes(
-    scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int
+    scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int, *, steered: bool
 ) -> list[ProcessPlan]:
     configs = configure.agent_configs(scenario)
+    absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}
+    if not steered:  # who is there only when it is added has no process where nobody can be added
+        configs = tuple(config for config in configs if config.agent_id not in absent)
     heard = (BROADCAST,) if common["packed"] else BROADCASTS
     processes = []
     for index, first in enumerate(range(0, len(configs), per_process)):
@@ -258,6 +295,9 @@ def _agent_processes(
         else:
             name, module = group_name(ids), "agent_node.group"
             parameters = {"scenario_file": str(scenario_file), "agent_ids": ids}
+        waits = not absent.isdisjoint(ids)
+        if waits:
+            parameters[STEERED.name] = True
         processes.append(
             ProcessPlan(
                 name,
@@ -265,7 +305,7 @@ def _agent_processes(
                 COORDINATORS + index,
                 common | parameters,
                 (EVENTS, AGENT_STATE),
-                (*heard, PLANE_STATE) if feels else heard,
+                (*heard, *((PLANE_STATE,) if feels else ()), *((STEERING,) if waits else ())),
                 ids,
             )
         )

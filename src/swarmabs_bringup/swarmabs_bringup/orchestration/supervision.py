@@ -69,6 +69,7 @@ class Supervision:
     done: Mapping[str, Any] | None = None
     failure: Failure | None = None
     timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    orders: list[Mapping[str, Any]] = field(default_factory=list)
 
     def take(self, report: Mapping[str, Any]) -> None:
         """Take a report of a node or of the launcher."""
@@ -89,6 +90,8 @@ class Supervision:
             self.progress = report
         elif event == "timing":
             self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
+        elif event == "steered":
+            self.orders.append(report)
         elif event == "done":
             self.done = report
             if report["problem"]:

@@ -20,21 +20,25 @@ from swarmabs_core.messages import (
     MAIN_TOPICS,
     NEVER,
     RECORDING_PROGRESS,
+    STEERING,
+    Action,
     Message,
     Messages,
     RecordingProgress,
+    Steering,
     Topic,
 )
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.recording import RunCollector
 from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.runner import STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from swarmabs_core.recording import RecordedStep
     from swarmabs_core.scenario import Scenario
 
 PARAMETERS = (
@@ -45,6 +49,7 @@ PARAMETERS = (
     Parameter("logs", "", "folder whose log files are attached at the end"),
     Parameter("replay", "", "what of which bag is replayed, as JSON for the provenance; empty: nothing"),
     Parameter("ends", (), "ends of robots that the replayed run's scenario had not planned, each 'KIND AGENT STEP'"),
+    STEERED,
 )
 
 CREDITS = 10
@@ -69,6 +74,8 @@ class Recorder:
         Told the number of steps recorded.
     ends : iterable of Change
         Ends of robots that the scenario does not plan.
+    steered : bool
+        Whether the run is steered.
     """
 
     def __init__(
@@ -77,12 +84,15 @@ class Recorder:
         recording: Recording,
         on_step: Callable[[int], None],
         ends: Iterable[Change] = (),
+        *,
+        steered: bool = False,
     ) -> None:
         self._period_ns = scenario.step_ns
         self._recording = recording
         self._on_step = on_step
         schedule = with_ends(configure.schedule(scenario), ends)
-        self._collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
+        self._collector = RunCollector(configure.members(scenario), schedule, scenario.steps, steered=steered)
+        self._topics = (STEERING, *_EVERYTHING) if steered else _EVERYTHING
         self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
         self._credited = -1
         self._newest = -1
@@ -99,7 +109,7 @@ class Recorder:
         """
         if isinstance(message, RecordingProgress):
             raise UnexpectedMessageError("recorder", message)
-        steps = self._collector.add(message)
+        steps = self._steer(message) if isinstance(message, Steering) else self._collector.add(message)
         if not steps:
             return self._still_here(message.step)
         for step in steps:
@@ -110,6 +120,13 @@ class Recorder:
             return ()
         self._credited = written
         return (self._credit(),)
+
+    def _steer(self, order: Steering) -> list[RecordedStep]:
+        orders, steps = self._collector.steer(order)
+        for known in orders:
+            if known.action == Action.REFERENCE:
+                self._recording.offset(known.step, known.value)
+        return steps
 
     def _still_here(self, step: int) -> Messages:
         newer, self._newest = step > self._newest, max(step, self._newest)
@@ -123,7 +140,7 @@ class Recorder:
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for everything until the run is complete."""
-        return () if self._collector.finished else _EVERYTHING
+        return () if self._collector.finished else self._topics
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the first incomplete step and what it lacks."""
@@ -171,6 +188,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         namespace=settings.namespace,
         split=split,
         replay=json.loads(replay) if replay else None,
+        steered=settings.flag(STEERED.name),
     )
     planned = {change.step for change in configure.schedule(scenario)}
     reported = time.monotonic()
@@ -187,7 +205,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
                 )
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
-    recorder = Recorder(scenario, recording, report, ends)
+    steered = settings.flag(STEERED.name)
+    recorder = Recorder(scenario, recording, report, ends, steered=steered)
 
     def finish(problem: str | None) -> None:
         log = {"run.log": log_text(settings.text("logs"))}
@@ -202,7 +221,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     subscriptions = {
         # Acknowledgements cost each coordinator a thread that is woken several times per step.
         topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=topic is EVENTS)
-        for topic in _EVERYTHING
+        for topic in (_EVERYTHING if not steered else (STEERING, *_EVERYTHING))
     }
     return NodeSpec(
         recorder,

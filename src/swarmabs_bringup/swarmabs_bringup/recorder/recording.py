@@ -44,6 +44,8 @@ class Recording:
         What of which bag is replayed, for the provenance.
     topics : tuple of Topic
         What the bag holds.
+    steered : bool
+        Whether the run may be steered, for the provenance.
 
     Raises
     ------
@@ -61,9 +63,11 @@ class Recording:
         split: Split = ONE_FILE,
         replay: Mapping[str, object] | None = None,
         topics: tuple[Topic, ...] = (*MAIN_TOPICS, EVENTS),
+        steered: bool = False,
     ) -> None:
         self._digest = Digest()
-        self._metrics = Metrics(configure.parent_controller(scenario).reference)
+        self._reference = configure.reference(scenario)
+        self._metrics = Metrics(self._reference)
         self._onlooker = Onlooker(configure.members(scenario), scenario.plane.length)
         self._writer = None
         if folder is not None:
@@ -74,7 +78,7 @@ class Recording:
                 split=split,
                 attachments={
                     "scenario.yaml": dump_scenario(scenario).encode(),
-                    "provenance.json": provenance_json(scenario, driver=driver, replay=replay),
+                    "provenance.json": provenance_json(scenario, driver=driver, replay=replay, steered=steered),
                 },
             )
 
@@ -101,6 +105,10 @@ class Recording:
         if self._writer is not None:
             for topic, stamp, payload in step.stored():
                 self._writer.write(topic, stamp, payload)
+
+    def offset(self, step: int, offset: float) -> None:
+        """Take note of an offset of the reference (rad) that holds from a step on, for the figures."""
+        self._reference.shift(step, offset)
 
     def poll(self) -> None:
         """Hand what is old enough to the operating system."""

@@ -109,7 +109,7 @@ class Recorded:
     @cached_property
     def reference(self) -> Floats:
         """The angle wanted at each step, rad."""
-        reference = configure.parent_controller(self.scenario).reference
+        reference = configure.reference(self.scenario)
         return np.array([reference(t) if t == t else t for t in self.law_time.tolist()])  # noqa: PLR0124 - NaN stays
 
     @cached_property
@@ -189,7 +189,7 @@ def _events(bag: BagReader) -> tuple[SwarmEvent, ...]:
 
 def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, float | int | str | None]:
     """Return the figures of the run, by the same arithmetic as while it is recorded."""
-    metrics = Metrics(configure.parent_controller(scenario).reference)
+    metrics = Metrics(configure.reference(scenario))
     states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.angle.tolist(), strict=True)
     for time, step, angle in states:
         if not np.isnan(angle):

@@ -153,7 +153,7 @@ class Recovers(Invariant):
     """The plane is where it should be within a bound after the last fault, and stays there."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._reference = configure.parent_controller(scenario).reference
+        self._reference = configure.reference(scenario)
         self._period_ns = scenario.step_ns
         self._last_fault = last_fault(scenario)
         self._since: int | None = None
@@ -186,7 +186,10 @@ class Recovers(Invariant):
 
 def last_fault(scenario: Scenario) -> int:
     """Return the step in which the last fault happens or ends; the last step for faults that do not end."""
-    steps = [scenario.fault_step(fault.at) for fault in scenario.membership_faults]
+    steps = [scenario.fault_step(fault.at) for fault in scenario.membership_faults if fault.at is not None]
+    for setting in scenario.setting_faults:
+        ends = (setting.at, setting.until)
+        steps += [min(scenario.fault_step(at), scenario.steps) for at in ends if at is not None]
     for fault in scenario.robot_faults:
         _, end = scenario.fault_steps(fault)
         steps.append(scenario.steps if end is None else min(end, scenario.steps))

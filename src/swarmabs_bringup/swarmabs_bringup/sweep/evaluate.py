@@ -64,7 +64,7 @@ def lost(index: int, reason: str) -> str:
 def _run(scenario: Scenario) -> dict[str, Any]:
     """Simulate, and return figures, status and outcome."""
     status, reason = "ok", None
-    digest, metrics = Digest(), Metrics(configure.parent_controller(scenario).reference)
+    digest, metrics = Digest(), Metrics(configure.reference(scenario))
     max_abs_angle: float | None = None
     try:
         for step in simulated_steps(scenario):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import socket
 import subprocess
 import sys
@@ -27,11 +28,15 @@ class Viewer:
     ----------
     port : int
         0 for any free one.
+    steered : bool
+        Whether the run can be steered from the page, by those who know the token.
 
     Attributes
     ----------
     url : str
         Address of the page.
+    steering_url : str or None
+        Address with the token, which stands behind the `#`: browsers keep that part for themselves.
 
     Raises
     ------
@@ -39,12 +44,14 @@ class Viewer:
         If the port is taken, or the web server is not installed.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, *, steered: bool = False) -> None:
         need_packages()
         from swarmabs_bringup.view.server import url_of  # noqa: PLC0415 - needs aiohttp
 
         self._listener = listening(port)
         self.url = url_of(self._listener)
+        self._token = secrets.token_urlsafe(24) if steered else ""
+        self.steering_url = f"{self.url}#steer={self._token}" if steered else None
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -65,6 +72,11 @@ class Viewer:
             start_new_session=True,  # Ctrl-C in a terminal is for the command alone
         )
         self._listener.close()
+        assert self._process.stdin is not None  # noqa: S101 - it is a pipe
+        # By the pipe: other users can see arguments.
+        with suppress(OSError):  # a view that has died is no matter of the run
+            self._process.stdin.write(self._token.encode() + b"\n")
+            self._process.stdin.flush()
 
     def wait(self) -> None:
         """Wait until the viewer has ended by itself, or Ctrl-C."""
@@ -78,7 +90,8 @@ class Viewer:
         if self._process is None:
             return
         if self._process.stdin is not None:
-            self._process.stdin.close()
+            with suppress(OSError):
+                self._process.stdin.close()
         try:
             self._process.wait(END_SECONDS)
         except subprocess.TimeoutExpired:
@@ -92,9 +105,9 @@ def main() -> int:
     from swarmabs_bringup.view.live import closed  # noqa: PLC0415
 
     folder, descriptor = sys.argv[1:]
-    run = RunView(Path(folder))
+    run = RunView(Path(folder), sys.stdin.buffer.readline().decode().strip() or None)
     with socket.socket(fileno=int(descriptor)) as listener:
-        serve(listener, run.session, run.follow, lambda: closed(0))
+        serve(listener, run.session, run.follow, run.steer, lambda: closed(0))
     return 0
 
 

@@ -18,6 +18,7 @@ from swarmabs_bringup.view.facts import scenario_facts
 from swarmabs_bringup.view.health import ProcessWatch
 from swarmabs_bringup.view.picture import Picture
 from swarmabs_bringup.view.protocol import Hello, Seek
+from swarmabs_bringup.view.wheel import SteeredSession, Wheel
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bringup.view.playback import PlaybackSession, Recording
+    from swarmabs_bringup.view.server import Session
 
 HEALTH_INTERVAL = 2.0
 """Time, s, between two looks at the processes."""
@@ -47,9 +49,11 @@ class RunView:
     ----------
     folder : Path
         Its folder.
+    token : str, optional
+        What a page must know to steer it; without one, pages only look.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, token: str | None = None) -> None:
         self._folder = RunFolder(folder)
         self._recording: Recording | None = None
         hello = Hello(
@@ -66,10 +70,16 @@ class RunView:
         )
         self._live = LiveView(hello, Picture())
         self._live.text = "the processes start"
+        self._wheel = None if token is None else Wheel(folder, token)
 
-    def session(self) -> LiveSession:
+    def session(self) -> Session:
         """Return what a new page sees."""
-        return LiveSession(self._live, self._playback)
+        session = LiveSession(self._live, self._playback)
+        return session if self._wheel is None else SteeredSession(session, self._wheel)
+
+    async def steer(self) -> None:
+        """Know what holds in a run that is steered; never ends."""
+        await (asyncio.Event().wait() if self._wheel is None else self._wheel.follow())
 
     async def follow(self) -> None:
         """Follow the run to its end, then for ever show its bag."""
@@ -109,7 +119,7 @@ class RunView:
         scenario = find_scenario(str(self._folder.scenario))
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
-        reference = configure.parent_controller(scenario).reference
+        reference = configure.reference(scenario)
         self._live.learn(hello, Picture(facts["robots"], reference=reference, period_ns=scenario.step_ns))
 
     async def _watch(self, processes: Mapping[str, int]) -> None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from swarmabs_bringup.view.protocol import Health, Pause, Phase, Play, Seek, Speed
+    from swarmabs_bringup.view.protocol import Control, Health, Phase
     from swarmabs_core.messages import Topic
 
 INTERVAL = 1.0 / 30.0
@@ -190,7 +190,7 @@ class Sees(Protocol):
         """Return what is new."""
         ...
 
-    def control(self, wish: Play | Pause | Seek | Speed) -> None:
+    def control(self, wish: Control) -> None:
         """Do what the page asks for."""
         ...
 
@@ -250,7 +250,7 @@ class LiveSession:
             self._told = now
         return messages
 
-    def control(self, wish: Play | Pause | Seek | Speed) -> None:
+    def control(self, wish: Control) -> None:
         """Do what the page asks for; what goes on cannot be played."""
         if self._after is not None:
             self._after.control(wish)

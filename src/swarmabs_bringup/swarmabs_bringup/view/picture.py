@@ -26,9 +26,12 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.steering import REFERENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
+
+    from swarmabs_core.steering import OffsetReference
 
 MOST_EVENTS = 1000
 """Events that are kept, the latest."""
@@ -92,8 +95,8 @@ class Picture:
     ----------
     robots : sequence of Robot
         Those that are known beforehand; others are added when they are heard.
-    reference : callable, optional
-        The angle wanted (rad) at a time (s) of the law.
+    reference : OffsetReference, optional
+        The angle wanted (rad) at a time (s) of the law; it gets the offsets that are announced.
     period_ns : int, optional
         The control period, ns. Times are then those of the steps, whatever the clocks say that stamp the messages.
 
@@ -115,7 +118,7 @@ class Picture:
         self,
         robots: Sequence[Robot] = (),
         *,
-        reference: Callable[[float], float] | None = None,
+        reference: OffsetReference | None = None,
         period_ns: int | None = None,
     ) -> None:
         self.robots = list(robots)
@@ -221,7 +224,9 @@ class Picture:
         self.events.append(event_of(event, self._time(event)))
         self.event_count += 1
         del self.events[:-MOST_EVENTS]
-        if event.kind in _ENDS:
+        if event.kind == EventKind.STEERING and event.detail == REFERENCE and self._reference is not None:
+            self._reference.shift(event.step, event.value)
+        elif event.kind in _ENDS:
             self._ended[event.agent_id] = _ENDS[event.kind]
         elif event.kind in {EventKind.JOINED, EventKind.RECOVERED}:
             self._ended.pop(event.agent_id, None)

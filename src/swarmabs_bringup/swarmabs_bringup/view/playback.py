@@ -16,6 +16,7 @@ from swarmabs_bringup.view.facts import finite, scenario_facts
 from swarmabs_bringup.view.picture import MOST_EVENTS, STATUS, event_of
 from swarmabs_bringup.view.protocol import (
     Abstract,
+    Control,
     Curves,
     Events,
     Frame,
@@ -237,8 +238,8 @@ class PlaybackSession:
         frames: list[Message] = [self.recording.frame(self._row, rate)] if moved else []
         return [*frames, *(self._state(now) if changed else [])]
 
-    def control(self, wish: Play | Pause | Seek | Speed) -> None:
-        """Do what the page asks for."""
+    def control(self, wish: Control) -> None:
+        """Do what the page asks for; what is over cannot be steered."""
         if isinstance(wish, Play):
             if self._row >= len(self.recording) - 1:
                 self._jump(0)
@@ -247,7 +248,7 @@ class PlaybackSession:
             self._playing = False
         elif isinstance(wish, Seek):
             self._jump(self.recording.row_at(wish.step))
-        else:
+        elif isinstance(wish, Speed):
             self._speed = wish.speed
 
     def _jump(self, row: int) -> None:

@@ -175,6 +175,29 @@ class State(Message):
     speed: Number = None
 
 
+class Steering(Message):
+    """What holds in a run that is steered, and what may be asked of it; sent when it changes."""
+
+    type: Literal["steering"] = "steering"
+    open: bool = Field(description="whether it takes requests now")
+    reference: float = Field(default=0.0, description="offset of the reference, rad")
+    disturbance: float = Field(default=0.0, description="torque that disturbs the plane, N m")
+    largest_reference: float = Field(default=0.0, description="rad; 0: the law's reference cannot be offset")
+    largest_disturbance: float = Field(default=0.0, description="N m")
+    members: list[int] = Field(default=[], description="robots that take part")
+    absent: list[int] = Field(default=[], description="robots that can be added")
+
+
+class Answer(Message):
+    """What has become of a page's request."""
+
+    type: Literal["answer"] = "answer"
+    request: str = Field(description="as the page has called it")
+    ok: bool
+    known: bool = Field(default=True, description="whether the token was right")
+    text: str = Field(description="from which step on it holds, or why it is not done")
+
+
 class Wish(Part):
     """A message of a page, which must say its version."""
 
@@ -207,13 +230,26 @@ class Speed(Wish):
     speed: float = Field(gt=0.0, le=FASTEST, allow_inf_nan=False)
 
 
-Control: TypeAlias = Annotated[Play | Pause | Seek | Speed, Field(discriminator="type")]
+class Steer(Wish):
+    """Change the run; only for those who know the token. Values as of the run's socket (docs/steering.md)."""
+
+    type: Literal["steer"]
+    token: str = Field(max_length=100)
+    request: str = Field(min_length=1, max_length=100, description="a name; the same request is done once")
+    action: Literal["reference", "disturbance", "kill", "freeze", "remove", "add"]
+    value: float | None = Field(
+        default=None, allow_inf_nan=False, description="of reference in rad, of disturbance in N m"
+    )
+    agent: int | None = Field(default=None, ge=1, le=65535, description="of the others")
+
+
+Control: TypeAlias = Play | Pause | Seek | Speed | Steer
 """What a page may ask for."""
 
-CONTROL: TypeAdapter[Play | Pause | Seek | Speed] = TypeAdapter(Control)
+CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="type")])
 
-FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Curves, Events, Health, State)
-FROM_PAGE: tuple[type[Wish], ...] = (Play, Pause, Seek, Speed)
+FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Curves, Events, Health, State, Steering, Answer)
+FROM_PAGE: tuple[type[Wish], ...] = (Play, Pause, Seek, Speed, Steer)
 
 
 def json_schema() -> dict[str, object]:

@@ -18,7 +18,7 @@ from swarmabs_core.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
-    from swarmabs_bringup.view.protocol import Message, Pause, Play, Seek, Speed
+    from swarmabs_bringup.view.protocol import Control, Message
 
 ADDRESS = "127.0.0.1"
 INTERVAL = 1.0 / 40.0
@@ -47,7 +47,7 @@ class Session(Protocol):
         """Return what is new at a time (s) of the clock."""
         ...
 
-    def control(self, wish: Play | Pause | Seek | Speed) -> None:
+    def control(self, wish: Control) -> None:
         """Do what the page asks for."""
         ...
 

@@ -5,11 +5,13 @@ from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.faulty import FaultyAgent, with_faults
 from swarmabs_core.behaviours.group import AgentGroup
+from swarmabs_core.behaviours.helm import Decision, Helm, HelmConfig, Request
 from swarmabs_core.behaviours.imperfect import ImperfectAgent, make_agent
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.packing import Listener, PackingController, Unpacking
 from swarmabs_core.behaviours.parent_response import ParentResponseObserver, make_observer
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
+from swarmabs_core.behaviours.steered import Newcomer, Orders, Steered, make_newcomer
 from swarmabs_core.robot_controller import Limits
 
 __all__ = [
@@ -19,19 +21,27 @@ __all__ = [
     "Behaviour",
     "Controller",
     "ControllerConfig",
+    "Decision",
     "FaultyAgent",
+    "Helm",
+    "HelmConfig",
     "ImperfectAgent",
     "LifeSpan",
     "Limits",
     "Listener",
+    "Newcomer",
     "Observer",
     "ObserverConfig",
+    "Orders",
     "PackingController",
     "ParentResponseObserver",
     "Plane",
     "PlaneConfig",
+    "Request",
+    "Steered",
     "Unpacking",
     "make_agent",
+    "make_newcomer",
     "make_observer",
     "with_faults",
 ]

@@ -11,16 +11,22 @@ from swarmabs_core.messages import (
     NEVER,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    Action,
+    EventKind,
     Message,
     Messages,
     PlaneState,
     RecordingProgress,
+    SwarmEvent,
     Topic,
 )
+from swarmabs_core.steering import REFERENCE, Stair, Staircase
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers.base import ParentController
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.messages import Steering
+
 
 @dataclass(frozen=True, slots=True)
 class ControllerConfig:
@@ -36,12 +42,15 @@ class ControllerConfig:
         How many steps the run may be ahead of the recorder; 0 if it is not recorded.
     last_step : int, optional
         The step with which the run ends.
+    offsets : tuple of Stair
+        By how much the angle wanted is above the law's reference, rad, by step.
     """
 
     period_ns: int
     manifold: Manifold
     recording_window: int = 0
     last_step: int | None = None
+    offsets: tuple[Stair, ...] = ()
 
 
 class Controller:
@@ -58,6 +67,7 @@ class Controller:
     def __init__(self, config: ControllerConfig, law: ParentController) -> None:
         self._config = config
         self._generator = DesiredStateGenerator(config.period_ns, config.manifold, law)
+        self._offsets = Staircase(config.offsets)
         self._step = 0
         self._plane: PlaneState | None = None
         self._written = -1
@@ -82,6 +92,11 @@ class Controller:
             raise UnexpectedMessageError("parent controller", message)
         return self._finish() if self._plane is not None and self._credit() else ()
 
+    def steer(self, order: Steering) -> None:
+        """Take over an offset of the reference that is ordered from outside."""
+        if order.action == Action.REFERENCE:
+            self._offsets.set(order.step, order.value)
+
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, then, if the recorder is too far behind, for the recorder."""
         last = self._config.last_step
@@ -101,6 +116,9 @@ class Controller:
         plane = self._plane
         assert plane is not None  # noqa: S101 - `handle` has checked it
         step, self._plane = self._step, None
-        events, desired = self._generator.advance(step * self._config.period_ns, plane)
+        stamp = step * self._config.period_ns
+        events, desired = self._generator.advance(stamp, plane, offset=self._offsets.at(step))
         self._step += 1
+        if (offset := self._offsets.changing(step)) is not None:
+            events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)
         return (*events, desired)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.imperfect import make_agent
+from swarmabs_core.behaviours.steered import make_newcomer
 from swarmabs_core.messages import TOPIC_OF
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ class AgentGroup:
     ----------
     configs : sequence of AgentConfig
         Configurations of the robots.
+    steered : bool
+        Whether the run is steered, so that robots may be added.
 
     Attributes
     ----------
@@ -28,8 +30,8 @@ class AgentGroup:
         The topics to which the robots listen.
     """
 
-    def __init__(self, configs: Sequence[AgentConfig]) -> None:
-        self._agents = [make_agent(config) for config in configs]
+    def __init__(self, configs: Sequence[AgentConfig], *, steered: bool = False) -> None:
+        self._agents = [make_newcomer(config, steered=steered) for config in configs]
         self.needs = tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.needs))
         self._listeners = {topic: [a for a in self._agents if topic in a.needs] for topic in self.needs}
 

@@ -20,9 +20,11 @@ from swarmabs_core.messages import (
     Message,
     Messages,
     Status,
+    Steering,
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.steering import change_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -76,6 +78,11 @@ class Observer:
             raise UnexpectedMessageError("observer", message)
         self._gathering.add(message)
         return self._proceed()
+
+    def steer(self, order: Steering) -> None:
+        """Take over a change of the membership that is ordered from outside."""
+        if (change := change_of(order)) is not None:
+            self._membership.plan(change)
 
     def drop(self, agents: Iterable[int], reason: str) -> Messages:
         """Declare robots dead from the current step on: they are taken to stand where they last were."""

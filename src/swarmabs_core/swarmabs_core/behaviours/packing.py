@@ -5,7 +5,7 @@ Neither the parent controller nor a robot knows of it: each is wrapped into a be
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from swarmabs_core.behaviours.base import Behaviour, StepAheadError, UnexpectedMessageError, refuse_conflict
 from swarmabs_core.messages import (
@@ -22,9 +22,6 @@ from swarmabs_core.messages import (
     Topic,
 )
 
-if TYPE_CHECKING:
-    from swarmabs_core.behaviours.controller import Controller
-
 
 class Listener(Behaviour, Protocol):
     """A behaviour that says which topics it needs: a robot, or several of them."""
@@ -40,11 +37,11 @@ class PackingController:
 
     Parameters
     ----------
-    controller : Controller
+    controller : Behaviour
         The parent controller.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Behaviour) -> None:
         self._controller = controller
         self._step = 0
         self._abstract: AbstractState | None = None

@@ -14,17 +14,20 @@ from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
+    Action,
     AgentState,
     EventKind,
     Kind,
     Message,
     Messages,
     PlaneState,
+    Steering,
     SwarmEvent,
     Topic,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
 from swarmabs_core.sensing import Sensor
+from swarmabs_core.steering import DISTURBANCE, Stair, Staircase, change_of
 
 CURVED_FROM = 0.25
 """Lag, in control periods, from which on a single integrator's path is better told by a cubic than by a line."""
@@ -68,6 +71,8 @@ class PlaneConfig:
         Time constant of the robots' drives, s.
     lies : tuple of Lie
         Injected lies of robots about themselves, by which the weight on the plane does not go.
+    torques : tuple of Stair
+        Constant torque besides the disturbance, N m, by step.
     """
 
     members: tuple[int, ...]
@@ -87,6 +92,7 @@ class PlaneConfig:
     seed: int = 1
     actuator_lag: float = 0.0
     lies: tuple[Lie, ...] = ()
+    torques: tuple[Stair, ...] = ()
 
 
 class _Load(NamedTuple):
@@ -114,6 +120,7 @@ class Plane:
         )
         lagging = config.actuator_lag > 0.0 and config.actuator_lag >= CURVED_FROM * self._period
         self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
+        self._torques = Staircase(config.torques)
         self._membership = Membership(config.members, config.schedule)
         self._gathering = Gathering(self._membership)
         self._angle = config.angle
@@ -135,6 +142,13 @@ class Plane:
             raise UnexpectedMessageError("plane", message)
         return self._finish() if self._gathering.complete() and not self._finished() else ()
 
+    def steer(self, order: Steering) -> None:
+        """Take over a torque, or a change of the membership, that is ordered from outside."""
+        if order.action == Action.DISTURBANCE:
+            self._torques.set(order.step, order.value)
+        elif (change := change_of(order)) is not None:
+            self._membership.plan(change)
+
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for robots' states, and for news of robots that will send none."""
         return () if self._finished() else (AGENT_STATE, EVENTS)
@@ -154,21 +168,23 @@ class Plane:
         states = self._gathering.take()
         if config.lies:
             states = [truth(state, config.lies) for state in states]
-        hit: list[SwarmEvent] = []
+        events: list[SwarmEvent] = []
+        if (torque := self._torques.changing(step)) is not None:
+            events.append(SwarmEvent(stamp, step, 0, EventKind.STEERING, torque, DISTURBANCE))
         if step > 0:
             time = (step - 1) * config.period_ns / 1e9
             load = swarm_load(self._paths(states), config.gravity)
             resting = abs(self._angle) == config.end_stop and not self._angular_velocity
             self._angle, self._angular_velocity = self._dynamics.advance(
-                self._angle, self._angular_velocity, time, load
+                self._angle, self._angular_velocity, time, load, self._torques.at(step - 1)
             )
             if self._dynamics.impact is not None and not resting:
-                hit.append(self._hit(*self._dynamics.impact, step, stamp))
+                events.append(self._hit(*self._dynamics.impact, step, stamp))
         self._keep(states)
         angle, rate = self._angle, self._angular_velocity
         if not config.sensor.perfect:
             angle, rate = config.sensor.measure(angle, rate, f"{config.seed}:{step}:plane")
-        return (*hit, *self._limits(states, stamp), PlaneState(stamp, step, angle, rate))
+        return (*events, *self._limits(states, stamp), PlaneState(stamp, step, angle, rate))
 
     def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
         """Say that the plane has hit an end stop."""

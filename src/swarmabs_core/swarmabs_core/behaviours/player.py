@@ -33,6 +33,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.steering import DISTURBANCE
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -104,6 +105,8 @@ def _announcer(event: SwarmEvent) -> NodeName:
         return OBSERVER
     if event.kind in _ANNOUNCED_BY_ROBOTS or event.detail == COMMAND_LIMITED:
         return NodeName(NodeKind.AGENT, event.agent_id)
+    if event.kind == EventKind.STEERING:
+        return PLANE if event.detail == DISTURBANCE else CONTROLLER
     return PLANE if event.kind == EventKind.LIMIT_HIT and event.detail != TORQUE_LIMITED else CONTROLLER
 
 

@@ -26,6 +26,7 @@ from swarmabs_core.controllers.reference import TRAJECTORY, make_trajectory
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.trajectory import Derivatives
 
 Vector = tuple[float, float, float, float]
 
@@ -127,9 +128,17 @@ class Arise:
 
         The angle must be within +-pi/2, where its secant is finite.
         """
-        g, dt = self._gains, self._period
+        return self._advance(self._trajectory.derivatives(time), plane)
+
+    def offset_torque(self, time: float, plane: PlaneState, offset: float) -> float:
+        """Return tau_raw, N m, for th_d + offset (rad); the derivatives are those of th_d."""
         angle, *rates = self._trajectory.derivatives(time)
         w, dw, ddw, dddw = rates
+        return self._advance((angle + offset, w, dw, ddw, dddw), plane)
+
+    def _advance(self, reference: Derivatives, plane: PlaneState) -> float:
+        g, dt = self._gains, self._period
+        angle, w, dw, ddw, dddw = reference
         y, dy, ddy = regressor(self._friction, (w, dw, ddw, dddw))
         e2 = (w - plane.angular_velocity) + g.alpha1 * (angle - plane.angle)
         if self._initial is None:

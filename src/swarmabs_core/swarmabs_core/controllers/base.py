@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
@@ -57,6 +57,18 @@ class ParentController(Protocol):
 
     def reference(self, time: float) -> float:
         """Return the angle (rad) that the plane should have at a time (s)."""
+        ...
+
+
+@runtime_checkable
+class OffsetController(Protocol):
+    """What a parent controller has besides, if its reference can be offset: no duty."""
+
+    def offset_torque(self, time: float, plane: PlaneState, offset: float) -> float:
+        """Return what `torque` returns, for a reference that is higher by an offset (rad).
+
+        It is asked instead of `torque` in the steps in which there is an offset.
+        """
         ...
 
 

@@ -30,6 +30,10 @@ class StateFeedback:
         """Return tau_raw, N m."""
         return self.k1 * plane.angle + self.k2 * plane.angular_velocity
 
+    def offset_torque(self, time: float, plane: PlaneState, offset: float) -> float:  # noqa: ARG002
+        """Return tau_raw, N m, that regulates the plane to an offset, rad."""
+        return self.k1 * (plane.angle - offset) + self.k2 * plane.angular_velocity
+
     def reference(self, time: float) -> float:  # noqa: ARG002
         """Return 0 rad: this law regulates."""
         return 0.0

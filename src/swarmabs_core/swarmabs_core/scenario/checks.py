@@ -14,8 +14,8 @@ from swarmabs_core.theory.constraint_sets import largest_position
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .controllers import CONTROLLER_CONFIGS
-from .fault_checks import faults, lasting_faults
-from .faults import AgentFault, JoinFault, LeaveFault
+from .fault_checks import faults, lasting_faults, offset_law, settings
+from .faults import AgentFault, JoinFault, LeaveFault, RemoveFault
 from .fields import SMALLEST, Finding, Location
 from .timing import NANOSECONDS
 
@@ -32,10 +32,11 @@ def findings(scenario: "Scenario") -> list[Finding]:
     # A later check relies on, or is only of interest after, the earlier ones.
     for checks in (
         (_timing,),
-        (_ids, _positions, faults, lasting_faults, _plane),
+        (_ids, _positions, faults, lasting_faults, settings, _plane),
         (_spread,),
         (_preimage,),
         (_brought,),
+        (offset_law,),
     ):
         if found := [finding for check in checks for finding in check(scenario)]:
             return found
@@ -277,7 +278,7 @@ def _membership(scenario: "Scenario") -> Iterator[str]:
                 heavy.add(change.agent)
             else:
                 active.discard(change.agent)
-                if isinstance(change, LeaveFault):
+                if isinstance(change, LeaveFault | RemoveFault):
                     heavy.discard(change.agent)
         states.append((step, len(active), frozenset(heavy)))
     few = next(((step, count) for step, count, _ in states if count < 2), None)

@@ -5,7 +5,20 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
-from .faults import AgentFault, ClockOffsetFault, JoinFault, MessageFault, RobotFault, SingleRobotFault
+from swarmabs_core import configure
+from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.membership import UNPLANNED
+
+from .faults import (
+    AgentFault,
+    ClockOffsetFault,
+    JoinFault,
+    MessageFault,
+    ReferenceFault,
+    RobotFault,
+    SettingFault,
+    SingleRobotFault,
+)
 from .fields import Finding, Location
 from .timing import LONGEST
 
@@ -27,7 +40,7 @@ def faults(scenario: "Scenario") -> Iterator[Finding]:
             yield _unknown_robot((*here, "agent"), fault.agent, ids)
             continue
         step = scenario.fault_step(fault.at)
-        if step > last:
+        if fault.at is not None and step > last:
             yield Finding.of(
                 (*here, "at"),
                 f"{fault.at!r} s is step {step}, after the last step {last}",
@@ -39,13 +52,63 @@ def faults(scenario: "Scenario") -> Iterator[Finding]:
             yield Finding.of(here, f"robot {fault.agent} {what}", "keep one of them", see=kept[fault.agent][1])
         kept.setdefault(fault.agent, (step, here))
     for number in sorted(joined.keys() & gone.keys()):
-        if 0 < joined[number][0] >= gone[number][0]:
+        if joined[number][0] == UNPLANNED:
+            yield Finding.of(
+                gone[number][1],
+                f"robot {number} is there only when it is added, and nobody knows when",
+                "leave this fault out, or give the time at which the robot joins",
+                see=joined[number][1],
+            )
+        elif 0 < joined[number][0] >= gone[number][0]:
             yield Finding.of(
                 (*joined[number][1], "at"),
                 f"robot {number} joins at step {joined[number][0]}, but is out from step {gone[number][0]}",
                 "let it join at an earlier step",
                 see=gone[number][1],
             )
+
+
+def settings(scenario: "Scenario") -> Iterator[Finding]:
+    """Check what is set at steps: of a kind one thing holds at a time."""
+    known: dict[str, list[tuple[int, float, Location]]] = {}
+    for index, fault in enumerate(scenario.faults):
+        here: Location = ("faults", index)
+        if not isinstance(fault, SettingFault):
+            continue
+        first = scenario.fault_step(fault.at)
+        end = math.inf if fault.until is None else scenario.fault_step(fault.until)
+        if first > scenario.steps:
+            yield Finding.of(
+                (*here, "at"),
+                f"{fault.at!r} s is step {first}, after the last step {scenario.steps}",
+                f"use a time within the duration of {scenario.duration!r} s",
+            )
+        elif first >= end:
+            yield Finding.of((*here, "until"), f"it begins and ends with step {first}", "let it last a step or more")
+        others = known.setdefault(fault.kind, [])
+        for begun, until, there in others:
+            # One without an end holds until the next; one with an end must be over by then.
+            if first == begun or (begun < first < until < math.inf) or (first < begun < end < math.inf):
+                yield Finding.of(
+                    here, f"a second {fault.kind} at the same time", "let one end before the other begins", see=there
+                )
+                break
+        others.append((first, end, here))
+
+
+def offset_law(scenario: "Scenario") -> Iterator[Finding]:
+    """Check that the parent controller's reference can be offset, if it shall be."""
+    for index, fault in enumerate(scenario.faults):
+        if isinstance(fault, ReferenceFault) and not isinstance(
+            configure.parent_controller(scenario), OffsetController
+        ):
+            yield Finding.of(
+                ("faults", index),
+                f"the reference of controller {scenario.controller.type!r} cannot be offset",
+                "leave it out, or add a method offset_torque to the controller's law",
+                see=("controller",),
+            )
+            return
 
 
 def lasting_faults(scenario: "Scenario") -> Iterator[Finding]:

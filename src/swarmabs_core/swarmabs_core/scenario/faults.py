@@ -5,6 +5,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, field_validator, model_validator
 
 from .agents import AgentId
+from .controllers import Angle
 from .fields import AsTuple, Model, Number, Positive, WithoutNegativeZero, problem
 from .timing import LONGEST, to_nanoseconds
 
@@ -18,11 +19,14 @@ Probability: TypeAlias = Annotated[float, Field(ge=0, le=1), WithoutNegativeZero
 Factor: TypeAlias = Annotated[float, Field(ge=-LARGEST_FACTOR, le=LARGEST_FACTOR)]
 
 
+_AT = "time in s; the fault step is the nearest step, round(at/step)"
+
+
 class AgentFault(Model):
     """Base of the faults that hit one robot at one step."""
 
     kind: str = Field(description="what happens")
-    at: At = Field(description="time in s; the fault step is the nearest step, round(at/step)")
+    at: At | None = Field(description=_AT)
     agent: AgentId = Field(description="id of the robot, one of swarm.agents")
 
 
@@ -30,24 +34,80 @@ class KillFault(AgentFault):
     """The robot's process dies; the robot stands still where it is, its weight stays on the plane."""
 
     kind: Literal["kill"] = Field(default="kill", description="the process dies, the robot stands still")
+    at: At = Field(description=_AT)
 
 
 class FreezeFault(AgentFault):
     """The robot's process is stopped (SIGSTOP); the robot stands still where it is."""
 
     kind: Literal["freeze"] = Field(default="freeze", description="the process is stopped, the robot stands still")
+    at: At = Field(description=_AT)
 
 
 class LeaveFault(AgentFault):
     """The robot says that it leaves; from the next step its weight is gone."""
 
     kind: Literal["leave"] = Field(default="leave", description="the robot leaves the plane")
+    at: At = Field(description=_AT)
+
+
+class RemoveFault(AgentFault):
+    """The robot is taken off the plane without being asked; from the next step its weight is gone."""
+
+    kind: Literal["remove"] = Field(default="remove", description="the robot is taken off the plane")
+    at: At = Field(description=_AT)
 
 
 class JoinFault(AgentFault):
     """The robot, listed under ``swarm.agents``, is not there before the fault step."""
 
     kind: Literal["join"] = Field(default="join", description="the robot appears on the plane at its initial position")
+    at: At | None = Field(description=f"{_AT}; null: only when it is added to a run that is steered")
+
+
+class SettingFault(Model):
+    """Base of what is set for the whole run at a step, until it is set again."""
+
+    kind: str = Field(description="what is set")
+    at: At = Field(description="time in s from which on it holds; the nearest step counts")
+    until: At | None = Field(
+        default=None, description="time in s from which on it is 0 again; null: when it is set again, or never"
+    )
+
+    @model_validator(mode="after")
+    def _check_order(self) -> "SettingFault":
+        if self.until is not None and self.until <= self.at:
+            raise problem(f"it ends at {self.until!r} s, before it begins", f"use an 'until' after {self.at!r} s")
+        return self
+
+    @property
+    def value(self) -> float:
+        """What is set."""
+        raise NotImplementedError
+
+
+class ReferenceFault(SettingFault):
+    """The angle wanted is above the parent controller's reference by an offset."""
+
+    kind: Literal["reference"] = Field(default="reference", description="the angle wanted is offset")
+    offset: Angle = Field(description="what is added to the parent controller's reference, rad")
+
+    @property
+    def value(self) -> float:
+        """The offset."""
+        return self.offset
+
+
+class DisturbanceFault(SettingFault):
+    """A constant torque disturbs the plane, besides ``plane.disturbance`` and with its sign."""
+
+    kind: Literal["disturbance"] = Field(default="disturbance", description="a constant torque disturbs the plane")
+    torque: Number = Field(description="torque, N m; a positive one turns the plane to smaller angles")
+
+    @property
+    def value(self) -> float:
+        """The torque."""
+        return self.torque
 
 
 class RobotFault(Model):
@@ -212,7 +272,10 @@ Fault: TypeAlias = (
     KillFault
     | FreezeFault
     | LeaveFault
+    | RemoveFault
     | JoinFault
+    | ReferenceFault
+    | DisturbanceFault
     | LossFault
     | DelayFault
     | DuplicationFault
@@ -224,8 +287,11 @@ Fault: TypeAlias = (
 FAULT_KINDS: dict[str, type[Model]] = {
     "kill": KillFault,
     "leave": LeaveFault,
+    "remove": RemoveFault,
     "join": JoinFault,
     "freeze": FreezeFault,
+    "reference": ReferenceFault,
+    "disturbance": DisturbanceFault,
     "loss": LossFault,
     "delay": DelayFault,
     "duplication": DuplicationFault,

@@ -5,11 +5,13 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
+from swarmabs_core.membership import UNPLANNED
+
 from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
 from .controllers import DEFAULT_CONTROLLER, STEEPEST, Angle, ControllerConfig, PdConfig
 from .errors import describe
-from .faults import FAULT_KINDS, AgentFault, Fault, JoinFault, RobotFault
+from .faults import FAULT_KINDS, AgentFault, Fault, JoinFault, RobotFault, SettingFault
 from .fields import (
     AsPair,
     AsSix,
@@ -289,13 +291,21 @@ class Scenario(Model):
         """The faults of robots and their messages that act for a while."""
         return tuple(fault for fault in self.faults if isinstance(fault, RobotFault))
 
+    @property
+    def setting_faults(self) -> tuple[SettingFault, ...]:
+        """What is set for the whole run at a step: offsets of the reference, torques on the plane."""
+        return tuple(fault for fault in self.faults if isinstance(fault, SettingFault))
+
     def fault_steps(self, fault: RobotFault) -> tuple[int, int | None]:
         """Return the first step in which a fault acts, and the first after it, None if it acts to the end."""
         return self.fault_step(fault.begin), None if fault.to is None else self.fault_step(fault.to)
 
-    def fault_step(self, at: float) -> int:
-        """Return the step of a fault at time `at` (s): round(at/step) of the exact decimals, ties to even."""
-        return nearest_step(at, self.step_ns)
+    def fault_step(self, at: float | None) -> int:
+        """Return the step of a fault at time `at` (s): round(at/step) of the exact decimals, ties to even.
+
+        What has no time is not planned: `swarmabs_core.membership.UNPLANNED`.
+        """
+        return UNPLANNED if at is None else nearest_step(at, self.step_ns)
 
     def resolved(self) -> "Scenario":
         """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""

@@ -4,6 +4,7 @@ import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { PlanePicture } from "./plane.js";
+import { Steering } from "./steering.js";
 import { Events, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
@@ -22,6 +23,7 @@ const events = new Events();
 const processes = new Processes();
 const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
+const steering = new Steering((message) => connection.send(message));
 const charts = new Charts((time) => controls.seekTime(time));
 
 function take(message) {
@@ -38,6 +40,10 @@ function take(message) {
     events.take(message);
   } else if (message.type === "health") {
     processes.take(message);
+  } else if (message.type === "steering") {
+    steering.take(message);
+  } else if (message.type === "answer") {
+    steering.answer(message);
   } else if (message.type === "state") {
     state = message;
     controls.state(message);
@@ -53,6 +59,7 @@ function greet(message) {
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
   controls.hello(message);
+  steering.hello();
   robots.hello(message);
   processes.take({ processes: [] });
   if (same) {
@@ -133,7 +140,8 @@ window.addEventListener("themechange", redraw);
 window.addEventListener("resize", redraw);
 new ResizeObserver(redraw).observe(element("plane"));
 document.addEventListener("keydown", (event) => {
-  if (event.target instanceof HTMLSelectElement || event.ctrlKey || event.altKey || event.metaKey) {
+  const typing = event.target instanceof HTMLInputElement && event.target.type !== "range";
+  if (typing || event.target instanceof HTMLSelectElement || event.ctrlKey || event.altKey || event.metaKey) {
     return;
   }
   ({ t: theme, z: zoom, "?": help })[event.key.toLowerCase()]?.();

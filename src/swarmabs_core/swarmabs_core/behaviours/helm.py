@@ -1,0 +1,227 @@
+"""What steers a run: it takes requests from outside, and orders for each step what is changed from it on."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import UNPLANNED, Change, Membership
+from swarmabs_core.messages import EVENTS, PLANE_STATE, Action, PlaneState, Steering, SwarmEvent
+from swarmabs_core.steering import ENDS, Stair, Staircase, change_of
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import Message, Messages, Topic
+
+MOST_WAITING = 100
+"""Most requests that wait for their step: each gets one of its own."""
+OVER = "the run is over"
+
+
+class Request(NamedTuple):
+    """What somebody wants: an action, the robot that it concerns (0: none), and its value."""
+
+    action: Action
+    agent_id: int = 0
+    value: float = 0.0
+
+
+class Decision(NamedTuple):
+    """What became of a request: the first step at which it holds, or why it was refused."""
+
+    number: int
+    request: Request
+    step: int | None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class HelmConfig:
+    """Configuration of what steers a run.
+
+    Parameters
+    ----------
+    members : tuple of int
+        Ids of all robots that ever take part.
+    period_ns : int
+        Control period, ns.
+    last_step : int
+        The step with which the run ends.
+    schedule : tuple of Change
+        Scheduled changes of the membership.
+    offsets, torques : tuple of Stair
+        Scheduled changes of the reference (rad) and of the torque on the plane (N m).
+    largest_offset, largest_torque : float
+        Bounds of what may be asked for; 0 for an offset if the law knows none.
+    """
+
+    members: tuple[int, ...]
+    period_ns: int
+    last_step: int
+    schedule: tuple[Change, ...] = ()
+    offsets: tuple[Stair, ...] = ()
+    torques: tuple[Stair, ...] = ()
+    largest_offset: float = 0.0
+    largest_torque: float = 0.0
+
+
+class Helm:
+    """Orders one step ahead of the plane: with the plane's state of a step comes the order of the next.
+
+    So every request gets a step that nobody has begun, as soon as possible, and each step has one order at most.
+    """
+
+    def __init__(self, config: HelmConfig) -> None:
+        self._config = config
+        self._membership = Membership(config.members, config.schedule)
+        self._settings = {Action.REFERENCE: Staircase(config.offsets), Action.DISTURBANCE: Staircase(config.torques)}
+        self._last = config.last_step
+        self._step = 0
+        self._over = False
+        self._number = 0
+        self._waiting: deque[tuple[int, Request]] = deque()
+        self._decisions: list[Decision] = []
+
+    @property
+    def step(self) -> int:
+        """The last step for which an order was given."""
+        return self._step
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """Ids of the robots that take part in that step."""
+        return self._membership.publishing(self._step)
+
+    @property
+    def absent(self) -> tuple[int, ...]:
+        """Ids of the robots that may be added."""
+        return tuple(i for i in self._config.members if self._membership.first(i) == UNPLANNED)
+
+    def setting(self, action: Action) -> float:
+        """Return what is set in that step: the offset (rad) of `REFERENCE`, the torque (N m) of `DISTURBANCE`."""
+        return self._settings[action].at(self._step)
+
+    def ask(self, request: Request) -> int:
+        """Take a request; return its number, under which `decisions` tells what has become of it.
+
+        Raises
+        ------
+        InputError
+            If it is refused at once.
+        """
+        if self._over:
+            raise InputError(OVER)
+        if len(self._waiting) >= MOST_WAITING:
+            raise InputError(f"{MOST_WAITING} requests wait for their step already; ask again later")
+        problem = self._problem(request, self._step + 1)
+        if problem:
+            raise InputError(problem)
+        self._number += 1
+        self._waiting.append((self._number, request))
+        return self._number
+
+    def decisions(self) -> list[Decision]:
+        """Return what has become of requests since this was asked for the last time."""
+        found, self._decisions = self._decisions, []
+        return found
+
+    def start(self) -> Messages:
+        """Order nothing for the first step."""
+        return (self._order(0, Request(Action.NONE)),)
+
+    def handle(self, message: Message) -> Messages:
+        """Take a state of the plane or an event; answer the order of the next step."""
+        if isinstance(message, SwarmEvent):
+            self._membership.apply(message.kind, message.agent_id, message.step, message.detail)
+            return ()
+        if not isinstance(message, PlaneState):
+            raise UnexpectedMessageError("steering", message)
+        if message.step > self._step:
+            raise StepAheadError("plane", got=message.step, expected=self._step)
+        if message.step < self._step or self._over:
+            return ()
+        if self._step == self._last:
+            self._over = True
+            self._decisions += [Decision(number, request, None, OVER) for number, request in self._waiting]
+            self._waiting.clear()
+            return ()
+        self._step += 1
+        return (self._decide(),)
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for the plane, and for news of robots that are out."""
+        return () if self._over else (EVENTS, PLANE_STATE)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and who is waited for."""
+        return self._step, ("plane_sim",)
+
+    def _decide(self) -> Steering:
+        """Return the order of the current step."""
+        step = self._step
+        while self._waiting and not self._must_wait(self._waiting[0][1]):
+            number, request = self._waiting.popleft()
+            problem = self._problem(request, step)
+            self._decisions.append(Decision(number, request, None if problem else step, problem))
+            if not problem:
+                order = self._order(number, request)
+                if (change := change_of(order)) is not None:
+                    self._membership.plan(change)
+                else:
+                    self._settings[request.action].set(step, request.value)
+                return order
+        return self._order(0, Request(Action.NONE))
+
+    def _order(self, number: int, request: Request) -> Steering:
+        return Steering(self._step * self._config.period_ns, self._step, number, *request)
+
+    def _must_wait(self, request: Request) -> bool:
+        """Tell whether a request has to wait for the next step: where the scenario sets the same, and after a join."""
+        if request.action in ENDS:
+            return 0 < self._membership.first(request.agent_id) == self._step - 1
+        return request.action in self._settings and self._settings[request.action].changing(self._step) is not None
+
+    def _problem(self, request: Request, step: int) -> str:
+        """Say why a request cannot hold from a step on; empty if it can."""
+        if step > self._last:
+            return OVER
+        if request.action in (Action.REFERENCE, Action.DISTURBANCE):
+            return self._problem_of_value(request)
+        agent_id = request.agent_id
+        if agent_id not in self._membership:
+            return f"there is no robot {agent_id}; there are {_listed(self._config.members)}"
+        if request.action == Action.ADD:
+            if agent_id in self.absent:
+                return ""
+            absent = self.absent
+            others = f"those that can be added are {_listed(absent)}" if absent else "there is none that can be added"
+            return f"robot {agent_id} is there by the scenario, or was added before; {others}"
+        there = self._membership.publishing(step)
+        if agent_id not in there or self._membership.first(agent_id) >= step:
+            return f"robot {agent_id} does not take part at step {step}; those that do are {_listed(there)}"
+        # Robots may end later by plan, and leave this one alone.
+        steps = {step, *(change.step + 1 for change in self._config.schedule if step <= change.step < self._last)}
+        alone = [at for at in sorted(steps) if self._membership.publishing(at) == (agent_id,)]
+        if alone:
+            return f"at step {alone[0]} robot {agent_id} is the last that takes part, and without any there is no run"
+        return ""
+
+    def _problem_of_value(self, request: Request) -> str:
+        config = self._config
+        largest, unit, what = (
+            (config.largest_offset, "rad", "an offset of the reference")
+            if request.action == Action.REFERENCE
+            else (config.largest_torque, "N m", "a disturbance")
+        )
+        if not largest:
+            return "the parent controller's law knows no offset of its reference (it has no method offset_torque)"
+        if not isfinite(request.value) or abs(request.value) > largest:
+            return f"{request.value!r} {unit} is out of range; {what} is at most {largest:g} {unit} in magnitude"
+        return ""
+
+
+def _listed(ids: tuple[int, ...]) -> str:
+    return ", ".join(map(str, ids[:20])) + (" ..." if len(ids) > 20 else "")

@@ -1,0 +1,169 @@
+"""Nodes in a run that is steered: none goes into a step before it knows what is ordered for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+from swarmabs_core.behaviours.agent import LifeSpan
+from swarmabs_core.behaviours.base import Behaviour, StepAheadError, refuse_conflict
+from swarmabs_core.behaviours.imperfect import make_agent
+from swarmabs_core.membership import UNPLANNED
+from swarmabs_core.messages import STEERING, Action, RecordingProgress, Steering, SwarmEvent
+
+if TYPE_CHECKING:
+    from swarmabs_core.behaviours.agent import AgentConfig
+    from swarmabs_core.behaviours.packing import Listener
+    from swarmabs_core.messages import Message, Messages, Topic
+
+HELM = "steering"
+"""Name of the node that orders."""
+
+
+class Steerable(Behaviour, Protocol):
+    """A behaviour that takes orders."""
+
+    def steer(self, order: Steering) -> None:
+        """Take over what is ordered for a step that has not begun; what does not concern this node is ignored."""
+        ...
+
+
+class Orders:
+    """Orders as they arrive; they are known up to a step when that of every step before is known, too.
+
+    Attributes
+    ----------
+    known : int
+        The last step of which the order is known, and those of all steps before; -1 for none.
+    """
+
+    def __init__(self) -> None:
+        self.known = -1
+        self._latest: Steering | None = None
+        self._early: dict[int, Steering] = {}
+
+    def add(self, order: Steering) -> list[Steering]:
+        """Take an order; return those that are known with it.
+
+        Raises
+        ------
+        ConflictError
+            If it differs from the order that is known.
+        StepAheadError
+            If it is of a step that cannot be the next.
+        """
+        if order.step <= self.known:
+            if self._latest is not None and order.step == self.known:
+                refuse_conflict(self._latest, order, STEERING.name)
+            return []
+        refuse_conflict(self._early.setdefault(order.step, order), order, STEERING.name)
+        found = []
+        while (latest := self._early.pop(self.known + 1, None)) is not None:
+            self.known += 1
+            self._latest = latest
+            found.append(latest)
+        return found
+
+
+class Steered:
+    """A node whose steps begin with what is ordered for them.
+
+    What comes of a step before its order is kept until then. So it does not depend on the order of arrival from which
+    step on something holds: it is the step that the order names, in every node.
+
+    Parameters
+    ----------
+    behaviour : Steerable
+        The node.
+    """
+
+    def __init__(self, behaviour: Steerable) -> None:
+        self._behaviour = behaviour
+        self._orders = Orders()
+        self._early: list[Message] = []
+
+    @property
+    def open(self) -> bool:
+        """Whether the order of the current step is known."""
+        return self._behaviour.missing()[0] <= self._orders.known
+
+    def start(self) -> Messages:
+        """Start the node."""
+        return self._behaviour.start()
+
+    def handle(self, message: Message) -> Messages:
+        """Take an order, or hand a message to the node."""
+        if isinstance(message, Steering):
+            return self._obey(message)
+        if message.step <= self._orders.known or isinstance(message, (SwarmEvent, RecordingProgress)):
+            return self._behaviour.handle(message)
+        if message.step > self._orders.known + 1:
+            raise StepAheadError(type(message).__name__, got=message.step, expected=self._orders.known + 1)
+        self._early.append(message)
+        return ()
+
+    def _obey(self, order: Steering) -> Messages:
+        answers: Messages = ()
+        if order.step > self._orders.known + 2:  # what orders is a step ahead at most, also where one was lost
+            raise StepAheadError(STEERING.name, got=order.step, expected=self._orders.known + 1)
+        for known in self._orders.add(order):
+            self._behaviour.steer(known)
+        early, self._early = self._early, []
+        for message in early:
+            answers = (*answers, *self.handle(message))
+        return answers
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for the order of the step, then for what the node waits for."""
+        topics = self._behaviour.awaits()
+        return topics if not topics or self.open else (STEERING,)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and what is missing for it."""
+        step, missing = self._behaviour.missing()
+        return step, missing if self.open else (HELM,)
+
+
+class Newcomer:
+    """A robot that is there only when it is added: until then it listens to orders, and to nothing else.
+
+    Parameters
+    ----------
+    config : AgentConfig
+        Its configuration.
+
+    Attributes
+    ----------
+    needs : tuple of Topic
+        The topics to which it listens.
+    """
+
+    def __init__(self, config: AgentConfig) -> None:
+        self._config = config
+        self._robot: Listener | None = None
+        self.needs: tuple[Topic, ...] = (STEERING, *make_agent(config).needs)
+
+    def start(self) -> Messages:
+        """Publish nothing: it is not there."""
+        return ()
+
+    def handle(self, message: Message) -> Messages:
+        """Take an order, or, once it is added, a broadcast."""
+        if isinstance(message, Steering):
+            if message.action == Action.ADD and message.agent_id == self._config.agent_id and self._robot is None:
+                self._robot = make_agent(replace(self._config, life=LifeSpan(message.step)))
+            return ()
+        return () if self._robot is None else self._robot.handle(message)
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for orders, then for what the robot waits for."""
+        return (STEERING,) if self._robot is None else self._robot.awaits()
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the robot's step and what is missing for it; nothing is as long as it is not there."""
+        return (UNPLANNED, ()) if self._robot is None else self._robot.missing()
+
+
+def make_newcomer(config: AgentConfig, *, steered: bool) -> Listener:
+    """Return the state machine of a robot, which waits to be added if nobody knows when it joins."""
+    return Newcomer(config) if steered and config.life.first_step == UNPLANNED else make_agent(config)

@@ -1,0 +1,129 @@
+"""What is set for a whole run at a step: an offset of the reference, a torque that disturbs the plane.
+
+Both are constant from one step to another. They come from a scenario, or, in a run that is steered, from outside; where
+they come from changes nothing in what follows from them.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from math import isfinite
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import Action
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from swarmabs_core.messages import Steering
+
+REFERENCE = "reference"
+"""`SwarmEvent.detail` where the offset (rad) of the plane's reference changes."""
+DISTURBANCE = "disturbance"
+"""`SwarmEvent.detail` where the constant torque (N m) that disturbs the plane changes."""
+
+
+ENDS = {Action.KILL: ChangeKind.KILL, Action.FREEZE: ChangeKind.FREEZE, Action.REMOVE: ChangeKind.REMOVE}
+"""The actions that end a robot, and as what each is planned."""
+
+
+def change_of(order: Steering) -> Change | None:
+    """Return the change of the membership that is ordered from outside; None if it is something else."""
+    if order.action == Action.ADD:
+        return Change(order.step, order.agent_id, ChangeKind.JOIN)
+    kind = ENDS.get(Action(order.action))
+    return None if kind is None else Change(order.step - 1, order.agent_id, kind)
+
+
+class Stair(NamedTuple):
+    """A number that holds from a step on."""
+
+    step: int
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.step} {self.value!r}"
+
+    @classmethod
+    def parse(cls, text: str) -> Stair:
+        """Read ``STEP VALUE``, such as ``500 0.1``.
+
+        Raises
+        ------
+        InputError
+            If the text is not of this form.
+        """
+        stair: Stair | None
+        try:
+            step, value = text.split()
+            stair = cls(int(step), float(value))
+        except ValueError:
+            stair = None
+        if stair is None or stair.step < 0 or not isfinite(stair.value):
+            raise InputError(f"{text!r} is not of the form 'STEP VALUE', such as '500 0.1'")
+        return stair
+
+
+class Staircase:
+    """A number that changes at steps and is 0 before the first.
+
+    Parameters
+    ----------
+    stairs : iterable of Stair
+        Where it changes, each step at most once.
+    """
+
+    def __init__(self, stairs: Iterable[Stair] = ()) -> None:
+        self._value = {stair.step: stair.value for stair in stairs}
+        self._steps = sorted(self._value)
+
+    def __bool__(self) -> bool:
+        return bool(self._steps)
+
+    def at(self, step: int) -> float:
+        """Return what holds in a step."""
+        if not self._steps:
+            return 0.0
+        place = bisect_right(self._steps, step)
+        return self._value[self._steps[place - 1]] if place else 0.0
+
+    def changing(self, step: int) -> float | None:
+        """Return what holds from a step on, if it is set there."""
+        return self._value.get(step)
+
+    def set(self, step: int, value: float) -> None:
+        """Let a value hold from a step on."""
+        self._value[step] = value
+        self._steps = sorted(self._value)
+
+
+class OffsetReference:
+    """The angle wanted: the reference of a law and the offset of the step.
+
+    Parameters
+    ----------
+    reference : callable
+        Angle (rad) that the law wants by itself at a time (s).
+    offsets : Staircase
+        Offset (rad) by step.
+    period_ns : int
+        Control period, ns.
+    """
+
+    def __init__(self, reference: Callable[[float], float], offsets: Staircase, period_ns: int) -> None:
+        self._reference = reference
+        self._offsets = offsets
+        self._period_ns = period_ns
+
+    def __call__(self, time: float) -> float:
+        """Return the angle wanted at a time (s) that is that of a step, rad."""
+        wanted = self._reference(time)
+        if not self._offsets or not isfinite(time):
+            return wanted
+        return wanted + self._offsets.at(round(time * 1e9 / self._period_ns))
+
+    def shift(self, step: int, offset: float) -> None:
+        """Let an offset (rad) hold from a step on."""
+        self._offsets.set(step, offset)
