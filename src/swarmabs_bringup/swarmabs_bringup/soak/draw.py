@@ -92,10 +92,19 @@ def _faults(random: Random, count: int) -> list[dict[str, Any]]:
     going = [ids.pop() for _ in range(random.randint(0, max(1, min(count // 3, count - 3))))]
     coming = [ids.pop() for _ in range(random.randint(0, count // 4))]
     faults: list[dict[str, Any]] = [
-        {"kind": random.choice(("kill", "freeze", "leave")), "at": _between(random, 1.0, FAULTS_UNTIL), "agent": agent}
+        {
+            "kind": random.choice(("kill", "freeze", "leave", "remove")),
+            "at": _between(random, 1.0, FAULTS_UNTIL),
+            "agent": agent,
+        }
         for agent in going
     ]
     faults += [{"kind": "join", "at": _between(random, 1.0, FAULTS_UNTIL), "agent": agent} for agent in coming]
+    for kind, value in (("reference", "offset"), ("disturbance", "torque")):
+        if _chance(random, 0.3):
+            begin = _between(random, 0.0, FAULTS_UNTIL - 6.0)
+            until = round(begin + random.uniform(0.1, 6.0), 2)
+            faults.append({"kind": kind, "at": begin, "until": until, value: _between(random, -0.1, 0.1)})
     kinds = ("loss", "delay", "duplication", "reordering", "clock_offset", "lie")
     for kind in random.sample(kinds, random.randint(1, 4)):
         fault: dict[str, Any] = {"kind": kind, "from": _between(random, 0.0, FAULTS_UNTIL - 6.0)}
