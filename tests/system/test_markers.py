@@ -95,7 +95,7 @@ def test_a_ros_node_sees_what_is_recorded(tmp_path: Path, digest: str, nothing_s
     assert heard["description"][0].startswith("<?xml")
 
 
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGSTOP, pytest.param(signal.SIGKILL, marks=pytest.mark.full)])
 def test_no_run_waits_for_its_markers(
     tmp_path: Path, digest: str, nothing_survives: str, number: signal.Signals
 ) -> None:

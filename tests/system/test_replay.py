@@ -90,8 +90,8 @@ def test_a_run_that_dropped_a_robot_is_replayed(folder: Path, tmp_path: Path, ma
         signal_process(mark, "agent_003", signal.SIGKILL)
         run = command.wait()
     assert run.code == 0, run.err
-    for node in ("observer", "plane", "agent:3"):
-        done = swarm("replay", folder, "--node", node, "--expect-same", "-o", tmp_path / node, "--json")
+    for node, where in (("observer", ()), ("plane", ("--in-process",)), ("agent:3", ("--in-process",))):
+        done = swarm("replay", folder, "--node", node, *where, "--expect-same", "-o", tmp_path / node, "--json")
         assert done.code == 0, (node, done.err)
         assert done.summary()["digest"] == run.summary()["digest"]
 

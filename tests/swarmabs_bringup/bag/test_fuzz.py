@@ -29,7 +29,7 @@ def wrong_answers(what: str, folder: Path, first: int, number: int) -> str:
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("what", "number"), [("reading", 60), ("commands", 12), ("repair", 30), ("split", 15)])
+@pytest.mark.parametrize(("what", "number"), [("reading", 40), ("commands", 6), ("repair", 20), ("split", 6)])
 def test_no_damage_has_a_wrong_answer(what: str, number: int, tmp_path: Path) -> None:
     assert wrong_answers(what, tmp_path, 0, number) == ""
 

@@ -20,7 +20,8 @@ from swarmabs_bringup.bag.info import (
     render,
 )
 from swarmabs_bringup.bag.reader import BagChannel, BagReader, find_bag, open_bag
-from swarmabs_bringup.bag.repair import RepairReport, repair_bag
+from swarmabs_bringup.bag.repair import repair_bag
+from swarmabs_bringup.bag.repair_report import RepairReport
 from swarmabs_bringup.bag.schemas import MessageSchema, message_schema
 from swarmabs_bringup.bag.writer import BAG_FILE, BagWriter
 
