@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -9,18 +10,31 @@ import click
 
 from swarmabs_bringup.checkout import checkout
 
+MOST_WORKERS = 4
+"""Processes that share the tests which start none; each takes some 500 MB."""
+
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.option("--full", is_flag=True, help="Also what takes long: storms, soaks, fuzzing.")
 @click.argument("pytest_arguments", nargs=-1, type=click.UNPROCESSED)
 def test(pytest_arguments: tuple[str, ...], *, full: bool) -> int:
     """Check the code and run the tests; arguments beyond --full go to pytest, and then only pytest runs."""
-    root = checkout()
-    steps = [] if pytest_arguments else [["ruff", "check", "."], ["mypy"]]
-    steps.append(["pytest", *(["--full"] if full else []), *pytest_arguments])
-    for module, *arguments in steps:
-        click.echo(f"== {module} {' '.join(arguments)}", err=True)
-        code = subprocess.run([sys.executable, "-m", module, *arguments], cwd=root, check=False).returncode
+    pytest = ["pytest", *(["--full"] if full else [])]
+    if pytest_arguments:
+        return _run([*pytest, *pytest_arguments])
+    for check in (["ruff", "check", "."], ["mypy"]):
+        code = _run(check)
         if code:
-            return 1 if code < 0 else code
-    return 0
+            return code
+    workers = str(min(MOST_WORKERS, os.cpu_count() or 1))
+    first = _run([*pytest, "-m", "not system", "-n", workers, "--dist", "loadfile"])
+    # Swarms of processes have the cores for themselves.
+    second = _run([*pytest, "-m", "system"])
+    return first or second
+
+
+def _run(words: list[str]) -> int:
+    """Run a Python module with arguments; return its exit code."""
+    click.echo(f"== {' '.join(words)}", err=True)
+    code = subprocess.run([sys.executable, "-m", *words], cwd=checkout(), check=False).returncode
+    return 1 if code < 0 else code
