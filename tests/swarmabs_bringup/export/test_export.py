@@ -30,7 +30,11 @@ def run_with_odd_numbers() -> list[Message]:
     run = make_run()
     for state, angle in zip([m for m in run if isinstance(m, PlaneState)], ODD, strict=False):
         run = changed(run, state, angle=angle)
-    return [*run, SwarmEvent(40_000_000, 4, 0, EventKind.LIMIT_HIT, -0.0, 'a "stop", reached\nat once – größer')]
+    return [
+        *run,
+        SwarmEvent(40_000_000, 4, 0, EventKind.LIMIT_HIT, -0.0, 'a "stop", reached\nat once – größer'),
+        SwarmEvent(50_000_000, 2**64 - 1, 2**16 - 1, 2**8 - 1, 1.0, "the largest numbers there are"),
+    ]
 
 
 RUN = run_with_odd_numbers()
@@ -99,7 +103,7 @@ def test_numpy_has_the_events_without_pickle(bag: Path, tmp_path: Path) -> None:
     events = [m for m in RUN if isinstance(m, SwarmEvent)]
     assert len({len(event.detail) for event in events}) == len(events) > 1
     with np.load(export_arrays(bag, tmp_path / "run.npz"), allow_pickle=False) as read:
-        assert all(read[name].dtype.kind in "ifU" for name in read.files)
+        assert all(read[name].dtype.kind in "iufU" for name in read.files)
         for name in ("step", "agent_id", "kind", "value", "detail"):
             found = read[f"events_{name}"].tolist()
             assert [bits(value) for value in found] == [bits(getattr(event, name)) for event in events]

@@ -88,10 +88,10 @@ def _events(bag: BagReader) -> dict[str, NDArray[Any]]:
     widest = max((len(event.detail) for event in events), default=0)
     _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
     return {
-        "events_step": np.array([event.step for event in events], dtype=np.int64),
+        "events_step": np.array([event.step for event in events], dtype=np.uint64),
         "events_time": np.array([event.stamp / 1e9 for event in events], dtype=np.float64),
-        "events_agent_id": np.array([event.agent_id for event in events], dtype=np.int64),
-        "events_kind": np.array([event.kind for event in events], dtype=np.int64),
+        "events_agent_id": np.array([event.agent_id for event in events], dtype=np.uint16),
+        "events_kind": np.array([event.kind for event in events], dtype=np.uint8),
         "events_value": np.array([event.value for event in events], dtype=np.float64),
         "events_detail": np.array([event.detail for event in events], dtype=f"U{max(widest, 1)}"),
     }
