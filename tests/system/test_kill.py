@@ -25,7 +25,7 @@ from swarmabs_core.simulation import simulated_steps
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
-DURATION = 60.0
+DURATION = 150.0
 CREDIT = 100
 """Steps that may be missing however long they took."""
 MESSAGES = 8
