@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.processes import marked_processes
+from tests.processes import marked_processes, until
 from tests.system.helpers import (
     COORDINATORS,
     Finished,
@@ -62,6 +62,8 @@ def failed(done: Finished, folder: Path, *words: str) -> None:
 def test_a_process_that_is_killed_is_named_with_its_last_lines(folder: Path, mark: str, name: str) -> None:
     with started_swarm("run", *FOREVER, "-o", folder, "--json") as command:
         until_stepping(folder)
+        if name == "recorder":  # which may be in the middle of the first chunk
+            until(lambda: open_bag(folder, damaged=True).message_count > 0, "a chunk is written", 60.0)
         pid = signal_process(mark, name, signal.SIGKILL)
         done = command.wait()
     failed(done, folder, f"{name} (process {pid}) was killed by SIGKILL", f"last lines of {name}.log:")

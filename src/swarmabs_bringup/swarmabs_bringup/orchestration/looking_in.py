@@ -64,5 +64,5 @@ def _domain(run: Path) -> int:
     try:
         network = json.loads((run / "logs" / NETWORK_FILE).read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"{run} is not the folder of a run in lockstep ({error.strerror}: {NETWORK_FILE})") from None
+        raise InputError(f"{run} is not the folder of a run ({error.strerror}: {NETWORK_FILE})") from None
     return cast("int", network["domain"])
