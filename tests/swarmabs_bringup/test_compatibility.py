@@ -20,6 +20,8 @@ from swarmabs_core.scenario import load_scenario
 from swarmabs_core.simulation import simulated_steps
 
 DATA = Path(__file__).parents[1] / "data" / "schema_1"
+REALTIME = Path(__file__).parents[1] / "data" / "realtime_1"
+REALTIME_FINGERPRINT = "c1d491c2e05e87ee"
 BAG_DIGEST = "5d18682d320a574cd86cec5b660a2f38928ffe5bada4d51dea71a6cdc6786934"
 SCENARIO_DIGEST = "155be6346b56a1c97a17c4b37ac61c529a8c49f5da15dffef135ed7e645fddc5"
 FINGERPRINT = "43809ea7fa2b0616"
@@ -66,6 +68,25 @@ def test_it_runs_again_to_its_digest(command: str, tmp_path: Path, capfd: pytest
     summary = json.loads(capfd.readouterr().out)
     assert summary["digest"] == summary["rerun_of"]["digest"] == BAG_DIGEST
     assert summary["rerun_of"]["same"] is True
+
+
+@pytest.mark.skipif(
+    REALTIME_FINGERPRINT not in libm_fingerprints(),
+    reason="this machine's mathematical library is not that of the frozen bag of a run in real time",
+)
+def test_a_bag_of_a_run_in_real_time_verifies() -> None:
+    assert main(["verify", str(REALTIME)]) == 0
+
+
+def test_a_bag_of_a_run_in_real_time_is_read_and_not_run_again(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    info, arrays = bag_info(REALTIME), load_arrays(REALTIME)
+    assert (info.complete, info.message_count, info.fingerprint) == (True, 1125, REALTIME_FINGERPRINT)
+    assert (len(arrays.angle), arrays.angle[0], arrays.angle[-1]) == (101, 0.1, 0.053620192355359385)
+    assert BASIS in {channel.topic for channel in open_bag(REALTIME).channels}
+    assert main(["run", str(REALTIME), "-o", str(tmp_path / "out")]) == 2
+    assert "real time" in capfd.readouterr().err
 
 
 def test_a_scenario_file_of_its_time_means_the_same() -> None:

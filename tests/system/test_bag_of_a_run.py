@@ -52,6 +52,7 @@ def messages(run_folder: Path) -> list[BagMessage]:
 def test_the_folder_holds_what_the_contract_says(run_folder: Path) -> None:
     assert {path.name for path in run_folder.iterdir()} == {"bag", "logs", "scenario.yaml", "summary.json"}
     assert {path.name for path in (run_folder / "bag").iterdir()} == {"bag_0.mcap", "metadata.yaml"}
+    assert (run_folder / "logs" / "launcher.log").read_bytes() == b""
 
 
 def test_every_message_is_there_exactly_once(messages: list[BagMessage]) -> None:

@@ -21,6 +21,7 @@ import warnings
 from typing import Any, NoReturn
 
 from swarmabs_bringup.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
+from swarmabs_bringup.orchestration.launcher_options import CROWDED, REALTIME
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_bringup.parent_death import die_with_parent
 from swarmabs_core.controllers import controller_type
@@ -30,10 +31,6 @@ from swarmabs_ros.status import REPORT_FD
 
 PACKAGES = ("plane_sim", "abstraction_observer", "parent_controller", "agent_node")
 _PR_SET_NAME = 15
-CROWDED = "--crowded"
-"""Argument by which the launcher learns that there are many more processes than cores."""
-REALTIME = "--realtime"
-"""Argument by which it learns that the nodes run in real time."""
 
 
 class Launcher:

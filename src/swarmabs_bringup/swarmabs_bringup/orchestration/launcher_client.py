@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.orchestration.launcher import CROWDED, REALTIME
+from swarmabs_bringup.orchestration.launcher_options import CROWDED, REALTIME
 from swarmabs_core.controllers.feedback import PD
 from swarmabs_core.law_registry import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
