@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-import time
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.orchestration.dds_profile import REALTIME_LEASE
 from swarmabs_ros.systemd import notify
@@ -20,19 +20,22 @@ FORGOTTEN_AFTER = REALTIME_LEASE + 1.5
 Both have the same GUID, since everybody has to know it. Participants that have not noticed the end of the one before
 would not tell the new one of themselves. Those that have met need no server meanwhile.
 """
+_ENDS = (signal.SIGINT, signal.SIGTERM)
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to end."""
+    """Run the participant until it is told to end. The middleware works by itself: there is nothing to spin."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # they are waited for
+    if signal.sigtimedwait(_ENDS, FORGOTTEN_AFTER) is not None:
+        return 0
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        time.sleep(FORGOTTEN_AFTER)
-        rclpy.init(args=args)
-        node = Node("discovery_server", enable_rosout=False)
-        node.create_timer(LIFE_SIGN, lambda: notify("WATCHDOG=1"))
+        node = Node("discovery_server", enable_rosout=False, start_parameter_services=False)
         notify("READY=1")
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while signal.sigtimedwait(_ENDS, LIFE_SIGN) is None:
+            notify("WATCHDOG=1")
         notify("STOPPING=1")
+        node.destroy_node()
     finally:
         rclpy.try_shutdown()
     return 0
