@@ -127,3 +127,11 @@ def _writes(pid: int, descriptor: str) -> bool:
         if line.startswith("flags:")
     )
     return bool(int(flags, 8) & os.O_WRONLY)
+
+
+def test_the_launcher_loads_nothing_that_no_node_needs() -> None:
+    """What it loads is in the memory of every node."""
+    said = "import sys, swarmabs_bringup.orchestration.launcher; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True).stdout.split()
+    assert "swarmabs_bringup.orchestration.launcher" in loaded
+    assert not {"pydantic", "rich", "aiohttp", "matplotlib", "scipy"} & set(loaded)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from tests.swarmabs_bringup.view.test_live import HELLO
 
-from swarmabs_bringup.steering.protocol import SOCKET
+from swarmabs_bringup.steering.place import SOCKET
 from swarmabs_bringup.view import wheel as module
 from swarmabs_bringup.view.live import LiveSession, LiveView
 from swarmabs_bringup.view.picture import Picture

@@ -10,7 +10,7 @@ import psutil
 from swarmabs_bringup.orchestration.plan import ProcessPlan, agent_name, plan
 from swarmabs_bringup.orchestration.process_run import ProcessRun
 from swarmabs_bringup.splitting import ONE_FILE, Split
-from swarmabs_bringup.steering.protocol import SOCKET
+from swarmabs_bringup.steering.place import SOCKET
 from swarmabs_core import configure
 from swarmabs_core.membership import Change, ChangeKind
 

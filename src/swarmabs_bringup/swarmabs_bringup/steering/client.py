@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.steering.protocol import SOCKET
+from swarmabs_bringup.steering.place import SOCKET, short_path
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -41,12 +40,8 @@ class SteeringClient:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout)
         try:
-            # By its descriptor, since the path of a socket has 107 characters at most and that of a folder has not.
-            directory = os.open(run, os.O_PATH | os.O_DIRECTORY)
-            try:
-                self._socket.connect(f"/proc/self/fd/{directory}/{SOCKET}")
-            finally:
-                os.close(directory)
+            with short_path(run) as place:
+                self._socket.connect(str(place / SOCKET))
         except OSError as error:
             self._socket.close()
             raise InputError(

@@ -10,8 +10,6 @@ from swarmabs_core.behaviours import Request
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Action
 
-SOCKET = "steer.sock"
-"""Name of the socket in the folder of a run."""
 LONGEST = 4096
 """Longest line, bytes."""
 

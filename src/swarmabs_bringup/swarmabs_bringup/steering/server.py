@@ -9,7 +9,8 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmabs_bringup.steering.protocol import LONGEST, SOCKET
+from swarmabs_bringup.steering.place import SOCKET, short_path
+from swarmabs_bringup.steering.protocol import LONGEST
 from swarmabs_core.errors import RunError
 
 if TYPE_CHECKING:
@@ -58,19 +59,16 @@ class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer)
     def __init__(self, folder: Path, desk: Desk) -> None:
         self.desk = desk
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        # By its descriptor, since the path of a socket has 107 characters at most and that of a folder has not.
-        directory = os.open(folder, os.O_PATH | os.O_DIRECTORY)
         try:
-            super().__init__(f"/proc/self/fd/{directory}/{_PART}", _Connection)
-            # It has its name when it listens, and not before: whoever finds it can connect.
-            os.rename(_PART, SOCKET, src_dir_fd=directory, dst_dir_fd=directory)
+            with short_path(folder) as place:
+                super().__init__(str(place / _PART), _Connection)
+                # It has its name when it listens, and not before: whoever finds it can connect.
+                (place / _PART).rename(place / SOCKET)
         except OSError as error:
             raise RunError(
                 f"{folder / SOCKET}: {error.strerror}: the folder cannot hold the socket of a run that is steered; "
                 "name another with -o"
             ) from error
-        finally:
-            os.close(directory)
 
     def server_bind(self) -> None:
         """Bind; Linux gives the file the permissions that the socket has, so it never has others."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
-import os
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.steering.protocol import SOCKET, STATUS
+from swarmabs_bringup.steering.client import LONGEST_ANSWER
+from swarmabs_bringup.steering.place import SOCKET, short_path
+from swarmabs_bringup.steering.protocol import STATUS
 from swarmabs_bringup.view.protocol import Answer, Hello, Steer, Steering
 
 if TYPE_CHECKING:
@@ -81,12 +82,8 @@ class Wheel:
         return Answer(request=wish.request, ok=True, text=f"from step {found['step']} on, {found['time']:.2f} s")
 
     async def _connect(self) -> None:
-        # By its descriptor, since the path of a socket has 107 characters at most and that of a folder has not.
-        directory = os.open(self._folder, os.O_PATH | os.O_DIRECTORY)
-        try:
-            self._streams = await asyncio.open_unix_connection(f"/proc/self/fd/{directory}/{SOCKET}", limit=1 << 20)
-        finally:
-            os.close(directory)
+        with short_path(self._folder) as place:
+            self._streams = await asyncio.open_unix_connection(place / SOCKET, limit=LONGEST_ANSWER)
 
     async def _exchange(self, asked: dict[str, Any]) -> dict[str, Any] | None:
         """Return the run's answer, None if it takes no requests."""
