@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER
 from swarmabs_bringup.fleet.robots import PluginDrive, SimulatedDrive, TopicDrive
-from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, RECORDER
+from swarmabs_bringup.orchestration.plan import (
+    CONTROLLER,
+    OBSERVER,
+    RECORDER,
+    controller_parameters,
+    plane_parameters,
+)
 from swarmabs_core import configure
 from swarmabs_core.scenario.dump import dump_tree
 
@@ -83,22 +89,11 @@ def _swarm_mass(fleet: Fleet) -> float:
 
 
 def _plane(scenario: Scenario) -> Parameters:
-    plane = scenario.plane
     return {
         "members": configure.members(scenario),
-        "gravity": plane.gravity,
-        "inertia": plane.inertia,
-        "length": plane.length,
-        "friction": plane.friction,
-        "substep": plane.substep,
-        "angle": plane.angle,
-        "angular_velocity": plane.angular_velocity,
-        "disturbance.amplitude": plane.disturbance.amplitude,
-        "disturbance.angular_frequency": plane.disturbance.angular_frequency,
-        "end_stop": plane.end_stop or 0.0,
-        "sensor.noise": plane.sensor.noise,
-        "sensor.resolution": plane.sensor.resolution,
-        "seed": scenario.seed,
+        "gravity": scenario.plane.gravity,
+        "length": scenario.plane.length,
+        **plane_parameters(scenario),
     }
 
 
@@ -122,20 +117,13 @@ def _observer(fleet: Fleet, scenario: Scenario) -> Parameters:
 
 
 def _controller(fleet: Fleet, scenario: Scenario) -> Parameters:
-    manifold = scenario.manifold
-    law = {f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()}
     return {
-        "plane.inertia": scenario.plane.inertia,
-        "plane.friction": scenario.plane.friction,
-        "manifold.curvature": manifold.curvature,
-        "manifold.offset": manifold.offset,
-        "manifold.torque_max": manifold.torque_max,
-        "controller.type": scenario.controller.type,
+        **controller_parameters(scenario),
         "plane_age_limit": scenario.realtime.plane_age_limit,
         "gravity": scenario.plane.gravity,
         "plane_length": scenario.plane.length,
         "start_mode": fleet.coordinators.controller.start_mode,
-    } | law
+    }
 
 
 def _recorder(fleet: Fleet) -> Parameters:

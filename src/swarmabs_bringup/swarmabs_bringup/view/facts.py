@@ -19,6 +19,16 @@ then J_max has corners and costs little."""
 _MARGIN = 1.1
 """How far beyond the manifold the sets are shown."""
 
+UNKNOWN: dict[str, Any] = {
+    "period": None,
+    "last_step": None,
+    "robots": [],
+    "plane": None,
+    "manifold": None,
+    "regions": None,
+}
+"""What `scenario_facts` returns, as long as there is no scenario."""
+
 
 def scenario_facts(scenario: Scenario) -> dict[str, Any]:
     """Return the fields of a `Hello` that a scenario determines; generated robots are listed."""

@@ -14,7 +14,7 @@ from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_p
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_bringup.run_folder import RunFolder
 from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.view.facts import scenario_facts
+from swarmabs_bringup.view.facts import UNKNOWN, scenario_facts
 from swarmabs_bringup.view.health import ProcessWatch
 from swarmabs_bringup.view.picture import Picture
 from swarmabs_bringup.view.protocol import Hello, Seek
@@ -60,13 +60,8 @@ class RunView:
             source="run",
             title=folder.name,
             place=str(folder),
-            period=None,
-            last_step=None,
-            robots=[],
-            plane=None,
-            manifold=None,
-            regions=None,
             playback=False,
+            **UNKNOWN,
         )
         self._live = LiveView(hello, Picture())
         self._live.text = "the processes start"

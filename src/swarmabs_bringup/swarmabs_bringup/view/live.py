@@ -11,7 +11,7 @@ import asyncio
 import os
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from swarmabs_bringup.view.protocol import Control, Health, Phase
+    from swarmabs_bringup.view.server import Session
     from swarmabs_core.messages import Topic
 
 INTERVAL = 1.0 / 30.0
@@ -179,22 +180,6 @@ class LiveView:
             await asyncio.sleep(INTERVAL)
 
 
-class Sees(Protocol):
-    """What a page sees after the end of a run."""
-
-    def hello(self) -> list[Message]:
-        """Return what a page needs first."""
-        ...
-
-    def poll(self, now: float) -> list[Message]:
-        """Return what is new."""
-        ...
-
-    def control(self, wish: Control) -> None:
-        """Do what the page asks for."""
-        ...
-
-
 class LiveSession:
     """What one page has got of a swarm that goes on, and what it still lacks.
 
@@ -206,10 +191,10 @@ class LiveSession:
         Makes what the page sees when the run is over; None as long as it is not.
     """
 
-    def __init__(self, live: LiveView, after: Callable[[], Sees | None] = lambda: None) -> None:
+    def __init__(self, live: LiveView, after: Callable[[], Session | None] = lambda: None) -> None:
         self._live = live
         self._make_after = after
-        self._after: Sees | None = None
+        self._after: Session | None = None
         self._known = (-1, -1)
         self._version = -1
         self._curves = (-1, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
+from swarmabs_bringup.view.facts import UNKNOWN
 from swarmabs_bringup.view.picture import Picture
 from swarmabs_bringup.view.protocol import Hello
 
@@ -28,13 +29,8 @@ class SwarmView:
             source="swarm",
             title=f"swarm {namespace}",
             place=f"namespace {namespace} of ROS domain {domain}",
-            period=None,
-            last_step=None,
-            robots=[],
-            plane=None,
-            manifold=None,
-            regions=None,
             playback=False,
+            **UNKNOWN,
         )
         self._live = LiveView(hello, Picture())
 
