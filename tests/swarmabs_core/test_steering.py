@@ -179,7 +179,7 @@ HEAD = "schema: 1\nswarm:\n  generate: {double_integrator: 3, mass: [1, 2]}\n"
         ),
         (
             "{kind: disturbance, at: 2, torque: 1, until: 2.001}",
-            "f:4: faults.0.until: it begins and ends with step 200; let it last a step or more",
+            "f:4: faults.0.until: the fault begins and ends with step 200; let it last a step or more",
         ),
         (
             "{kind: disturbance, at: 2, torque: 1, until: 4}, {kind: disturbance, at: 3, torque: 1}",

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 def faults(scenario: "Scenario") -> Iterator[Finding]:
     """Check the faults that end robots or let them join: each robot has at most one of both, in this order."""
     ids = {agent.id for agent in scenario.agents}
-    last = scenario.steps
     joined: dict[int, tuple[int, Location]] = {}
     gone: dict[int, tuple[int, Location]] = {}
     for index, fault in enumerate(scenario.faults):
@@ -40,12 +39,8 @@ def faults(scenario: "Scenario") -> Iterator[Finding]:
             yield _unknown_robot((*here, "agent"), fault.agent, ids)
             continue
         step = scenario.fault_step(fault.at)
-        if fault.at is not None and step > last:
-            yield Finding.of(
-                (*here, "at"),
-                f"{fault.at!r} s is step {step}, after the last step {last}",
-                f"use a time within the duration of {scenario.duration!r} s",
-            )
+        if fault.at is not None and step > scenario.steps:
+            yield _too_late((*here, "at"), fault.at, step, scenario)
         kept = joined if isinstance(fault, JoinFault) else gone
         if fault.agent in kept:
             what = "joins twice" if isinstance(fault, JoinFault) else "is killed, frozen or leaves twice"
@@ -78,13 +73,9 @@ def settings(scenario: "Scenario") -> Iterator[Finding]:
         first = scenario.fault_step(fault.at)
         end = math.inf if fault.until is None else scenario.fault_step(fault.until)
         if first > scenario.steps:
-            yield Finding.of(
-                (*here, "at"),
-                f"{fault.at!r} s is step {first}, after the last step {scenario.steps}",
-                f"use a time within the duration of {scenario.duration!r} s",
-            )
+            yield _too_late((*here, "at"), fault.at, first, scenario)
         elif first >= end:
-            yield Finding.of((*here, "until"), f"it begins and ends with step {first}", "let it last a step or more")
+            yield _too_short((*here, "until"), first)
         others = known.setdefault(fault.kind, [])
         for begun, until, there in others:
             # One without an end holds until the next; one with an end must be over by then.
@@ -127,14 +118,9 @@ def lasting_faults(scenario: "Scenario") -> Iterator[Finding]:
         first, end = scenario.fault_steps(fault)
         last = math.inf if end is None else end
         if first > scenario.steps:
-            yield Finding.of(
-                (*here, "from"),
-                f"{fault.begin!r} s is step {first}, after the last step {scenario.steps}",
-                f"use a time within the duration of {scenario.duration!r} s",
-            )
+            yield _too_late((*here, "from"), fault.begin, first, scenario)
         elif first >= last:
-            problem = f"the fault begins and ends with step {first}"
-            yield Finding.of((*here, "to"), problem, "let it last a step or more")
+            yield _too_short((*here, "to"), first)
         elif isinstance(fault, ClockOffsetFault) and scenario.duration + fault.offset > LONGEST:
             yield Finding.of((*here, "offset"), "stamps would be beyond what a message holds", "use a smaller offset")
         hit = {agent for _, agent in named} or ids
@@ -146,6 +132,15 @@ def lasting_faults(scenario: "Scenario") -> Iterator[Finding]:
                 yield Finding.of(here, f"a second {fault.kind}{whom}", f"keep one {fault.kind}{remedy}", see=there)
                 break
         others.append((first, last, hit, here))
+
+
+def _too_late(where: Location, time: float, step: int, scenario: "Scenario") -> Finding:
+    problem = f"{time!r} s is step {step}, after the last step {scenario.steps}"
+    return Finding.of(where, problem, f"use a time within the duration of {scenario.duration!r} s")
+
+
+def _too_short(where: Location, step: int) -> Finding:
+    return Finding.of(where, f"the fault begins and ends with step {step}", "let it last a step or more")
 
 
 def _named(fault: RobotFault) -> list[tuple[Location, int]]:
