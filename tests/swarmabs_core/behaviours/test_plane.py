@@ -17,6 +17,7 @@ from swarmabs_core.behaviours.base import (
     UnexpectedMessageError,
     UnknownAgentError,
 )
+from swarmabs_core.errors import RunError
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
@@ -209,6 +210,20 @@ def test_observers_word_ends_the_wait_for_a_robot() -> None:
     assert feed(node, robots(1, without=(3,))) == []
     found = node.handle(SwarmEvent(PERIOD_NS, 1, 3, EventKind.DEAD, 0.3, "no answer"))
     assert list(found) == feed(twin, robots(1, without=(3,)))
+
+
+def test_an_end_before_a_state_that_the_plane_has_used_is_refused_and_any_other_is_not() -> None:
+    dead = SwarmEvent(PERIOD_NS, 1, 3, EventKind.DEAD, 0.3, "silent")
+    node = plane()
+    feed(node, robots(0) + robots(1))
+    with pytest.raises(RunError, match=r"robot 3 ended while its state of step 1 was on its way"):
+        node.handle(dead)
+    node = plane()
+    feed(node, robots(0) + robots(1, without=(1,)))
+    assert node.handle(dead) == ()  # heard, but not used
+    assert len(feed(node, [agent_state(1, 1), *robots(2, without=(3,))])) == 2
+    assert node.handle(dead) == ()  # repeated
+    assert node.handle(SwarmEvent(PERIOD_NS, 1, 2, EventKind.LIMIT_HIT, 0.3, "")) == ()
 
 
 def test_end_of_the_plane_is_told_once_per_crossing() -> None:

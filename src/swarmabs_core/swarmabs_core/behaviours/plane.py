@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.errors import RunError
 from swarmabs_core.faults import Lie, truth
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, Membership
@@ -137,10 +138,27 @@ class Plane:
         if isinstance(message, AgentState):
             self._gathering.add(message)
         elif isinstance(message, SwarmEvent):
-            self._membership.apply(message.kind, message.agent_id, message.step, message.detail)
+            self._take_over(message)
         else:
             raise UnexpectedMessageError("plane", message)
         return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def _take_over(self, event: SwarmEvent) -> None:
+        """Take over a change of the membership that the observer has announced.
+
+        Raises
+        ------
+        RunError
+            If the robot is said to be out of a step to which the plane has already moved with its state.
+        """
+        membership, robot, step = self._membership, event.agent_id, event.step
+        used = step < self._gathering.step and membership.publishes(robot, step)
+        membership.apply(event.kind, robot, step, event.detail)
+        if used and not membership.publishes(robot, step):
+            raise RunError(
+                f"robot {robot} ended while its state of step {step} was on its way: the plane has it, the observer "
+                "does not, so the two no longer agree where the robot stands; run again"
+            )
 
     def steer(self, order: Steering) -> None:
         """Take over a torque, or a change of the membership, that is ordered from outside."""
