@@ -216,8 +216,12 @@ def test_an_end_before_a_state_that_the_plane_has_used_is_refused_and_any_other_
     dead = SwarmEvent(PERIOD_NS, 1, 3, EventKind.DEAD, 0.3, "silent")
     node = plane()
     feed(node, robots(0) + robots(1))
-    with pytest.raises(RunError, match=r"robot 3 ended while its state of step 1 was on its way"):
+    with pytest.raises(RunError, match=r"robot 3 is said to be out from step 1 on \(silent\), and the plane has moved"):
         node.handle(dead)
+    node = plane()
+    feed(node, robots(0))
+    with pytest.raises(StepAheadError, match=r"end of robot 3: step 1 expected, 2 received"):
+        node.handle(dead._replace(step=2))
     node = plane()
     feed(node, robots(0) + robots(1, without=(1,)))
     assert node.handle(dead) == ()  # heard, but not used

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from math import copysign, inf
 from typing import NamedTuple
 
-from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.behaviours.gathering import Gathering
 from swarmabs_core.errors import RunError
 from swarmabs_core.faults import Lie, truth
@@ -148,16 +148,23 @@ class Plane:
 
         Raises
         ------
+        StepAheadError
+            If it is to hold from a step on that cannot have begun yet.
         RunError
             If the robot is said to be out of a step to which the plane has already moved with its state.
         """
-        membership, robot, step = self._membership, event.agent_id, event.step
-        used = step < self._gathering.step and membership.publishes(robot, step)
+        membership, robot, step, now = self._membership, event.agent_id, event.step, self._gathering.step
+        was_in = membership.publishes(robot, step)
         membership.apply(event.kind, robot, step, event.detail)
-        if used and not membership.publishes(robot, step):
+        if not was_in or membership.publishes(robot, step):
+            return
+        if step > now:
+            raise StepAheadError(f"end of robot {robot}", got=step, expected=now)
+        if step < now:
             raise RunError(
-                f"robot {robot} ended while its state of step {step} was on its way: the plane has it, the observer "
-                "does not, so the two no longer agree where the robot stands; run again"
+                f"robot {robot} is said to be out from step {step} on ({event.detail}), and the plane has moved with "
+                "its state of that step: it ended when the plane had heard it and the observer had not, or a second "
+                "swarm is in this namespace; run again"
             )
 
     def steer(self, order: Steering) -> None:
