@@ -180,6 +180,24 @@ def test_what_is_silent_after_an_answer_to_a_stall_is_a_stall_of_its_own(bench: 
     assert bench.events() == ["stalled", "recovered"] * 3
 
 
+def test_the_behaviour_is_asked_until_it_has_an_answer_to_a_stall(bench: Bench) -> None:
+    """It has none as long as somebody else is waited for; once that changes, whoever is late gets his time, too."""
+    calls = []
+    follower = Follower(10)
+
+    def drop() -> Messages:
+        calls.append(bench.clock.now)
+        return (desired(77),) if bench.clock.now > 20.0 else ()
+
+    bench.inbox.deliver(12.0, plane(0))
+    bench.run(follower, 23.0, on_stall=drop)
+    assert calls[0] == pytest.approx(5.0, abs=0.5)
+    assert not [now for now in calls if 12.0 < now < 16.9], "since 12 s it is another step that is waited for"
+    assert [now for now in calls if now > 20.0] == calls[-1:]
+    assert 77 in bench.steps()
+    assert bench.events() == ["stalled", "recovered"] * 2
+
+
 @pytest.mark.parametrize("lingers", [True, False])
 def test_only_who_lingers_repeats_its_end(bench: Bench, lingers: bool) -> None:  # noqa: FBT001
     bench.inbox.deliver(0.0, plane(0))

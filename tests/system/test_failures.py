@@ -73,9 +73,17 @@ def test_a_process_that_is_killed_is_named_with_its_last_lines(folder: Path, mar
         assert open_bag(folder, damaged=True).message_count > 0
 
 
-@pytest.mark.parametrize("name", ["agent_002", *COORDINATORS])
-def test_a_process_that_is_silent_is_named_with_its_state(folder: Path, mark: str, name: str) -> None:
-    with started_swarm("run", *FOREVER, *QUICK, "-o", folder, "--json") as command:
+DROP = ("--set", "lockstep.on_stall=drop")
+"""Of robots that wait for another node none is dropped."""
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("agent_002", ()), *((name, ()) for name in COORDINATORS), ("plane_sim", DROP)]
+)
+def test_a_process_that_is_silent_is_named_with_its_state(
+    folder: Path, mark: str, name: str, words: tuple[str, ...]
+) -> None:
+    with started_swarm("run", *FOREVER, *QUICK, *words, "-o", folder, "--json") as command:
         until_stepping(folder)
         pid = signal_process(mark, name, signal.SIGSTOP)
         done = command.wait()

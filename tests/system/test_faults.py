@@ -133,6 +133,15 @@ def test_the_process_is_really_gone_and_the_run_goes_on(
     assert "to process" in run_log(folder)
 
 
+@pytest.mark.parametrize("case", ["kill", "leave"])
+def test_the_last_process_of_several_robots_may_hold_one(folder: Path, case: str) -> None:
+    fault = faults(f"at: 0.5, kind: {case}, agent: 4")
+    outcome = lockstep(folder, "pd_het_4", seconds(20.0), fault, agents_per_process=3)
+    assert outcome.status == "ok", outcome.reason
+    assert outcome.figures["digest"] == simulated_digest("pd_het_4", seconds(20.0), fault)
+    assert "to process" in run_log(folder)
+
+
 DROP = "lockstep={on_stall: drop, stall_timeout: 0.5}"
 
 

@@ -96,5 +96,12 @@ def test_the_command_env_gives_the_same_view(folder: Path) -> None:
         shown = swarm("env", folder, "--json")
         assert shown.code == 0
         assert environment_of_run(folder).items() <= json.loads(shown.out).items()
+        refused = swarm("remove", folder, 1)
+        assert refused.code == 2
+        assert "a run in lockstep has no operator" in refused.err
         command.process.terminate()
         command.wait()
+    for words in (("env", folder), ("remove", folder, 1), ("stop", folder), ("view", "--live", folder)):
+        over = swarm(*words)
+        assert over.code == 2
+        assert f"error: {folder}: this run is over" in over.err

@@ -76,7 +76,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     def drop() -> Messages:
         if gate is not None and not gate.open:  # it is not the robots who are waited for
             return ()
-        return observer.drop(observer.missing_agents(), SILENT)
+        silent = observer.silent_agents()
+        return observer.drop(silent, SILENT) if silent else ()
 
     return NodeSpec(
         behaviour,

@@ -40,7 +40,8 @@ class Lockstep:
     stall_timeout : float
         Silence, s, that counts as a stall; 0 for never.
     on_stall : callable, optional
-        What the behaviour answers to a stall, such as dropping robots.
+        What the behaviour answers to a stall, such as dropping robots. It is asked as long as the stall lasts, once
+        it has been waited for the same for `stall_timeout`.
     lingers : bool
         Whether to go on repeating the last messages when the behaviour has finished.
     gather : float
@@ -81,6 +82,8 @@ class Lockstep:
         self._on_idle = on_idle
         self._sent: deque[tuple[int, Publisher, bytes]] = deque()
         self._stalled = False
+        self._waited: tuple[int, tuple[str, ...]] = (-1, ())
+        self._waited_since = 0.0
         self._stopping = False
 
     def stop(self) -> None:
@@ -157,13 +160,20 @@ class Lockstep:
                 publisher.publish(data)
 
     def _check_stall(self, repeater: Repeater, now: float) -> None:
-        silence = repeater.silence(now)
-        if self._stalled or not self._stall_timeout or silence < self._stall_timeout:
+        if not self._stall_timeout:
             return
-        self._stalled = True
-        step, missing = self._behaviour.missing()
-        self._status.send("stalled", step=step, missing=missing[:20], count=len(missing), silence=round(silence, 1))
-        answer = self._on_stall() if self._on_stall is not None else ()
+        if self._on_stall is not None and (waited := self._behaviour.missing()) != self._waited:
+            self._waited, self._waited_since = waited, now
+        silence = repeater.silence(now)
+        if silence < self._stall_timeout:
+            return
+        if not self._stalled:
+            self._stalled = True
+            step, missing = self._behaviour.missing()
+            self._status.send("stalled", step=step, missing=missing[:20], count=len(missing), silence=round(silence, 1))
+        if self._on_stall is None or now - self._waited_since < self._stall_timeout:
+            return
+        answer = self._on_stall()
         if answer:  # a step is made: whoever is silent in the next one is another stall
             self._publish(answer)
             repeater.progress(now)

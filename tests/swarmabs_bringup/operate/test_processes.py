@@ -16,6 +16,8 @@ from tests.processes import until
 
 from swarmabs_bringup.cli import main
 from swarmabs_bringup.operate.processes import RunProcesses, newest_run
+from swarmabs_bringup.operate.target import target
+from swarmabs_bringup.orchestration.looking_in import RunOverError, environment_of_run, start_of
 from swarmabs_bringup.orchestration.progress_file import INTERVAL, ProgressFile, Told, read_progress
 from swarmabs_core.errors import InputError
 
@@ -27,7 +29,7 @@ NODES |= {f"agent_00{agent}" for agent in (1, 2, 3, 4)}
 def folder_of(tmp_path: Path, pid: int, name: str = "run") -> Path:
     logs = tmp_path / name / "logs"
     logs.mkdir(parents=True)
-    network = {"domain": 5, "participants": 12, "orchestrator": pid}
+    network = {"domain": 5, "participants": 12, "realtime": False, "orchestrator": pid, "started": start_of(pid)}
     (logs / "network.json").write_text(json.dumps(network), encoding="utf-8")
     return logs.parent
 
@@ -70,10 +72,13 @@ def test_folders_without_a_run_are_refused(tmp_path: Path) -> None:
 def test_a_process_that_has_got_the_id_later_is_not_the_run(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, os.getpid())
     assert RunProcesses(folder).going_on()
-    long_ago = psutil.Process().create_time() - 60.0
-    os.utime(folder / "logs" / "network.json", (long_ago, long_ago))
-    with pytest.raises(InputError, match="it is over"):
+    network = folder / "logs" / "network.json"
+    written = json.loads(network.read_text())
+    network.write_text(json.dumps(written | {"started": written["started"] - 1}))
+    with pytest.raises(RunOverError, match="this run is over"):
         RunProcesses(folder)
+    with pytest.raises(RunOverError, match="this run is over"):
+        environment_of_run(folder)
     with pytest.raises(InputError, match="no run in"):
         newest_run(tmp_path)
 
@@ -82,8 +87,28 @@ def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
     """The process that has started it may live on, such as a notebook."""
     folder = folder_of(tmp_path, os.getpid())
     processes = RunProcesses(folder)
+    assert environment_of_run(folder)["ROS_DOMAIN_ID"] == "5"
     ProgressFile(folder / "logs").over()
     assert not processes.going_on()
+    with pytest.raises(RunOverError):
+        environment_of_run(folder)
+    with pytest.raises(RunOverError), target(folder):
+        pass
+
+
+def test_a_run_in_lockstep_has_no_operator(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match="a run in lockstep has no operator; look at it with top"),
+        target(folder_of(tmp_path, os.getpid())),
+    ):
+        pass
+
+
+def test_the_start_of_a_process_is_the_kernels() -> None:
+    ticks, hertz = start_of(os.getpid()), os.sysconf("SC_CLK_TCK")
+    assert ticks is not None
+    assert psutil.Process().create_time() == pytest.approx(psutil.boot_time() + ticks / hertz, abs=1.0)
+    assert start_of(2**22 + 1) is None
 
 
 def test_the_speed_of_a_run_that_stands_still_is_not_known(tmp_path: Path) -> None:
@@ -134,7 +159,7 @@ def test_top_of_a_run(tmp_path: Path, nothing_survives: str) -> None:
             run.send_signal(signal.SIGINT)
             run.communicate(timeout=60)
     over = top(folder, "--once")
-    text = f"error: {folder}: no process of this run is there any more; it is over\n"
+    text = f"error: {folder}: this run is over\n"
     assert (over.returncode, over.stderr) == (2, text)
 
 

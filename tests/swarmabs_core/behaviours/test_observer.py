@@ -98,10 +98,11 @@ def test_nothing_is_published_before_the_last_one() -> None:
     for number, state in enumerate(robots()[:3], start=1):
         assert node.handle(state) == ()
         assert node.missing() == (0, tuple(f"agent {i}" for i in MEMBERS[number:]))
-    assert node.missing_agents() == (4,)
+    assert node.missing_agents() == node.silent_agents() == (4,)
     assert node.awaits() == (AGENT_STATE,)
     assert [type(answer) for answer in node.handle(robots()[3])] == [AbstractState, AuxiliaryState]
     assert node.missing() == (1, ("agent 1", "agent 2", "agent 3", "agent 4"))
+    assert node.silent_agents() == ()  # they all wait for somebody
 
 
 def test_repeats_and_late_states_change_nothing() -> None:

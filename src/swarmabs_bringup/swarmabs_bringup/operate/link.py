@@ -28,13 +28,14 @@ class Link:
     ----------
     node : Node
         The node.
-    swarm : str
-        What people call the swarm.
+    target : Target
+        The swarm.
     """
 
-    def __init__(self, node: Node, swarm: str) -> None:
+    def __init__(self, node: Node, target: Target) -> None:
         self._node = node
-        self._swarm = swarm
+        self._target = target
+        self._swarm = target.name
 
     def call(self, service: str, patience: float) -> str:
         """Call a ``std_srvs/Trigger`` service and return what it answers.
@@ -49,7 +50,7 @@ class Link:
         Raises
         ------
         RunError
-            If nobody offers it or answers, or the node says no.
+            If nobody offers it or answers, the node says no, or the run has ended meanwhile.
         """
         import rclpy  # noqa: PLC0415 - reads the environment when it is imported
         from std_srvs.srv import Trigger  # noqa: PLC0415
@@ -59,6 +60,7 @@ class Link:
         try:
             if not client.wait_for_service(patience):
                 raise RunError(f"{who} is not there; is the node running, and this the host of the parent controller?")
+            self._check()
             future = client.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(self._node, future, timeout_sec=patience)
             answer = future.result()
@@ -70,13 +72,18 @@ class Link:
         finally:
             self._node.destroy_client(client)
 
+    def _check(self) -> None:
+        """Refuse to speak into a network that may be another swarm's by now: whoever was found may belong to it."""
+        if not self._target.goes_on():
+            raise RunError(f"{self._swarm}: the run has ended meanwhile")
+
     def announce(self, agent_id: int, detail: str, patience: float) -> None:
         """Publish the event that a robot has left, and wait until whoever listens has it.
 
         Raises
         ------
         RunError
-            If nobody listens in time (s), or it does not arrive.
+            If nobody listens in time (s), it does not arrive, or the run has ended meanwhile.
         """
         from rclpy.duration import Duration  # noqa: PLC0415 - as above
 
@@ -91,9 +98,13 @@ class Link:
                 if time.monotonic() > deadline:
                     raise RunError(f"{self._swarm}: nobody hears {publisher.topic_name}; is the observer running?")
                 time.sleep(SLICE)
+            self._check()
             publisher.publish(encode(SwarmEvent(time.time_ns(), 0, agent_id, EventKind.LEFT, 0.0, detail)))
-            if not publisher.wait_for_all_acked(Duration(seconds=patience)):
-                raise RunError(f"{self._swarm}: the observer has not confirmed within {patience:g} s")
+            deadline = time.monotonic() + patience
+            while not publisher.wait_for_all_acked(Duration(seconds=SLICE)):
+                if time.monotonic() > deadline:
+                    raise RunError(f"{self._swarm}: the observer has not confirmed within {patience:g} s")
+                self._check()
         finally:
             self._node.destroy_publisher(publisher)
 
@@ -145,7 +156,7 @@ def linked(target: Target) -> Iterator[Link]:
             rclpy.try_shutdown()
             raise RunError(f"{target.name}: cannot join its network: {' '.join(str(error).split())}") from error
         try:
-            yield Link(node, target.name)
+            yield Link(node, target)
         finally:
             node.destroy_node()
             rclpy.try_shutdown()

@@ -6,14 +6,13 @@ a node's output goes to a log in the folder that has its name.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import psutil
 
-from swarmabs_bringup.orchestration.looking_in import NETWORK_FILE
-from swarmabs_bringup.orchestration.progress_file import OVER, read_progress
+from swarmabs_bringup.orchestration.looking_in import NETWORK_FILE, RunOverError, goes_on, orchestrator_of
+from swarmabs_bringup.orchestration.progress_file import read_progress
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from swarmabs_bringup.orchestration.progress_file import Told
 
 ORCHESTRATOR = "orchestrator"
-CLOCK_TOLERANCE = 2.0
-"""Time, s, by which the start of a process, counted in clock ticks since boot, may seem later than it was."""
 SHARES = 16
 """Processes whose PSS a look asks for, in turn: the kernel adds it up page by page, which holds the process up."""
 SILENCE = 3.0
@@ -78,26 +75,15 @@ class RunProcesses:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._logs = (folder / "logs").resolve()
-        network = self._logs / NETWORK_FILE
-        try:
-            pid, written = int(json.loads(network.read_text(encoding="utf-8"))["orchestrator"]), network.stat().st_mtime
-        except OSError as error:
-            raise InputError(
-                f"{folder} is not the folder of a run with processes ({error.strerror}: logs/{NETWORK_FILE})"
-            ) from None
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{network}: not what a run writes there ({error!r})") from None
-        self._orchestrator = _started_before(pid, written + CLOCK_TOLERANCE)
+        self._orchestrator = orchestrator_of(folder)
         self._watched: dict[psutil.Process, str] = {}
         self._pss: dict[psutil.Process, int | None] = {}
         if not self.going_on():
-            raise InputError(f"{folder}: no process of this run is there any more; it is over")
+            raise RunOverError(folder)
 
     def going_on(self) -> bool:
         """Tell whether the run goes on."""
-        told = read_progress(self._logs)
-        over = told is not None and told.phase == OVER
-        return not over and self._orchestrator is not None and _lives(self._orchestrator)
+        return goes_on(self.folder)
 
     def look(self, now: float, shares: int | None = SHARES) -> Look:
         """Return how the processes are doing at a time (s, monotonic); CPU time counts since the look before.
@@ -173,22 +159,6 @@ def document(folder: Path, look: Look) -> dict[str, Any]:
         "step_rate": look.step_rate,
         "processes": [row._asdict() for row in look.rows],
     }
-
-
-def _started_before(pid: int, moment: float) -> psutil.Process | None:
-    """Return the process of this id, None if it is gone or has begun later, as another one that has got the id."""
-    try:
-        process = psutil.Process(pid)
-        return process if process.create_time() <= moment else None
-    except (psutil.Error, ValueError):
-        return None
-
-
-def _lives(process: psutil.Process) -> bool:
-    try:
-        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
-    except psutil.Error:
-        return False
 
 
 def _row(process: psutil.Process, name: str, pss: int | None) -> Row | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -12,9 +13,13 @@ from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, PLANE, REC
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from swarmabs_bringup.fleet.model import Fleet
+
+
+def _always() -> bool:
+    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +38,8 @@ class Target:
         Ids of the robots, ascending.
     environment : mapping
         Environment variables by which a process joins its network.
+    goes_on : callable
+        Tells whether the network is still that of this swarm: the domain of a run that is over is given to another.
     """
 
     name: str
@@ -40,6 +47,7 @@ class Target:
     hosts: Mapping[str, str]
     robots: tuple[int, ...]
     environment: Mapping[str, str]
+    goes_on: Callable[[], bool] = _always
 
     def robot(self, agent_id: int) -> str:
         """Return the node of a robot.
@@ -67,7 +75,7 @@ def target(path: Path) -> Iterator[Target]:
     Raises
     ------
     InputError
-        If it is neither.
+        If it is neither, a run that is over, or one in lockstep.
     """
     if path.is_dir():
         yield _run(path)
@@ -80,14 +88,23 @@ def target(path: Path) -> Iterator[Target]:
 
 
 def _run(folder: Path) -> Target:
-    from swarmabs_bringup.orchestration.looking_in import environment_of_run  # noqa: PLC0415 - as above
+    from swarmabs_bringup.orchestration.looking_in import (  # noqa: PLC0415 - as above
+        environment_of_run,
+        goes_on,
+        is_realtime,
+    )
     from swarmabs_core.scenario import load_scenario  # noqa: PLC0415
 
     environment = environment_of_run(folder)
+    if not is_realtime(folder):
+        raise InputError(
+            f"{folder}: a run in lockstep has no operator; look at it with top, change it with run --steer"
+        )
     scenario = load_scenario(folder / "scenario.yaml")
     robots = tuple(agent.id for agent in scenario.agents)
     nodes = (PLANE, OBSERVER, CONTROLLER, RECORDER, *map(agent_name, robots))
-    return Target(scenario.name, "/", dict.fromkeys(nodes, "this one"), robots, environment)
+    hosts = dict.fromkeys(nodes, "this one")
+    return Target(scenario.name, "/", hosts, robots, environment, partial(goes_on, folder))
 
 
 def _fleet(fleet: Fleet, folder: Path) -> Target:

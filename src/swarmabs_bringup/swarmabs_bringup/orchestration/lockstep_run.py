@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from swarmabs_bringup.orchestration.plan import ProcessPlan, agent_name, plan
+from swarmabs_bringup.orchestration.plan import ProcessPlan, plan
 from swarmabs_bringup.orchestration.process_run import ProcessRun
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_bringup.steering.place import SOCKET
@@ -97,9 +97,7 @@ class LockstepRun(ProcessRun):
             on_progress=on_progress,
             namespace=namespace,
         )
-        self._own_process = {
-            agent_id for process in self._plan if len(process.agents) == 1 for agent_id in process.agents
-        }
+        self._own_process = {process.agents[0]: process.name for process in self._plan if len(process.agents) == 1}
         self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
         self._stalled_since: float | None = None
         self._stalled_at = -1
@@ -135,9 +133,9 @@ class LockstepRun(ProcessRun):
         self._take_orders()
         while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)
-            if fault.agent_id not in self._own_process:  # its state machine is silent, its neighbours go on
+            name = self._own_process.get(fault.agent_id)
+            if name is None:  # its state machine is silent, its neighbours go on
                 continue
-            name = agent_name(fault.agent_id)
             self._supervision.expect_end(name)
             self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
             launcher.signal(name, _SIGNALS[fault.kind])

@@ -106,7 +106,7 @@ class ProcessRun:
             profile.write_text(
                 profile_xml(domain, multicast=multicast_works(), realtime=self._realtime), encoding="utf-8"
             )
-            write_network(self._folder.logs, domain, participants)
+            write_network(self._folder.logs, domain, participants, realtime=self._realtime)
             stack.callback(self._told.over)
             wake = stack.enter_context(self._interruptible())
             environment = dds_environment(domain, str(profile.resolve()))

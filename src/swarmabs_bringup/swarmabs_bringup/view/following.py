@@ -8,9 +8,7 @@ import os
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import psutil
-
-from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_processes
+from swarmabs_bringup.orchestration.looking_in import RunOverError, environment_of_run, goes_on, read_processes
 from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_bringup.run_folder import RunFolder
 from swarmabs_bringup.scenarios import find_scenario
@@ -79,13 +77,14 @@ class RunView:
     async def follow(self) -> None:
         """Follow the run to its end, then for ever show its bag."""
         processes = await self._started()
-        if processes is not None:
-            os.environ.update(environment_of_run(self._folder.path))
+        environment = None if processes is None else self._environment()
+        if processes is not None and environment is not None:
+            os.environ.update(environment)
             listener = Listener("/", len(self._live.picture.robots))
             os.nice(NICENESS)
             watch = asyncio.ensure_future(self._watch(processes))
             try:
-                await self._live.listen(listener, lambda: self._over(processes))
+                await self._live.listen(listener, self._over)
             finally:
                 watch.cancel()
                 listener.close()
@@ -123,8 +122,15 @@ class RunView:
             self._live.health = await asyncio.to_thread(watch.look)
             await asyncio.sleep(HEALTH_INTERVAL)
 
-    def _over(self, processes: Mapping[str, int]) -> bool:
-        return self._folder.summary.exists() or not psutil.pid_exists(processes["orchestrator"])
+    def _environment(self) -> dict[str, str] | None:
+        """Return the environment of the run's network, None if the run has just ended."""
+        try:
+            return environment_of_run(self._folder.path)
+        except RunOverError:
+            return None
+
+    def _over(self) -> bool:
+        return self._folder.summary.exists() or not goes_on(self._folder.path)
 
     async def _end(self) -> None:
         """Show the bag, if there is one that can be read."""
@@ -166,8 +172,7 @@ def check_running(folder: Path) -> None:
     InputError
         If it is over, or no run's folder.
     """
-    environment_of_run(folder)
-    processes = read_processes(folder)
-    gone = processes is not None and not psutil.pid_exists(processes["orchestrator"])
-    if gone or RunFolder(folder).summary.exists():
-        raise InputError(f"{folder}: this run is over; view its bag without --live")
+    try:
+        environment_of_run(folder)
+    except RunOverError as error:
+        raise InputError(f"{error}; view its bag without --live") from None

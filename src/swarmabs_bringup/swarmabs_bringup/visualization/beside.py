@@ -72,7 +72,10 @@ def main() -> int:
     parent, folder, *words = sys.argv[1:]
     die_with_parent(int(parent))
     os.nice(_NICENESS)
-    from swarmabs_bringup.orchestration.looking_in import environment_of_run  # noqa: PLC0415 - after the first lines
+    from swarmabs_bringup.orchestration.looking_in import (  # noqa: PLC0415 - after the first lines
+        RunOverError,
+        environment_of_run,
+    )
     from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
 
     run = Path(folder)
@@ -81,10 +84,13 @@ def main() -> int:
 
         if not _started(run):
             return 0
+        try:
+            os.environ.update(environment_of_run(run))
+        except RunOverError:
+            return 0
         log = os.open(run / "logs" / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         for descriptor in (1, 2):
             os.dup2(log, descriptor)
-        os.environ.update(environment_of_run(run))
         path = str(run.resolve() / "scenario.yaml").replace("'", "''")
         given = [f"scenario_file:='{path}'", *words]
         arguments = ["--ros-args", "--disable-external-lib-logs", "--disable-rosout-logs"]

@@ -102,6 +102,15 @@ class Observer:
         """Return the ids of the robots not yet heard in the current step."""
         return self._gathering.missing()
 
+    def silent_agents(self) -> tuple[int, ...]:
+        """Return the ids of the robots not yet heard in a step in which others were heard.
+
+        None if nobody was: then it is not the robots who are waited for, but somebody for whom they all wait.
+        """
+        missing = self._gathering.missing()
+        heard = len(missing) < len(self._membership.publishing(self._gathering.step))
+        return missing if heard else ()
+
     def _finished(self) -> bool:
         last = self._config.last_step
         return last is not None and self._gathering.step > last
