@@ -53,7 +53,7 @@ def until_all_say(fleet: Path, words: str, *nodes: str) -> None:
 def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_survives: str) -> None:
     with claimed_domain() as domain:
         prefix = tmp_path / "etc"
-        changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", str(prefix)), (", recorder: {host: base}", "")]
+        changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", str(prefix))]
         third = (
             "  - {id: 3, host: base, kind: single_integrator, mass: 0.3, drive: {type: simulated, position: -0.2}}\n"
         )
@@ -72,6 +72,8 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             assert operate("reset", file).returncode == 0
             until_all_say(file, "follows", *robots)
             until_all_say(file, "3 of 3 robots follow", "abstraction_observer")
+            until_all_say(file, "OK: records", "recorder")
+            until(lambda: operate("status", file).returncode == 0, "all is in order", PATIENCE)
             assert operate("drain", file, 3).returncode == 0
             until_all_say(file, "has left", "agent_003")
             until_all_say(file, "follows", *robots[:2])
@@ -86,7 +88,7 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             stopped = operate("stop", file)
             assert (stopped.returncode, stopped.stderr) == (0, "")
             until_all_say(file, "stop commanded", *robots[:2])
-            assert ended(units) == [0] * 5
+            assert ended(units) == [0] * 6
         gone = operate("stop", file, "--timeout", "1")
         assert gone.returncode == 1
         assert "swarm/stop is not there" in gone.stderr

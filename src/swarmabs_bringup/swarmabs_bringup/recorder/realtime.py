@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.recorder.node import GATHER_SECONDS, PARAMETERS as LOCKSTEP, REPORT_SECONDS, log_text
@@ -23,6 +24,7 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.recording import RECORDED
 from swarmabs_core.scenario import load_scenario
+from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.qos import REALTIME, requested
@@ -62,7 +64,7 @@ class RealtimeRecorder:
     Parameters
     ----------
     node : Node
-        Whose subscriptions they are.
+        Whose subscriptions they are, and whose health is published.
     status : StatusChannel
         Where progress is reported.
     """
@@ -70,6 +72,9 @@ class RealtimeRecorder:
     def __init__(self, node: Node, status: StatusChannel) -> None:
         subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True, offers=REALTIME) for topic in RECORDED}
         self._receiver = WaitSetReceiver(node, subscriptions)
+        self._name = node.get_name()
+        self._diagnostics = node.create_publisher(DiagnosticArray, diagnostics.TOPIC, 10)
+        self._diagnosed = 0.0
         self._status = status
         self._reported = 0.0
         self._interval, self._due = watchdog_interval(), 0
@@ -91,8 +96,15 @@ class RealtimeRecorder:
                 self._drain(recording)
             recording.poll()
             self._report(recording)
+            self._diagnose(recording)
             self._beat()
         return True
+
+    def _diagnose(self, recording: RealtimeRecording) -> None:
+        now = time.monotonic()
+        if now - self._diagnosed >= diagnostics.PERIOD:
+            self._diagnosed = now
+            self._diagnostics.publish(diagnostics.diagnostic_array(self._name, recording.health(), time.time_ns()))
 
     def _beat(self) -> None:
         """Tell systemd, where it watches, that the loop goes round."""

@@ -12,6 +12,7 @@ from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import TOPIC_OF
+from swarmabs_core.realtime.base import Health, Level
 from swarmabs_core.realtime.recording import RECORDED, RealtimeCollector, RealtimeFigures
 from swarmabs_core.scenario import dump_scenario
 from swarmabs_ros.qos import REALTIME
@@ -77,6 +78,7 @@ class RealtimeRecording:
         self._figures = RealtimeFigures(configure.parent_controller(scenario).reference, schedule)
         self._onlooker = RealtimeOnlooker(members, scenario.plane.length)
         self._received = 0
+        self._heard = self._heard_before = 0
         self._last_step = last_step
         self._writer = None
         if folder is not None:
@@ -118,6 +120,7 @@ class RealtimeRecording:
         """
         if self._last_step is not None and message.step > self._last_step:
             return
+        self._heard += 1
         # Where the clock is set back, the order of the file stays that of its times.
         self._received = max(self._received, now)
         for kept in self._collector.add(message, now):
@@ -125,6 +128,15 @@ class RealtimeRecording:
             self._onlooker.hear(kept)
             if self._writer is not None:
                 self._writer.write(TOPIC_OF[type(kept)], self._received, encode(kept), max(0, kept.stamp))
+
+    def health(self) -> Health:
+        """Return how the recording goes, since this was asked for the last time."""
+        heard, self._heard_before = self._heard - self._heard_before, self._heard
+        values = {"step": self.newest, "messages": self._heard, **self._dropped()}
+        figures = tuple((name, str(value)) for name, value in values.items())
+        if not heard:
+            return Health(Level.WARN, "hears nothing of the swarm", figures)
+        return Health(Level.OK, "records" if self._writer is not None else "listens, without a bag", figures)
 
     def poll(self) -> None:
         """Hand what is old enough to the operating system."""
@@ -145,6 +157,9 @@ class RealtimeRecording:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the run so far; it has no digest, since what arrives differs from run to run."""
+        realtime = {**self._figures.realtime(), "dropped": self._dropped()}
+        return {**self._figures.summary(), "digest": None, "realtime": realtime}
+
+    def _dropped(self) -> dict[str, int]:
         collector = self._collector
-        dropped = {"repeated": collector.repeated, "different": collector.different, "refused": collector.refused}
-        return {**self._figures.summary(), "digest": None, "realtime": {**self._figures.realtime(), "dropped": dropped}}
+        return {"repeated": collector.repeated, "different": collector.different, "refused": collector.refused}
