@@ -117,6 +117,20 @@ def test_without_a_coordinator_the_robots_stop_and_then_the_run_fails(folder: Pa
     assert not found["complete"]
 
 
+def test_who_hangs_to_the_end_is_named_and_a_coordinator_fails_the_run(folder: Path, mark: str) -> None:
+    with started_swarm("run", "--realtime", "--duration", 4, "-o", folder, "--json") as command:
+        until_moving(folder)
+        for name in ("plane_sim", "agent_002"):
+            pid = signal_process(mark, name, signal.SIGSTOP)
+        done = command.wait()
+    assert done.code == 1
+    assert "plane_sim (process" in done.err
+    assert "is stopped) did not end when it was told to; what it did before is not known" in done.err
+    assert f"(process {pid}" not in done.err
+    assert done.summary()["realtime"]["died"] == {"agent_002": "did not end (it is stopped)"}
+    assert verdict(folder)["ok"]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_completes_the_bag(folder: Path, number: signal.Signals) -> None:
     with started_swarm("run", "--realtime", *FOREVER, "-o", folder) as command:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import signal
 from typing import TYPE_CHECKING
 
-import psutil
-
 from swarmabs_bringup.orchestration.plan import ProcessPlan, plan
-from swarmabs_bringup.orchestration.process_run import ProcessRun
+from swarmabs_bringup.orchestration.process_run import ProcessRun, process_state
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_bringup.steering.place import SOCKET
 from swarmabs_core import configure
@@ -157,11 +155,4 @@ class LockstepRun(ProcessRun):
         grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
         if now - self._stalled_since < grace:
             return None
-        return state.diagnose({name: _process_state(pid) for name, pid in state.pids.items()})
-
-
-def _process_state(pid: int) -> str:
-    try:
-        return str(psutil.Process(pid).status())
-    except psutil.Error:
-        return "dead"
+        return state.diagnose({name: process_state(pid) for name, pid in state.pids.items()})

@@ -10,6 +10,8 @@ import time
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
+import psutil
+
 from swarmabs_bringup.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
 from swarmabs_bringup.orchestration.domain import claimed_domain, domains_spanned
 from swarmabs_bringup.orchestration.launcher_client import LauncherClient
@@ -195,8 +197,9 @@ class ProcessRun:
         """Return the failure that ends the run."""
         return self._supervision.failure
 
-    def _end(self, launcher: LauncherClient, wake: int) -> None:
-        """Do what remains when the recording is complete and the processes still run."""
+    def _end(self, launcher: LauncherClient, wake: int) -> Failure | None:  # noqa: ARG002 - for those who have to
+        """Do what remains when the recording is complete and the processes still run; return what went wrong."""
+        return None
 
     def _spawn(self, launcher: LauncherClient, processes: Iterable[ProcessPlan]) -> None:
         for process in processes:
@@ -240,7 +243,10 @@ class ProcessRun:
             while self._recorder_works(launcher) and time.monotonic() < deadline:
                 self._listen(launcher, wake)
                 self._tell("closing")
-        self._end(launcher, wake)
+        ended_badly = self._end(launcher, wake)
+        if failure is None and ended_badly is not None:
+            failure, reason = ended_badly, self._describe(ended_badly)
+            self._note(ended_badly.reason)
         done = state.done or {"complete": False, "figures": {}}
         complete = done["complete"] and failure is None
         return Outcome(
@@ -300,3 +306,11 @@ class ProcessRun:
                 None if seen is None else Glance.of(seen),
             )
         )
+
+
+def process_state(pid: int) -> str:
+    """Return what the kernel says that a process does, such as ``stopped``; ``dead`` if there is none."""
+    try:
+        return str(psutil.Process(pid).status())
+    except psutil.Error:
+        return "dead"

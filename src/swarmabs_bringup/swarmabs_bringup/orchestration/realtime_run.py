@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bringup.orchestration.plan import RECORDER
-from swarmabs_bringup.orchestration.process_run import ProcessRun
+from swarmabs_bringup.orchestration.process_run import ProcessRun, process_state
 from swarmabs_bringup.orchestration.realtime_plan import realtime_plan
 from swarmabs_bringup.orchestration.supervision import Failure, how_it_ended
 from swarmabs_bringup.splitting import ONE_FILE, Split
@@ -29,7 +29,7 @@ OVERTIME = 10.0
 GRACE = 1.0
 """Time, s, beyond the age limits for which a run without one of its coordinators goes on: its bag shall show how the
 robots stop."""
-ENDING_SECONDS = 5.0
+ENDING_SECONDS = 10.0
 """Time, s, that the nodes have to end in order, and to report their timing."""
 
 
@@ -110,8 +110,8 @@ class RealtimeRun(ProcessRun):
         grace = GRACE + max(limits.broadcast_age_limit, limits.state_age_limit, limits.plane_age_limit)
         return failure if now - self._failed_at >= grace else None
 
-    def _end(self, launcher: LauncherClient, wake: int) -> None:
-        """Let the nodes end in order, so that they report their timing."""
+    def _end(self, launcher: LauncherClient, wake: int) -> Failure | None:
+        """Let the nodes end in order, so that they report their timing. One that does not was no part of the swarm."""
         state = self._supervision
         running = [name for name in state.pids if name not in state.exited]
         for name in running:
@@ -121,6 +121,13 @@ class RealtimeRun(ProcessRun):
         while launcher.alive() and time.monotonic() < deadline and any(name not in state.exited for name in running):
             self._listen(launcher, wake)
             self._tell("closing")
+        hung = {name: process_state(state.pids[name]) for name in running if name not in state.exited}
+        self._died |= {name: f"did not end (it is {hung[name]})" for name in hung if name in state.dispensable}
+        culprits = tuple(name for name in hung if name not in state.dispensable)
+        if not culprits or not launcher.alive():
+            return None
+        shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
+        return Failure(f"{shown} did not end when it was told to; what it did before is not known", culprits[:2])
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
         timing = self._supervision.timing
