@@ -79,11 +79,15 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             until_all_say(file, "follows", *robots[:2])
             assert operate("join", file, 3).returncode == 0
             until_all_say(file, "follows", *robots)
+            alive = operate("remove", file, 3)
+            assert alive.returncode == 1
+            assert "does so only with one that is silent, another can leave by itself: drain" in alive.stderr
             units["agent_003"].process.kill()
             until_all_say(file, "2 of 3 robots follow", "abstraction_observer")
             assert left_by(file) == []
-            assert operate("remove", file, 3).returncode == 0
-            until(lambda: "3" in left_by(file), "robot 3 counts as gone", PATIENCE)
+            removed = operate("remove", file, 3)
+            assert (removed.returncode, removed.stderr) == (0, "")
+            assert left_by(file) == ["3"]
             del units["agent_003"]
             stopped = operate("stop", file)
             assert (stopped.returncode, stopped.stderr) == (0, "")

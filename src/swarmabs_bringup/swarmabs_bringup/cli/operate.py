@@ -113,15 +113,29 @@ def join(swarm: Path, robot: int, patience: float) -> int:
 @_patience
 def remove(swarm: Path, robot: int, patience: float) -> int:
     """Say of a silent robot that it was carried off the plane, since it cannot say so itself."""
-    from swarmabs_bringup.operate.link import linked  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bringup.operate.board import Board  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bringup.operate.link import linked  # noqa: PLC0415
     from swarmabs_bringup.operate.target import target  # noqa: PLC0415
+    from swarmabs_bringup.orchestration.plan import OBSERVER  # noqa: PLC0415
+    from swarmabs_core.errors import RunError  # noqa: PLC0415
     from swarmabs_core.realtime.observer import CARRIED_AWAY  # noqa: PLC0415
 
     with target(swarm) as found:
         found.robot(robot)
+        board = Board({OBSERVER: found.hosts.get(OBSERVER, "unknown")})
+
+        def gone() -> bool:
+            return str(robot) in board.value(OBSERVER, "left").split()
+
         with linked(found) as link:
             link.announce(robot, CARRIED_AWAY, patience)
-    click.echo(f"{found.name}: robot {robot} counts as off the plane, if it is silent")
+            link.listen(board, patience, gone)
+    if not gone():
+        raise RunError(
+            f"{found.name}: the observer has not taken robot {robot} off the plane; it does so only with one that is "
+            "silent, another can leave by itself: drain"
+        )
+    click.echo(f"{found.name}: robot {robot} counts as off the plane")
     return 0
 
 

@@ -46,6 +46,11 @@ class Board:
         """Tell whether every node has been heard."""
         return all(node in self._words for node in self.hosts)
 
+    def value(self, node: str, name: str) -> str:
+        """Return a figure that a node has told last, empty if it has not."""
+        word = self._words.get(node)
+        return "" if word is None else word[3].get(name, "")
+
     def rows(self, now: float) -> list[Row]:
         """Return one row per node that there should be, and behind them those that nobody expects."""
         strangers = sorted(node for node in self._words if node not in self.hosts)
