@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 from tests.swarmabs_bringup.figures.conftest import ReadBag, record
 from tests.swarmabs_bringup.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bringup.sample_run import PERIOD
-from tests.swarmabs_bringup.view.conftest import Served, browser_arguments, chromium, serving
+from tests.swarmabs_bringup.view.conftest import Served, load, number, seek, serving
 
 from swarmabs_core.messages import EventKind, SwarmEvent
 
@@ -20,51 +19,6 @@ pytestmark = pytest.mark.timeout(120)
 
 MARKUP = "<img src=x onerror=document.title='broken'><script>document.title='broken'</script>"
 NAME = "x<img src=q onerror=alert(1)>&amp;"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    program = chromium()
-    with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=program, args=browser_arguments())
-        yield found
-        found.close()
-
-
-@pytest.fixture
-def faults() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def page(browser: Browser, faults: list[str]) -> Iterator[Page]:
-    """Yield an empty page; a test in which the page complains of anything fails."""
-    context = browser.new_context(viewport={"width": 1280, "height": 900})
-    made = context.new_page()
-    made.on("pageerror", lambda error: faults.append(str(error)))
-    made.on("console", lambda said: faults.append(said.text) if said.type in {"error", "warning"} else None)
-    made.on("request", lambda asked: faults.append(asked.url) if "//127.0.0.1:" not in asked.url else None)
-    yield made
-    context.close()
-    assert not faults
-
-
-def load(page: Page, served: Served) -> None:
-    page.goto(served.url)
-    expect(page.locator("#step")).to_have_attribute("value", "0")
-
-
-def number(page: Page, name: str) -> float:
-    """Return the number that the page shows, as exact as it has it."""
-    return float(page.locator(f"#{name}").get_attribute("value") or "nan")
-
-
-def seek(page: Page, step: int) -> None:
-    """Put the slider somewhere, as a hand would."""
-    page.locator("#scrub").evaluate(
-        "(slider, step) => { slider.value = step; slider.dispatchEvent(new Event('input')); }", step
-    )
-    expect(page.locator("#step")).to_have_attribute("value", str(step))
 
 
 @pytest.mark.parametrize("step", [0, 57, 200, 399, 400])
