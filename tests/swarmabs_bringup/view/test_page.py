@@ -13,6 +13,7 @@ from tests.swarmabs_bringup.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bringup.sample_run import PERIOD
 from tests.swarmabs_bringup.view.conftest import Served, load, number, seek, serving
 
+from swarmabs_bringup.view.server import MOST_PAGES
 from swarmabs_core.messages import EventKind, SwarmEvent
 
 pytestmark = pytest.mark.timeout(120)
@@ -142,6 +143,94 @@ def test_a_program_that_hangs_counts_as_lost_and_comes_back(page: Page, run: Pat
         view.process.send_signal(signal.SIGCONT)
         expect(lost).to_be_hidden(timeout=20_000)
     faults.clear()  # connections that were given up
+
+
+def test_the_slider_leaves_the_keys_of_the_playback(page: Page, served: Served) -> None:
+    load(page, served)
+    slider = page.get_by_label("Step shown")
+    slider.click()
+    expect(slider).to_be_focused()
+    step = page.locator("#step")
+    expect(step).not_to_have_attribute("value", "0")
+    begin = number(page, "step")
+    for key, found in (("Shift+ArrowRight", begin + 100), ("ArrowLeft", begin + 99), ("ArrowRight", begin + 100)):
+        page.keyboard.press(key)
+        expect(step).to_have_attribute("value", f"{found:.0f}")
+    page.keyboard.press("+")
+    expect(page.get_by_label("Speed")).to_have_value("2")
+    page.keyboard.press("-")
+    expect(page.get_by_label("Speed")).to_have_value("1")
+    page.keyboard.press("Space")
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    expect(slider).to_be_focused()
+
+
+def test_keys_in_quick_succession_all_count(page: Page, served: Served) -> None:
+    load(page, served)
+    page.locator("h1").click()
+    for count in (30, 37):
+        for _ in range(count):
+            page.keyboard.press("ArrowRight")
+    expect(page.locator("#step")).to_have_attribute("value", "67")
+    for _ in range(20):
+        page.keyboard.press("ArrowLeft")
+    expect(page.locator("#step")).to_have_attribute("value", "47")
+    expect(page.get_by_label("Step shown")).to_have_value("47")
+    for _ in range(6):
+        page.keyboard.press("+")
+    expect(page.get_by_label("Speed")).to_have_value("100")
+
+
+def test_one_page_too_many_says_so_and_gets_its_turn(browser: Browser, page: Page, run: Path) -> None:
+    with serving(run) as view:
+        others = browser.new_context()
+        blank = others.new_page()
+        blank.goto(f"{view.url}icon.svg")  # of the server's origin, but no page that opens a connection of its own
+        blank.evaluate(
+            """async ([url, count]) => {
+                window.all = Array.from({ length: count }, () => new WebSocket(url));
+                await Promise.all(window.all.map((one) => new Promise((done) => { one.onmessage = done; })));
+            }""",
+            [view.url.replace("http", "ws") + "socket", MOST_PAGES],
+        )
+        page.goto(view.url)
+        lost = page.get_by_role("alert")
+        expect(lost).to_contain_text("Too many pages show this already")
+        expect(page.locator("#state")).to_have_text("lost: too many pages")
+        others.close()
+        expect(lost).to_be_hidden(timeout=20_000)
+        expect(page.locator("#step")).to_have_attribute("value", "0")
+
+
+def test_nothing_can_be_played_without_a_connection(page: Page, run: Path, faults: list[str]) -> None:
+    with serving(run) as view:
+        load(page, view)
+        seek(page, 50)
+        view.process.send_signal(signal.SIGSTOP)
+        page.locator("h1").click()
+        page.keyboard.press("Shift+ArrowRight")  # is on its way when the connection is given up
+        expect(page.get_by_role("alert")).to_be_visible(timeout=20_000)
+        expect(page.get_by_label("Step shown")).to_be_disabled()
+        expect(page.get_by_role("button", name="Play", exact=True)).to_be_disabled()
+        page.keyboard.press("End")
+        view.process.send_signal(signal.SIGCONT)
+        expect(page.get_by_role("alert")).to_be_hidden(timeout=20_000)
+        expect(page.get_by_label("Step shown")).to_be_enabled()
+        expect(page.locator("#step")).to_have_attribute("value", "150")
+    faults.clear()  # connections that were given up
+
+
+def test_home_and_end_scroll_a_table_that_has_the_focus(page: Page, served: Served) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    load(page, served)
+    seek(page, 7)
+    table = page.locator("#robots-details .scroll")
+    table.evaluate("(node) => { node.style.maxHeight = '4rem'; node.focus(); }")
+    for key, side, there in (("End", "Top", True), ("Home", "Top", False), ("ArrowRight", "Left", True)):
+        page.keyboard.press(key)
+        page.wait_for_timeout(400)
+        assert table.evaluate(f"(node) => node.scroll{side} > 0") == there, key
+        assert number(page, "step") == 7, key
 
 
 def test_hostile_names_are_shown_as_text(page: Page, tmp_path: Path) -> None:

@@ -120,11 +120,15 @@ class ViewServer:
         return web.Response(body=content, content_type=content_type, charset="utf-8", headers=self._headers)
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
-        if len(self._pages) >= MOST_PAGES:
-            return web.Response(status=503, text="too many pages look already\n", headers=self._headers)
-        page = web.WebSocketResponse(heartbeat=PING, max_msg_size=LONGEST_REQUEST)
+        full = len(self._pages) >= MOST_PAGES
+        page = web.WebSocketResponse(timeout=END_SECONDS, heartbeat=PING, max_msg_size=LONGEST_REQUEST)
         if not page.can_prepare(request).ok:
             return web.Response(status=400, text="this address is for a WebSocket\n", headers=self._headers)
+        if full:
+            # Scripts do not learn why a connection is refused, but they do learn why one is closed.
+            await page.prepare(request)
+            await page.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages look already")
+            return page
         self._pages.add(page)
         try:
             await page.prepare(request)

@@ -2,10 +2,12 @@
 const SILENCE = 4000; // ms; the server says something at least once a second
 const FIRST_WAIT = 300;
 const LONGEST_WAIT = 3000;
+const WHY = { 1008: "refused", 1009: "refused", 1013: "full" }; // close codes of the server
 export const VERSION = 1;
 
 export class Connection {
-  // `take` gets each message, `status` gets "open" or "lost".
+  // `take` gets each message; `status` gets "open", "lost", "refused" (what was said), "full" (too many pages look) or
+  // "other" (with the version that the server speaks).
   constructor(take, status) {
     this.take = take;
     this.status = status;
@@ -33,15 +35,15 @@ export class Connection {
       this.status("open");
       this.take(message);
     };
-    socket.onclose = () => {
+    socket.onclose = (event) => {
       if (socket === this.socket) {
-        this.again();
+        this.again(WHY[event.code]);
       }
     };
   }
 
-  again() {
-    this.status("lost");
+  again(why = "lost") {
+    this.status(why);
     this.socket = null;
     setTimeout(() => this.open(), this.wait);
     this.wait = Math.min(this.wait * 2, LONGEST_WAIT);
@@ -55,9 +57,12 @@ export class Connection {
     }
   }
 
+  // Tell whether there is a connection to say it over; whether it arrives is not known.
   send(message) {
-    if (this.socket && this.socket.readyState === WebSocket.OPEN) {
+    const open = this.socket !== null && this.socket.readyState === WebSocket.OPEN;
+    if (open) {
       this.socket.send(JSON.stringify({ v: VERSION, ...message }));
     }
+    return open;
   }
 }

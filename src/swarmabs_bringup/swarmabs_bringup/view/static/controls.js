@@ -1,17 +1,30 @@
 // Playback of a bag: buttons, slider, speed, keys.
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 25, 50, 100];
-const HOLD = 300; // ms for which the slider stays where it was put
+const HOLD = 300; // ms for which a step that was asked for stands, though others are played
+const PATIENCE = 2000; // ms for which it stands while nothing is played, and for which a speed does
 
 const element = (id) => document.getElementById(id);
+
+// Whether a part of the page that has the focus is scrolled by a key.
+function scrolls(target, key) {
+  const place = target.closest(".scroll, .events");
+  if (!place) {
+    return false;
+  }
+  const down = (key === "Home" || key === "End") && place.scrollHeight > place.clientHeight;
+  return down || (key.startsWith("Arrow") && place.scrollWidth > place.clientWidth);
+}
 
 export class Controls {
   constructor(send) {
     this.send = send;
     this.enabled = false;
+    this.lost = false;
     this.playing = false;
-    this.step = 0;
+    this.step = 0; // the one that is shown, or that was asked for and is on its way
     this.last = 0;
-    this.held = -1e9;
+    this.asked = -1e9;
+    this.askedSpeed = -1e9;
     this.scrub = element("scrub");
     this.speed = element("speed");
     for (const speed of SPEEDS) {
@@ -21,11 +34,8 @@ export class Controls {
       this.speed.append(option);
     }
     this.speed.value = "1";
-    this.scrub.addEventListener("input", () => {
-      this.held = performance.now();
-      this.seek(Number(this.scrub.value));
-    });
-    this.speed.addEventListener("change", () => this.send({ type: "speed", speed: Number(this.speed.value) }));
+    this.scrub.addEventListener("input", () => this.seek(Number(this.scrub.value)));
+    this.speed.addEventListener("change", () => this.go(Number(this.speed.value)));
     element("play").addEventListener("click", () => this.toggle());
     element("first").addEventListener("click", () => this.seek(0));
     element("last").addEventListener("click", () => this.seek(this.last));
@@ -40,6 +50,12 @@ export class Controls {
     this.period = hello.period;
     this.scrub.max = String(this.last);
     element("playback").hidden = !hello.playback;
+  }
+
+  // Nothing can be played while there is no connection.
+  connected(connected) {
+    this.lost = !connected;
+    element("playback").disabled = this.lost;
   }
 
   // A page that comes back goes on where it was.
@@ -59,16 +75,20 @@ export class Controls {
     const button = element("play");
     button.textContent = message.playing ? "‖ Pause" : "▶ Play";
     button.setAttribute("aria-label", message.playing ? "Pause" : "Play");
-    if (document.activeElement !== this.speed && message.speed !== null) {
+    const asked = performance.now() - this.askedSpeed < PATIENCE;
+    if (document.activeElement !== this.speed && message.speed !== null && !asked) {
       this.speed.value = String(message.speed);
     }
   }
 
+  // A frame that was under way when a step was asked for must not become the one from which the next key counts.
   frame(frame) {
-    this.step = frame.step;
-    if (performance.now() - this.held > HOLD) {
-      this.scrub.value = String(frame.step);
+    const since = performance.now() - this.asked;
+    if (frame.step !== this.step && since < (this.playing ? HOLD : PATIENCE)) {
+      return;
     }
+    this.step = frame.step;
+    this.scrub.value = String(frame.step);
     this.scrub.setAttribute("aria-valuetext", `step ${frame.step}, ${frame.time.toFixed(2)} seconds`);
   }
 
@@ -78,11 +98,13 @@ export class Controls {
 
   seek(step) {
     this.step = Math.min(Math.max(Math.round(step), 0), this.last);
+    this.asked = performance.now();
+    this.scrub.value = String(this.step);
     this.send({ type: "seek", step: this.step });
   }
 
   seekTime(time) {
-    if (this.enabled && this.period) {
+    if (this.enabled && !this.lost && this.period) {
       this.seek(time / this.period);
     }
   }
@@ -90,15 +112,21 @@ export class Controls {
   faster(direction) {
     const next = Math.min(Math.max(this.speed.selectedIndex + direction, 0), SPEEDS.length - 1);
     this.speed.selectedIndex = next;
-    this.send({ type: "speed", speed: SPEEDS[next] });
+    this.go(SPEEDS[next]);
+  }
+
+  go(speed) {
+    this.askedSpeed = performance.now();
+    this.send({ type: "speed", speed });
   }
 
   key(event) {
     const target = event.target;
-    const ownKeys = target instanceof HTMLInputElement || target instanceof HTMLSelectElement;
+    const typed = target instanceof HTMLInputElement && target !== this.scrub;
+    const ownKeys = typed || target instanceof HTMLSelectElement || scrolls(target, event.key);
     const pressed = target instanceof HTMLButtonElement && event.key === " ";
     const opened = target instanceof HTMLElement && target.tagName === "SUMMARY" && event.key === " ";
-    if (!this.enabled || ownKeys || pressed || opened || event.ctrlKey || event.altKey || event.metaKey) {
+    if (!this.enabled || this.lost || ownKeys || pressed || opened || event.ctrlKey || event.altKey || event.metaKey) {
       return;
     }
     const stride = event.shiftKey && this.period ? Math.round(1 / this.period) : 1;

@@ -46,6 +46,7 @@ function take(message) {
     steering.answer(message);
   } else if (message.type === "state") {
     state = message;
+    dirty = true;
     controls.state(message);
     badge(message.phase, message.text);
   }
@@ -77,22 +78,26 @@ function badge(phase, text) {
   }
 }
 
+const LOST = "The connection to the program is lost; trying again. What is shown is what came last.";
+const FULL = "Too many pages show this already. This one is shown as soon as another is closed; trying again.";
+
 function shown(status, version) {
   const lost = status !== "open";
   document.body.classList.toggle("lost", lost);
   const banner = element("lost");
   if (lost && hello && frame && !before) {
-    before = { place: hello.place, step: frame.step, playing: state.playing, speed: state.speed ?? 1 };
+    // The step that was asked for, even if it has not come any more.
+    before = { place: hello.place, step: controls.step, playing: state.playing, speed: state.speed ?? 1 };
   }
+  controls.connected(!lost);
+  steering.connected(!lost, status === "refused");
   if (lost) {
-    const text =
-      status === "other"
-        ? `The program speaks version ${version}, this page version ${VERSION}: load the page again.`
-        : "The connection to the program is lost; trying again. What is shown is what came last.";
-    if (banner.hidden) {
+    const other = `The program speaks version ${version}, this page version ${VERSION}: load the page again.`;
+    const text = { full: FULL, other }[status] ?? LOST;
+    if (banner.hidden || banner.textContent !== text) {
       banner.textContent = text;
     }
-    badge("lost", "no connection");
+    badge("lost", status === "full" ? "too many pages" : "no connection");
   }
   banner.hidden = !lost;
 }

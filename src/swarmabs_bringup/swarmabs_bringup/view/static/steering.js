@@ -2,17 +2,29 @@
 import { short } from "./drawing.js";
 
 const STORE = "swarmabs-steer";
+const LONGEST = 100; // characters of a token that the server takes
 
 const element = (id) => document.getElementById(id);
 
+// The token in what somebody has pasted: it alone, or the address that ends with it.
+function pasted(text) {
+  const [, given] = text.match(/#(.*)/s) ?? [];
+  return (given === undefined ? text : new URLSearchParams(given).get("steer") ?? "").trim();
+}
+
+const possible = (given) => given !== "" && given.length <= LONGEST;
+
 // The token comes behind the # of the address, which browsers send to nobody, and stays in this tab alone.
 function token() {
-  const given = new URLSearchParams(location.hash.slice(1)).get("steer");
+  const given = pasted(location.hash);
   if (given) {
-    sessionStorage.setItem(STORE, given);
     history.replaceState(null, "", location.pathname);
   }
-  return sessionStorage.getItem(STORE) ?? "";
+  if (possible(given)) {
+    sessionStorage.setItem(STORE, given);
+  }
+  const kept = sessionStorage.getItem(STORE) ?? "";
+  return possible(kept) ? kept : "";
 }
 
 function options(select, robots) {
@@ -32,6 +44,7 @@ export class Steering {
     this.send = send;
     this.token = token();
     this.asked = new Map();
+    this.first = element("steered").textContent;
     for (const name of ["reference", "disturbance"]) {
       element(`steer-${name}`).addEventListener("submit", (event) => {
         event.preventDefault();
@@ -49,20 +62,54 @@ export class Steering {
     }
     element("steer-token").addEventListener("submit", (event) => {
       event.preventDefault();
-      this.token = element("token").value;
+      this.use(pasted(element("token").value));
       element("token").value = "";
-      sessionStorage.setItem(STORE, this.token);
-      this.show();
     });
+    this.show();
+  }
+
+  use(given) {
+    if (!possible(given)) {
+      this.say(`this is no token: ${given ? `it has more than ${LONGEST} characters` : "there is none in it"}`);
+      return;
+    }
+    this.token = given;
+    sessionStorage.setItem(STORE, given);
+    this.say(this.first);
+    this.show();
+  }
+
+  forget() {
+    this.token = "";
+    sessionStorage.removeItem(STORE);
     this.show();
   }
 
   ask(wish, words) {
     const bytes = crypto.getRandomValues(new Uint8Array(12));
     const request = [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-    this.asked.set(request, words);
-    this.say(`${words}: asked`);
-    this.send({ type: "steer", token: this.token, request, ...wish });
+    if (this.send({ type: "steer", token: this.token, request, ...wish })) {
+      this.asked.set(request, words);
+      this.say(`${words}: asked`);
+    } else {
+      this.say(`${words}: not sent: no connection`);
+    }
+  }
+
+  // No answers come over a connection that is gone; one that the server has ended because of a request took no token.
+  connected(connected, refused) {
+    element("steer-controls").disabled = !connected;
+    if (connected || !this.asked.size) {
+      return;
+    }
+    const words = [...this.asked.values()].join(", ");
+    this.asked.clear();
+    if (refused) {
+      this.say(`${words}: not done: the program has refused the request`);
+      this.forget();
+    } else {
+      this.say(`${words}: no answer: the connection was lost; the events say whether it was done`);
+    }
   }
 
   say(text) {
@@ -101,9 +148,7 @@ export class Steering {
     this.asked.delete(message.request);
     this.say(`${words}: ${message.ok ? "" : "not done: "}${message.text}`);
     if (!message.known) {
-      this.token = "";
-      sessionStorage.removeItem(STORE);
-      this.show();
+      this.forget();
     }
   }
 }
