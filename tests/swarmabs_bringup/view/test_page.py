@@ -11,8 +11,9 @@ from playwright.sync_api import Browser, Page, expect
 from tests.swarmabs_bringup.figures.conftest import ReadBag, record
 from tests.swarmabs_bringup.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bringup.sample_run import PERIOD
-from tests.swarmabs_bringup.view.conftest import Served, load, number, seek, serving
+from tests.swarmabs_bringup.view.conftest import PageServer, Served, load, number, seek, serving
 
+from swarmabs_bringup.view.protocol import Event, Events
 from swarmabs_bringup.view.server import MOST_PAGES
 from swarmabs_core.messages import EventKind, SwarmEvent
 
@@ -181,6 +182,17 @@ def test_keys_in_quick_succession_all_count(page: Page, served: Served) -> None:
     expect(page.get_by_label("Speed")).to_have_value("100")
 
 
+def test_there_is_no_step_rate_in_a_pause(page: Page, served: Served) -> None:
+    load(page, served)
+    rate = page.locator("#step_rate")
+    expect(rate).to_have_text("–")
+    page.get_by_label("Speed").select_option("0.1")
+    page.get_by_role("button", name="Play", exact=True).click()
+    expect(rate).to_have_text("10")
+    page.get_by_role("button", name="Pause").click()
+    expect(rate).to_have_text("–")
+
+
 def test_one_page_too_many_says_so_and_gets_its_turn(browser: Browser, page: Page, run: Path) -> None:
     with serving(run) as view:
         others = browser.new_context()
@@ -231,6 +243,66 @@ def test_home_and_end_scroll_a_table_that_has_the_focus(page: Page, served: Serv
         page.wait_for_timeout(400)
         assert table.evaluate(f"(node) => node.scroll{side} > 0") == there, key
         assert number(page, "step") == 7, key
+
+
+def test_a_robot_that_is_pointed_to_says_who_it_is(page: Page, served: Served) -> None:
+    load(page, served)
+    seek(page, 150)  # robot 1 is dead
+    box = page.locator("#plane").bounding_box()
+    assert box is not None
+    pointed = page.locator("#pointed")
+    found = set()
+    for x in range(0, int(box["width"]), 8):
+        for part in (0.36, 0.44, 0.52, 0.6, 0.68):
+            page.mouse.move(box["x"] + x, box["y"] + part * box["height"])
+            if pointed.is_visible():
+                found.add(pointed.inner_text())
+    position = page.locator("#robots tbody tr").nth(0).locator("[data-field=position]").get_attribute("value")
+    assert {text.partition(",")[0] for text in found} == {
+        *("robot 1: dead", "robot 2: active", "robot 3: active", "robot 4: active"),
+    }
+    assert any(f"robot 1: dead, {float(position or 'nan'):.4f}"[:20] in text for text in found)
+    page.mouse.move(5, 5)
+    expect(pointed).to_be_hidden()
+
+
+def test_values_of_events_have_their_units(page: Page, page_server: PageServer) -> None:
+    events = [
+        Event(step=step, time=0.01 * step, agent=agent, kind=kind, value=value, detail=detail)
+        for step, (agent, kind, value, detail) in enumerate(
+            [
+                (0, "STEERING", 0.1, "reference"),
+                (0, "STEERING", 0.0, "reference"),
+                (0, "STEERING", 0.0, "disturbance"),
+                (1, "DEAD", -0.25, "kill"),
+                (1, "LIMIT_HIT", 0.5, "command limited"),
+                (0, "LIMIT_HIT", 2.5, "torque limited to torque_max"),
+                (2, "SAFE_STOP", 0.0, ""),
+                (0, "LIMIT_HIT", None, "torque limited to torque_max"),
+                (2, "REFUSED", 3.0, "a" * 199 + "b" * 500),
+                (2, "REFUSED", 1.0, "\u05d0 text (1) that is written from right to left"),
+            ]
+        )
+    ]
+    page_server.open(Events(replace=True, events=events))
+    shown = page.locator("#events li")
+    expect(shown).to_have_text(
+        [
+            "0.00 s, step 0: steering, 0.10000 rad – reference",
+            "0.01 s, step 1: steering, 0 rad – reference",
+            "0.02 s, step 2: steering, 0 N m – disturbance",
+            "0.03 s, step 3: robot 1, dead, -0.25000 m – kill",
+            "0.04 s, step 4: robot 1, limit hit, 0.50000 m/s – command limited",
+            "0.05 s, step 5: limit hit, 2.5000 N m – torque limited to torque_max",
+            "0.06 s, step 6: robot 2, safe stop",
+            "0.07 s, step 7: limit hit – torque limited to torque_max",
+            f"0.08 s, step 8: robot 2, refused, 3.0000 – {'a' * 199}b…",
+            "0.09 s, step 9: robot 2, refused, 1.0000 – \u05d0 text (1) that is written from right to left",
+        ][::-1]
+    )
+    long = shown.locator("bdi").filter(has_text="aaa")
+    expect(long).to_have_attribute("title", "a" * 199 + "b" * 500)
+    assert shown.locator("bdi[title]").count() == 1
 
 
 def test_hostile_names_are_shown_as_text(page: Page, tmp_path: Path) -> None:
@@ -348,6 +420,36 @@ def test_pictures_are_drawn(page: Page, served: Served) -> None:
         )
         assert colours > 10
     assert page.locator(".uplot canvas").count() == 4
+
+
+def test_dashed_lines_do_not_strike_through_the_scale(page: Page, served: Served, faults: list[str]) -> None:
+    """Of the line of the angle wanted nothing is left where a number of the scale is written."""
+    page.add_init_script("""{
+        const own = CanvasRenderingContext2D.prototype.fillText;
+        window.struck = () => {
+            window.written = [];
+            window.dispatchEvent(new Event("resize"));
+            return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(
+                window.written.reduce((sum, [context, ...box]) => {
+                    const pixels = context.getImageData(...box).data;
+                    const purple = (at) => pixels[at] === 0x7b && pixels[at + 1] === 0x3f && pixels[at + 2] === 0x98;
+                    return sum + Array.from(pixels.keys()).filter((at) => at % 4 === 0 && purple(at)).length;
+                }, 0),
+            ))));
+        };
+        CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+            own.call(this, text, x, y);
+            if (this.canvas.id === "plane" && text.includes(".")) {
+                const width = this.measureText(text).width;
+                window.written?.push([this, x - width / 2, y - 8, width, 8]);
+            }
+        };
+    }""")
+    load(page, served)
+    for step in range(0, 100, 10):
+        seek(page, step)
+        assert page.evaluate("window.struck()") == 0, step
+    faults[:] = [fault for fault in faults if "getImageData" not in fault]  # that reading is slow
 
 
 @pytest.mark.full

@@ -1,7 +1,7 @@
 // What both pictures need: a canvas that has the size of its place, colours of the theme, numbers as text.
 
 const NAMES = [
-  ...["paper", "ink", "quiet", "line", "grid", "si", "di", "grey", "board", "lane", "edge", "good"],
+  ...["paper", "panel", "ink", "quiet", "line", "grid", "si", "di", "grey", "board", "lane", "edge", "good"],
   ...["admissible", "partial", "manifold", "actual", "wanted"],
 ];
 let found = null;

@@ -60,6 +60,7 @@ function greet(message) {
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
   controls.hello(message);
+  events.hello(message);
   steering.hello();
   robots.hello(message);
   processes.take({ processes: [] });
@@ -107,7 +108,7 @@ function draw(now) {
   if (!hello || !frame || (!dirty && !robots.again && !charts.stale)) {
     return;
   }
-  numbers.draw(hello, frame);
+  numbers.draw(hello, frame, state.playing ?? state.phase === "running");
   events.draw(frame);
   plane.draw(hello, frame, charts.steepest);
   abstract.draw(hello, frame, charts.curves);

@@ -1,11 +1,20 @@
 // The tilting plane, seen from above at a slant: lanes one behind the other, each robot in its own.
 import { colours, prepared, short, ticks } from "./drawing.js";
+import { STATUS } from "./tables.js";
 
 const FULL = 2 * Math.PI;
+const NEAR = 5; // px from the edge of a robot that still point to it
 
 export class PlanePicture {
   constructor(canvas) {
     this.canvas = canvas;
+    this.label = document.getElementById("pointed");
+    this.pointer = null;
+    this.spots = []; // of the robots that are drawn
+    for (const kind of ["pointermove", "pointerdown"]) {
+      canvas.addEventListener(kind, (event) => this.point({ x: event.offsetX, y: event.offsetY }));
+    }
+    canvas.addEventListener("pointerleave", () => this.point(null));
   }
 
   // Half the plane's length, m; where it is not known, what the robots need.
@@ -67,13 +76,23 @@ export class PlanePicture {
     context.fillStyle = colour.quiet;
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
+    // The dashed lines may pass here: they end around what is written.
+    context.strokeStyle = colour.panel;
+    context.lineWidth = 5;
+    context.lineJoin = "round";
+    const write = (text, x, y) => {
+      context.strokeText(text, x, y);
+      context.fillText(text, x, y);
+    };
     for (const p of ticks(-half, half, 6).filter((one) => one !== 0)) {
       const [x, y] = at(p, 0);
-      context.fillText(short(p, 2), x, y + 16);
+      write(short(p, 2), x, y + 16);
     }
-    context.fillText("m", at(half, 0)[0] + 14, at(half, 0)[1] + 16);
+    write("m", at(half, 0)[0] + 14, at(half, 0)[1] + 16);
+    context.lineJoin = "miter";
 
     this.robots(context, hello, frame, at, colour, deep.y / count);
+    this.tell();
     this.describe(hello, frame);
   }
 
@@ -117,6 +136,7 @@ export class PlanePicture {
     const mean = masses.reduce((sum, mass) => sum + mass, 0) / Math.max(count, 1) || 1;
     const usual = Math.min(Math.max(0.42 * lane, 4), 15);
     context.textBaseline = "middle";
+    this.spots = [];
     for (let index = count - 1; index >= 0; index -= 1) {
       if (position[index] === null || position[index] === undefined || status[index] === "left") {
         continue;
@@ -125,6 +145,8 @@ export class PlanePicture {
       const size = Math.min(Math.max(usual * Math.sqrt(masses[index] / mean), 2.5), 26);
       const round = hello.robots[index].kind === "single_integrator";
       this.robot(context, x, y, size, round, status[index], colour);
+      const { id } = hello.robots[index];
+      this.spots.push({ x, y, size, text: `robot ${id}: ${STATUS[status[index]] ?? "not heard"}, ${short(position[index], 4)} m` });
       if (size >= 9 && status[index] === "active") {
         context.fillStyle = round ? "#000000" : colour.paper;
         context.font = `600 ${Math.round(size)}px system-ui, sans-serif`;
@@ -169,6 +191,27 @@ export class PlanePicture {
       context.stroke();
       context.setLineDash([]);
     }
+  }
+
+  point(pointer) {
+    this.pointer = pointer;
+    this.tell();
+  }
+
+  // Say which robot is pointed to, also one that is too small for its number.
+  tell() {
+    const { pointer, label, canvas } = this;
+    const far = (spot) => Math.hypot(spot.x - pointer.x, spot.y - pointer.y) - spot.size;
+    const nearest = pointer && this.spots.reduce((best, spot) => (best && far(best) <= far(spot) ? best : spot), null);
+    label.hidden = !nearest || far(nearest) > NEAR;
+    if (label.hidden) {
+      return;
+    }
+    label.textContent = nearest.text;
+    const most = canvas.clientWidth - label.offsetWidth;
+    const x = canvas.offsetLeft + Math.min(Math.max(nearest.x - label.offsetWidth / 2, 0), most);
+    const y = canvas.offsetTop + nearest.y - nearest.size - label.offsetHeight - 6;
+    label.style.transform = `translate(${x}px, ${y}px)`;
   }
 
   // Said to those who do not see the picture, once a second at most.

@@ -4,8 +4,9 @@ import { short } from "./drawing.js";
 const ROBOTS_INTERVAL = 250; // ms
 const FEW = 24; // robots whose table is open at first
 const MOST_EVENTS = 1000;
+const LONGEST_DETAIL = 200; // characters
 const KINDS = { single_integrator: "velocity (SI)", double_integrator: "force (DI)" };
-const STATUS = { active: "active", safe_stop: "safe stop", left: "left", dead: "dead", silent: "silent" };
+export const STATUS = { active: "active", safe_stop: "safe stop", left: "left", dead: "dead", silent: "silent" };
 const BAD = new Set(["stopped", "zombie", "dead", "gone", "tracing-stop"]);
 
 const element = (id) => document.getElementById(id);
@@ -30,8 +31,10 @@ function cell(row, tag = "td") {
 }
 
 export class Numbers {
-  draw(hello, frame) {
+  // `going`: whether steps follow each other, so that there is a rate.
+  draw(hello, frame, going) {
     const { abstract, desired } = frame;
+    const rate = going ? frame.step_rate : null;
     show(element("step"), frame.step, String(frame.step));
     show(element("time"), frame.time, frame.time.toFixed(2));
     for (const name of ["angle", "reference", "angular_velocity"]) {
@@ -42,7 +45,7 @@ export class Numbers {
     show(element("inertia"), abstract.inertia);
     show(element("desired_torque"), desired.torque);
     show(element("desired_inertia"), desired.inertia);
-    show(element("step_rate"), frame.step_rate, frame.step_rate === null ? "–" : frame.step_rate.toFixed(0));
+    show(element("step_rate"), rate, rate === null ? "–" : rate.toFixed(0));
     const following = frame.robots.status.filter((status) => status === "active").length;
     show(element("following"), following, `${following} of ${hello.robots.length}`);
   }
@@ -102,9 +105,42 @@ export class Robots {
   }
 }
 
+// Units of the values of events, as far as they are known, by what reached its limit or was set.
+function unit(event, kinds) {
+  const begins = (text) => event.detail.startsWith(text);
+  if (event.kind === "STEERING") {
+    return { reference: " rad", disturbance: " N m" }[event.detail] ?? "";
+  }
+  if (event.kind !== "LIMIT_HIT") {
+    return { JOINED: " m", LEFT: " m", DEAD: " m", STALLED: " s" }[event.kind] ?? "";
+  }
+  if (!event.agent) {
+    return begins("torque limited") ? " N m" : begins("end stop") ? " rad" : "";
+  }
+  if (begins("off the plane")) {
+    return " m";
+  }
+  return begins("command limited") ? { single_integrator: " m/s", double_integrator: " N" }[kinds.get(event.agent)] ?? "" : "";
+}
+
+// The value of an event, if it has one: 0 is one only where a setting returns to it.
+function worth(event, kinds) {
+  return event.value || (event.kind === "STEERING" && event.value === 0) ? `, ${short(event.value)}${unit(event, kinds)}` : "";
+}
+
+function cut(text) {
+  const characters = [...text];
+  return characters.length > LONGEST_DETAIL ? `${characters.slice(0, LONGEST_DETAIL).join("")}…` : text;
+}
+
 export class Events {
   constructor() {
     this.list = element("events");
+    this.kinds = new Map();
+  }
+
+  hello(hello) {
+    this.kinds = new Map(hello.robots.map((robot) => [robot.id, robot.kind]));
   }
 
   take(message) {
@@ -117,8 +153,15 @@ export class Events {
       const what = document.createElement("b");
       what.textContent = event.kind.replaceAll("_", " ").toLowerCase();
       const whom = event.agent ? `robot ${event.agent}, ` : "";
-      const value = event.value ? `, ${short(event.value)}` : "";
-      item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, `${value}${event.detail ? ` – ${event.detail}` : ""}`);
+      item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, worth(event, this.kinds));
+      if (event.detail) {
+        const detail = document.createElement("bdi"); // keeps to itself in which direction it is written
+        detail.textContent = cut(event.detail);
+        if (detail.textContent !== event.detail) {
+          detail.title = event.detail;
+        }
+        item.append(" – ", detail);
+      }
       return item;
     });
     this.list.prepend(...made.reverse()); // the latest first
