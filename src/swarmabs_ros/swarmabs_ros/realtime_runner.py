@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import Parameter
@@ -19,6 +18,7 @@ from swarmabs_ros.managed import RealtimeNode, one_line
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.runner import COMMON as LOCKSTEP, Settings, fail
+from swarmabs_ros.start import initialise
 from swarmabs_ros.status import StatusChannel
 from swarmabs_ros.systemd import notify, watchdog_interval
 
@@ -77,12 +77,12 @@ def run_realtime(
     Returns
     -------
     int
-        Exit code: 0 fine, 1 something failed, 2 a parameter was refused.
+        Exit code: 0 fine, 1 something failed, 2 a parameter or the Fast DDS profile was refused.
     """
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
-        sys.stderr.write(f"error: command line of {name}: {' '.join(str(error).split())}\n")
+        initialise(name, args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
         return 2
     node = RealtimeNode(name)
     status = StatusChannel(node.get_name())

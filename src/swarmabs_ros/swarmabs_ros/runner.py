@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, cast
 import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.membership import Change
@@ -21,6 +20,7 @@ from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import SLICE, Lockstep
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.repeat import FIRST, WINDOW
+from swarmabs_ros.start import initialise
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -186,12 +186,12 @@ def run_node(
     Returns
     -------
     int
-        Exit code: 0 fine, 1 the run failed, 2 a parameter was refused.
+        Exit code: 0 fine, 1 the run failed, 2 a parameter or the Fast DDS profile was refused.
     """
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
-        sys.stderr.write(f"error: command line of {name}: {' '.join(str(error).split())}\n")
+        initialise(name, args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
         return 2
     node = SwarmNode(name)
     status = StatusChannel(node.get_name())

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 
 import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.orchestration.dds_profile import REALTIME_LEASE
+from swarmabs_core.errors import InputError
+from swarmabs_ros.start import check_profiles, initialise
 from swarmabs_ros.systemd import notify
 
 LIFE_SIGN = 1.0
@@ -24,11 +26,21 @@ _ENDS = (signal.SIGINT, signal.SIGTERM)
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the participant until it is told to end. The middleware works by itself: there is nothing to spin."""
+    """Run the participant until it is told to end; return its exit code, 2 if its profile is refused."""
+    try:
+        check_profiles(os.environ)
+        return _serve(args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+
+
+def _serve(args: list[str] | None) -> int:
+    """Wait, then be the server. The middleware works by itself: there is nothing to spin."""
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # they are waited for
     if signal.sigtimedwait(_ENDS, FORGOTTEN_AFTER) is not None:
         return 0
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    initialise("discovery_server", args)
     try:
         node = Node("discovery_server", enable_rosout=False, start_parameter_services=False)
         notify("READY=1")

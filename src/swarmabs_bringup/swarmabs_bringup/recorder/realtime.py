@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.recorder.node import GATHER_SECONDS, PARAMETERS as LOCKSTEP, REPORT_SECONDS, log_text
 from swarmabs_bringup.recorder.realtime_recording import RealtimeRecording
@@ -30,6 +29,7 @@ from swarmabs_ros.parameters import declare
 from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
 from swarmabs_ros.runner import COMMON, Settings, SwarmNode, fail
+from swarmabs_ros.start import initialise
 from swarmabs_ros.status import StatusChannel
 from swarmabs_ros.systemd import notify, watchdog_interval
 
@@ -198,9 +198,9 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop (SIGINT, SIGTERM), or `last_step` is over; return its exit code."""
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
-        sys.stderr.write(f"error: command line of recorder: {' '.join(str(error).split())}\n")
+        initialise("recorder", args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
         return 2
     node = SwarmNode("recorder")
     status = StatusChannel(node.get_name())

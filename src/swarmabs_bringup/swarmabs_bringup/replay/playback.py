@@ -11,7 +11,6 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import QoSLivelinessPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from swarmabs_bringup.bag import UnknownTypeError, message_schema
@@ -19,6 +18,7 @@ from swarmabs_bringup.replay.qos import recorded_profiles
 from swarmabs_core.errors import InputError
 from swarmabs_core.scenario.errors import printable, shorten, show
 from swarmabs_ros.runner import SwarmNode
+from swarmabs_ros.start import initialise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -176,7 +176,7 @@ def play(
     DamagedBagError
         Where the bag is damaged; all before it has been published then.
     """
-    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"], signal_handler_options=SignalHandlerOptions.NO)
+    initialise(NAME, ["--ros-args", "--disable-external-lib-logs"])
     node: Node = SwarmNode(NAME)
     try:
         publishers = {

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.visualization.description import plane_urdf
 from swarmabs_bringup.visualization.foxglove_port import HOST
@@ -36,6 +35,7 @@ from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import Settings, SwarmNode
+from swarmabs_ros.start import initialise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -118,12 +118,12 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
     Returns
     -------
     int
-        Exit code: 0 fine, 1 failed, 2 a parameter was refused.
+        Exit code: 0 fine, 1 failed, 2 a parameter or the Fast DDS profile was refused.
     """
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        sys.stderr.write(f"error: command line of plane_markers: {' '.join(str(error).split())}\n")
+        initialise("plane_markers", args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
         return 2
     node = SwarmNode("plane_markers")
     sinks: list[Sink] = []
