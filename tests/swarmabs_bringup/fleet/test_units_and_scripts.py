@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import stat
 import subprocess
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from tests.swarmabs_bringup.fleet.fleets import EXAMPLES, contents, deployed, edited
@@ -141,6 +143,121 @@ def test_install_twice_and_uninstall(checkout: Path, tmp_path: Path) -> None:
     assert start(installed / "uninstall.sh", root).returncode == 0
     assert contents(root) == {}
     assert start(bundle / "uninstall.sh", root).returncode == 1
+
+
+def modes(folder: Path) -> dict[str, int]:
+    """Return the modes of a folder and of the folders below it, by path."""
+    found = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
+    return {str(path.relative_to(folder)): stat.S_IMODE(path.stat().st_mode) for path in found}
+
+
+def test_everybody_may_enter_the_folders_on_the_way_and_nobody_those_of_secrets(checkout: Path, tmp_path: Path) -> None:
+    changed = here("tunnel", checkout, ("checkout: ", "prefix: /srv/swarms/bundles, checkout: "))
+    bundle, root = deployed(changed, tmp_path / "out", tmp_path / "keys") / "base", tmp_path / "root"
+    assert start(bundle / "install.sh", root).returncode == 0
+    found = modes(root)
+    assert {"srv/swarms/bundles/floor", "etc/systemd/system", "etc/wireguard"} < set(found)
+    closed = {path for path, mode in found.items() if mode != 0o755}
+    assert closed == {"etc/wireguard", "srv/swarms/bundles/floor/wireguard"}
+    assert {found[path] for path in closed} == {0o700}
+
+
+@pytest.mark.parametrize("content", ["nothing", "a bundle", "something else"])
+def test_a_prefix_that_was_made_for_root_alone_is_opened(content: str, checkout: Path, tmp_path: Path) -> None:
+    bundle, root = bundles("lan", checkout) / "base", tmp_path / "root"
+    prefix = root / "etc" / "swarmabs"
+    if content == "a bundle":
+        assert start(bundle / "install.sh", root).returncode == 0
+    else:
+        prefix.mkdir(parents=True)
+    if content == "something else":
+        (prefix / "mine").touch()
+    prefix.chmod(0o700)
+    assert start(bundle / "install.sh", root).returncode == 0
+    # What somebody keeps to himself with other things in it is not this script's to open.
+    assert stat.S_IMODE(prefix.stat().st_mode) == (0o700 if content == "something else" else 0o755)
+
+
+@pytest.mark.parametrize("name", ["lan", "tunnel"])
+def test_another_account_can_read_what_nodes_need(name: str, checkout: Path) -> None:
+    setpriv = shutil.which("setpriv")
+    if os.geteuid() or setpriv is None:
+        pytest.skip("only root can try as another account, by setpriv")
+    bundle = bundles(name, checkout) / "base"
+    with TemporaryDirectory() as folder:  # the folders of tests are closed to others
+        Path(folder).chmod(0o755)
+        assert start(bundle / "install.sh", Path(folder)).returncode == 0
+        installed = Path(folder) / "etc" / "swarmabs" / ("floor" if name == "tunnel" else name)
+        needed = [path for path in contents(installed) if not path.startswith("wireguard/")]
+        assert {"nodes/parent_controller.yaml", "dds/coordinator.xml", "scenario.yaml"} < set(needed)
+        nobody = [setpriv, "--reuid=65534", "--regid=65534", "--clear-groups", "--"]
+        command = [*nobody, "cat", *(installed / path for path in needed)]
+        done = subprocess.run(command, capture_output=True, check=False)
+        assert (done.returncode, done.stderr) == (0, b"")
+        if name == "tunnel":
+            command = [*nobody, "cat", installed / "wireguard" / "floor0.conf"]
+            assert b"Permission denied" in subprocess.run(command, capture_output=True, check=False).stderr
+
+
+@pytest.mark.parametrize("place", ["floor", "floor.new", "floor.old"])
+@pytest.mark.parametrize("content", ["file", "manifest of another", "link"])
+def test_a_folder_that_is_no_bundle_of_the_fleet_is_left_alone(
+    place: str, content: str, checkout: Path, tmp_path: Path
+) -> None:
+    bundle, root = bundles("tunnel", checkout) / "base", tmp_path / "root"
+    foreign = root / "etc" / "swarmabs" / place
+    if content == "link":
+        foreign.parent.mkdir(parents=True)
+        foreign.symlink_to(tmp_path / "elsewhere")
+    else:
+        foreign.mkdir(parents=True)
+        name = "sshd_config" if content == "file" else "manifest.json"
+        (foreign / name).write_text('{\n  "bundle": 1,\n  "fleet": "floor2",\n  "name": "floor"\n}\n')
+    before = contents(root)
+    scripts = ["install.sh", "uninstall.sh"] if foreign.is_dir() and place == "floor" else ["install.sh"]
+    for script in scripts:
+        done = start(bundle / script, root)
+        assert done.returncode == 1
+        assert done.stderr.startswith(f"{script}: {foreign} is no bundle of floor, so it stays as it is; move it away")
+        assert contents(root) == before
+        assert foreign.is_symlink() == (content == "link")
+
+
+@pytest.mark.parametrize("place", [".new", ".old"])
+def test_uninstalling_leaves_alone_what_stands_beside(place: str, checkout: Path, tmp_path: Path) -> None:
+    bundle, root = bundles("lan", checkout) / "base", tmp_path / "root"
+    assert start(bundle / "install.sh", root).returncode == 0
+    beside = root / "etc" / "swarmabs" / f"lan{place}"
+    beside.mkdir()
+    (beside / "mine").touch()
+    before = contents(root)
+    done = start(root / "etc/swarmabs/lan/uninstall.sh", root)
+    assert (done.returncode, "is no bundle of lan" in done.stderr) == (1, True)
+    assert contents(root) == before
+
+
+@pytest.mark.parametrize("change", ["renamed", "none", "not ours"])
+def test_a_tunnel_that_a_new_bundle_has_no_more_is_removed(change: str, checkout: Path, tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    assert start(bundles("tunnel", checkout) / "base" / "install.sh", root).returncode == 0
+    tunnels = root / "etc" / "wireguard"
+    text = EXAMPLES["tunnel"].read_text(encoding="utf-8")
+    if change == "none":
+        changes = [("level: tunnel, interface: floor0, port: 51820", "level: none")]
+        changes += [(part, "}") for part in re.findall(r", tunnel_address: [0-9.]+}", text)]
+    else:
+        changes = [("interface: floor0", "interface: floor9")]
+    if change == "not ours":
+        (tunnels / "floor0.conf").write_text("# mine\n")
+    keys = None if change == "none" else tmp_path / "keys"
+    output = deployed(here("tunnel", checkout, *changes), tmp_path / "new", keys)
+    done = start(output / "base" / "install.sh", root)
+    assert done.returncode == 0, done.stderr
+    expected = {"renamed": {"floor9.conf"}, "none": set(), "not ours": {"floor0.conf", "floor9.conf"}}[change]
+    assert {path.name for path in tunnels.iterdir()} == expected
+    # A bundle's own script removes what is installed, not what the bundle would.
+    assert start(checkout.parent / "tunnel-bundles" / "base" / "uninstall.sh", root).returncode == 0
+    assert {path.name for path in tunnels.iterdir()} == expected - {"floor9.conf"}
 
 
 def test_the_environment_of_an_installed_ros(checkout: Path, tmp_path: Path) -> None:

@@ -37,7 +37,8 @@ unset CDPATH
 here=$(cd -- "$(dirname -- "$0")" && pwd -P)
 installed=$root$prefix/$fleet
 unit_folder=$root@UNIT_FOLDER@
-tunnel_file=$root@WIREGUARD_FOLDER@/$tunnel.conf
+wireguard_folder=@WIREGUARD_FOLDER@
+tunnel_file=$root$wireguard_folder/$tunnel.conf
 tunnel_heading=@TUNNEL_HEADING@
 
 fail() {
@@ -54,12 +55,79 @@ as_root() {
 own_tunnel() {
     [ "$(head -n 1 -- "$1")" = "$tunnel_heading" ]
 }
+
+# Says whether a folder holds a bundle of this fleet, whole or not.
+own_bundle() {
+    [ -f "$1/manifest.json" ] && grep -qxF -- "  \\"fleet\\": \\"$fleet\\"," "$1/manifest.json"
+}
+
+# Refuses to touch what stands in the place of a bundle and is none of this fleet; an empty folder is nobody's.
+only_own() {
+    if [ -e "$1" ] || [ -L "$1" ]; then
+        own_bundle "$1" || { [ -d "$1" ] && [ ! -L "$1" ] && [ -z "$(ls -A -- "$1")" ]; } ||
+            fail "$1 is no bundle of $fleet, so it stays as it is; move it away, or change name or installation.prefix"
+    fi
+}
+
+# Removes a bundle; that it is one can be seen as long as anything of it is there.
+remove_bundle() {
+    for entry in "$1"/* "$1"/.[!.]*; do
+        [ "${entry##*/}" = manifest.json ] || rm -rf -- "$entry"
+    done
+    rm -rf -- "$1"
+}
+
+# Prints the interfaces of the tunnels that the installed bundle has.
+installed_tunnels() {
+    [ ! -f "$installed/manifest.json" ] ||
+        sed -n 's|^    "wireguard/\\([A-Za-z0-9_.-]*\\)\\.conf": {$|\\1|p' "$installed/manifest.json"
+}
+
+# Ends a tunnel of the installed bundle, which takes the installed fence down, and removes its configuration.
+remove_tunnel() {
+    file=$root$wireguard_folder/$1.conf
+    if [ -e "$file" ] && own_tunnel "$file"; then
+        [ -n "$root" ] || systemctl disable --now -- "wg-quick@$1.service" || :
+        rm -f -- "$file"
+    fi
+}
 """
 
 _INSTALL = """
 # Prints what a tunnel's configuration says of the host itself.
 own_part() {
     sed '/^$/,$d' -- "$1"
+}
+
+# Prints what a fence.sh keeps others from.
+fenced() {
+    sed -n '/^address=/p;/^interface=/p' -- "$1"
+}
+
+# Says whether the fence of the installed bundle is up.
+fence_is_up() {
+    command -v ip >/dev/null || return 1
+    of=$(sed -n 's/^  "address": "\\([0-9.]*\\)",$/\\1/p' "$installed/manifest.json")
+    [ -n "$of" ] && [ -n "$(ip -4 rule show pref 3 to "$of")" ]
+}
+
+# Makes a folder that everybody may enter, and those on the way to it.
+make_folder() {
+    (umask 022 && mkdir -p -- "$1")
+}
+
+# Says whether the prefix is a folder that earlier versions of this script have made for themselves alone.
+closed_prefix() {
+    [ "$(stat -c %a -- "$root$prefix" 2>/dev/null)" = 700 ] || return 1
+    for entry in "$root$prefix"/* "$root$prefix"/.[!.]*; do
+        [ ! -e "$entry" ] || [ -f "$entry/manifest.json" ] || return 1
+    done
+}
+
+# Starts a command as the account of the nodes; where that cannot be done, it is not started.
+as_user() {
+    ! command -v setpriv >/dev/null ||
+        setpriv --reuid "$user" --regid "$(id -g -- "$user")" --init-groups -- "$@"
 }
 
 # Everything is looked at before anything is changed.
@@ -83,25 +151,32 @@ if [ -n "$tunnel" ]; then
     [ ! -e "$tunnel_file" ] || own_tunnel "$tunnel_file" ||
         fail "$tunnel_file is not of this fleet; name another security.interface in the fleet file"
 fi
-
 new=$installed.new
 old=$installed.old
-trap 'rm -rf -- "$new"' EXIT
+for folder in "$installed" "$new" "$old"; do
+    only_own "$folder"
+done
+
+trap 'remove_bundle "$new"' EXIT
 trap 'exit 1' HUP INT TERM
-mkdir -p -- "$root$prefix" "$unit_folder"
+make_folder "$root$prefix"
+make_folder "$unit_folder"
+! closed_prefix || chmod 755 "$root$prefix"
 # An earlier start of this script was interrupted between two renamings.
 if [ -e "$old" ] && [ ! -e "$installed" ]; then
     mv -- "$old" "$installed"
 fi
-rm -rf -- "$new" "$old"
+remove_bundle "$new"
+remove_bundle "$old"
 
 # Only what the list names is copied, with modes of its own whatever has become of them on the way here.
 mkdir -- "$new"
+cp -- manifest.json "$new/"
 while read -r _ path; do
     mkdir -p -- "$new/$(dirname -- "$path")"
     cp -- "$path" "$new/$path"
 done <SHA256SUMS
-cp -- SHA256SUMS manifest.json "$new/"
+cp -- SHA256SUMS "$new/"
 find "$new" -type d -exec chmod 755 {} +
 find "$new" -type f -exec chmod 644 {} +
 chmod 755 "$new/install.sh" "$new/uninstall.sh" "$new/restart.sh" "$new/fence.sh"
@@ -112,6 +187,10 @@ for secret in keystore wireguard; do
 done
 if [ -d "$new/keystore" ] && [ -z "$root" ]; then
     chown -R -- "$user:" "$new/keystore"
+fi
+if [ -z "$root" ]; then
+    as_user test -r "$new/units.txt" ||
+        fail "$user cannot enter $prefix; let others enter it and what it is in (chmod o+x), or name another prefix"
 fi
 
 # The environment of ROS 2 on this host, asked for without anything of whoever installs.
@@ -135,22 +214,36 @@ if [ -f "$installed/units.txt" ]; then
         rm -f -- "$unit_folder/$unit"
     done <"$installed/units.txt"
 fi
+# What is up of the tunnel and the fence as they were is ended with the files that have started it. One that stays and
+# is up must learn who belongs to it and who no longer does; only its own part needs a new beginning.
+tunnel_verb=start
+fence_verb=
+for name in $(installed_tunnels); do
+    [ "$name" = "$tunnel" ] || remove_tunnel "$name"
+done
+if [ -n "$tunnel" ] && [ -e "$tunnel_file" ] && ! cmp -s -- "$new/wireguard/$tunnel.conf" "$tunnel_file"; then
+    tunnel_verb=reload-or-restart
+    if [ "$(own_part "$new/wireguard/$tunnel.conf")" != "$(own_part "$tunnel_file")" ]; then
+        tunnel_verb=start
+        [ -n "$root" ] || systemctl stop -- "wg-quick@$tunnel.service" || :
+    fi
+fi
+if [ -z "$root" ] && [ -x "$installed/fence.sh" ] &&
+    [ "$(fenced "$installed/fence.sh")" != "$(fenced "$new/fence.sh")" ]; then
+    [ -n "$tunnel" ] || ! fence_is_up || fence_verb=up
+    "$installed/fence.sh" down || :
+fi
+
 [ ! -e "$installed" ] || mv -- "$installed" "$old"
 mv -- "$new" "$installed"
-rm -rf -- "$old"
+remove_bundle "$old"
 while read -r unit; do
     cp -- "$installed/systemd/$unit" "$unit_folder/.$unit.new"
     chmod 644 "$unit_folder/.$unit.new"
     mv -- "$unit_folder/.$unit.new" "$unit_folder/$unit"
 done <"$installed/units.txt"
-tunnel_verb=start
 if [ -n "$tunnel" ]; then
     mkdir -p -- "${tunnel_file%/*}"
-    # One that is up must learn who belongs to it and who no longer does; only its own part needs a new beginning.
-    if [ -e "$tunnel_file" ] && ! cmp -s -- "$installed/wireguard/$tunnel.conf" "$tunnel_file"; then
-        tunnel_verb=reload-or-restart
-        [ "$(own_part "$installed/wireguard/$tunnel.conf")" = "$(own_part "$tunnel_file")" ] || tunnel_verb=restart
-    fi
     cp -- "$installed/wireguard/$tunnel.conf" "$tunnel_file.new"
     chmod 600 "$tunnel_file.new"
     mv -- "$tunnel_file.new" "$tunnel_file"
@@ -162,6 +255,7 @@ if [ -z "$root" ]; then
         systemctl "$tunnel_verb" -- "wg-quick@$tunnel.service"
     fi
     systemctl enable -- "$target"
+    [ -z "$fence_verb" ] || "$installed/fence.sh" "$fence_verb"
 fi
 : >"$installed/complete"
 chmod 644 "$installed/complete"
@@ -172,6 +266,9 @@ printf 'start it with: systemctl start %s; a running one takes it over with: %s/
 _UNINSTALL = """
 as_root
 [ -d "$installed" ] || fail "$installed is not there; nothing is installed"
+for folder in "$installed" "$installed.new" "$installed.old"; do
+    only_own "$folder"
+done
 units=
 [ ! -f "$installed/units.txt" ] || units=$(cat -- "$installed/units.txt")
 [ -n "$root" ] || systemctl disable --now -- "$target" || :
@@ -179,14 +276,15 @@ for unit in $units; do
     [ -n "$root" ] || systemctl disable --now -- "$unit" || :
     rm -f -- "$unit_folder/$unit"
 done
-if [ -n "$tunnel" ] && [ -e "$tunnel_file" ] && own_tunnel "$tunnel_file"; then
-    [ -n "$root" ] || systemctl disable --now -- "wg-quick@$tunnel.service" || :
-    rm -f -- "$tunnel_file"
-fi
+for name in $(installed_tunnels); do
+    remove_tunnel "$name"
+done
 [ -n "$root" ] || systemctl daemon-reload
 [ -n "$root" ] || [ ! -x "$installed/fence.sh" ] || "$installed/fence.sh" down || :
 cd /
-rm -rf -- "$installed" "$installed.new" "$installed.old"
+for folder in "$installed.new" "$installed.old" "$installed"; do
+    remove_bundle "$folder"
+done
 rmdir -- "$root$prefix" 2>/dev/null || :
 printf 'uninstalled the bundle of %s; recordings stay in %s\\n' "$host" @STATE@
 """
