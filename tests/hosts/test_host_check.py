@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from tests.hosts.cluster import hosts, until_ready
@@ -27,15 +28,18 @@ def verdicts(station: Station) -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.timeout(200)
-def test_a_host_is_examined_where_it_is(tmp_path: Path) -> None:
-    with hosts(3) as machines:
-        fleet = FleetOnHosts(machines, tmp_path / "fleet")
+def test_a_host_is_examined_where_it_is() -> None:
+    # The checkout is where the account of the nodes can enter, unlike the folders of tests.
+    with TemporaryDirectory(dir="/tmp") as folder, hosts(3) as machines:
+        Path(folder).chmod(0o755)
+        fleet = FleetOnHosts(machines, Path(folder) / "fleet")
         fleet.install()
         robot = fleet.robots[1]
         installed = robot.etc / "swarmabs" / "net"
         found = verdicts(robot)
-        assert {verdict for verdict, _ in found.values()} == {"ok"}, found
-        assert {"bundle net/robot-1", "interface", "ports", "packages", "checkout", "account", "systemd"} == set(found)
+        assert {check: entry for check, entry in found.items() if entry[0] != "ok"} == {}
+        expected = {"interface", "ports", "packages", "checkout", "account", "access", "systemd"}
+        assert set(found) == {"bundle net/robot-1", *expected}
 
         (node,) = nodes_on(fleet.loaded.fleet, "robot-1")
         port = ports(fleet.loaded.fleet, node)[1]
@@ -48,6 +52,11 @@ def test_a_host_is_examined_where_it_is(tmp_path: Path) -> None:
         robot.run("systemctl", "start", "--", fleet.target)
         assert verdicts(robot)["ports"] == ("note", "the fleet's own nodes are running and hold them")
         robot.run("systemctl", "stop", "--", fleet.target)
+
+        installed.parent.chmod(0o700)
+        verdict, text = verdicts(robot)["access"]
+        assert (verdict, text.partition(",")[0]) == ("bad", "swarmabs has no access to /etc/swarmabs (mode 0700)")
+        installed.parent.chmod(0o755)
 
         parameters = installed / "nodes" / "agent_001.yaml"
         parameters.write_text(parameters.read_text().replace("0.3552", "3.552"))

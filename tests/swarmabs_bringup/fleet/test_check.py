@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from tests.swarmabs_bringup.fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited, example
@@ -14,6 +16,7 @@ from swarmabs_bringup.cli import main
 from swarmabs_bringup.doctor import Finding
 from swarmabs_bringup.fleet.check import check
 from swarmabs_bringup.fleet.clock import read_chrony, read_pmc, read_timedatectl
+from swarmabs_bringup.fleet.host_check import Reader
 from swarmabs_bringup.fleet.loader import load_fleet
 from swarmabs_bringup.orchestration.domain import claimed_domain
 from swarmabs_core.errors import InputError
@@ -216,6 +219,71 @@ def test_a_machine_that_is_not_the_host(machine: Machine) -> None:
     assert found["systemd"].verdict == "bad"
     assert found["checkout"].text.startswith("there is no /nowhere/swarmabs/scripts/swarm; ")
     assert found["account"].text.startswith("there is no nobody-here; make it: useradd")
+
+
+class Installed:
+    """The bundle of a fleet of one host, installed where everybody may enter, for an account of this machine."""
+
+    def __init__(self, folder: Path, account: str) -> None:
+        folder.chmod(0o755)
+        self.folder = folder
+        changes = [("/etc/swarmabs", f"{folder}/etc"), ("/nowhere", f"{folder}/opt"), ("nobody-here", account)]
+        fleet = edited(folder / "one.yaml", ONE_HOST, *changes)
+        output = deployed(load_fleet(fleet), folder / "out")
+        (folder / "etc").mkdir()
+        self.bundle = (output / "base").rename(folder / "etc" / "one")
+        self.python = folder / "opt" / "swarmabs" / ".venv" / "bin" / "python"
+        self.python.parent.mkdir(parents=True)
+        self.python.symlink_to("/bin/sh")
+
+    def access(self) -> Finding:
+        return {finding.check: finding for finding in check([self.bundle], "base")}["access"]
+
+
+@pytest.fixture
+def installed() -> Iterator[Installed]:
+    with TemporaryDirectory(dir="/tmp") as folder:  # the folders of tests are closed to others
+        yield Installed(Path(folder), "nobody")
+
+
+def test_the_account_of_the_nodes_must_be_able_to_read_its_bundle(installed: Installed) -> None:
+    assert installed.access() == Finding("access", "ok", f"nobody can read {installed.bundle}")
+    for path, mode, remedy in (
+        (installed.bundle.parent, 0o700, "start install.sh of the bundle again"),
+        (installed.bundle, 0o750, "start install.sh of the bundle again"),
+        (installed.bundle / "dds", 0o744, "start install.sh of the bundle again"),
+        (installed.bundle / "dds" / "robot.xml", 0o600, "start install.sh of the bundle again"),
+        (installed.folder / "opt", 0o700, "let others enter it"),
+    ):
+        before = path.stat().st_mode & 0o7777
+        path.chmod(mode)
+        text = f"nobody has no access to {path} (mode {mode:04o}), so no node starts; {remedy}"
+        assert installed.access() == Finding("access", "bad", text)
+        path.chmod(before)
+    assert installed.access().verdict == "ok"
+
+
+def test_what_is_not_installed_is_not_looked_at(installed: Installed) -> None:
+    installed.bundle = installed.bundle.rename(installed.folder / "elsewhere")
+    finding = installed.access()
+    assert (finding.verdict, "nothing is installed in" in finding.text) == ("note", True)
+
+
+def test_owner_and_groups_of_a_file_decide(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    found = file.stat()
+    other, group = Reader(found.st_uid + 1, frozenset()), Reader(found.st_uid + 1, frozenset({found.st_gid}))
+    for mode, own, of_group, others in (
+        (0o400, True, False, False),
+        (0o070, False, True, False),
+        (0o604, True, False, True),
+    ):
+        file.chmod(mode)
+        assert group.may(file, os.R_OK) == of_group
+        assert other.may(file, os.R_OK) == others
+        if found.st_uid:
+            assert Reader(found.st_uid, frozenset({found.st_gid})).may(file, os.R_OK) == own
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

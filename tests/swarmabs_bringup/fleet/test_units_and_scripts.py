@@ -184,7 +184,7 @@ def test_another_account_can_read_what_nodes_need(name: str, checkout: Path) -> 
     if os.geteuid() or setpriv is None:
         pytest.skip("only root can try as another account, by setpriv")
     bundle = bundles(name, checkout) / "base"
-    with TemporaryDirectory() as folder:  # the folders of tests are closed to others
+    with TemporaryDirectory(dir="/tmp") as folder:  # the folders of tests are closed to others
         Path(folder).chmod(0o755)
         assert start(bundle / "install.sh", Path(folder)).returncode == 0
         installed = Path(folder) / "etc" / "swarmabs" / ("floor" if name == "tunnel" else name)

@@ -9,6 +9,7 @@ import re
 import shutil
 import socket
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -130,6 +131,92 @@ def _account(manifest: Manifest) -> Finding:
     return Finding("account", "ok", manifest.user)
 
 
+def _readable(manifest: Manifest) -> Finding:
+    """Say whether the account of the nodes can read its installed bundle and start the checkout's interpreter.
+
+    What decides are owners and modes; access control lists are not looked at.
+    """
+    what = "access"
+    try:
+        entry = pwd.getpwnam(manifest.user)
+    except KeyError:
+        return Finding(what, "note", f"not looked at: there is no account {manifest.user}")
+    installed = Path(manifest.installed)
+    if not _is_there(installed):
+        return Finding(what, "note", f"not looked at: nothing is installed in {installed}")
+    try:
+        closed = _closed(manifest, Reader.of(entry))
+    except PermissionError as error:
+        return Finding(what, "note", f"not looked at: {error.filename} cannot be entered; start this as root")
+    except OSError as error:
+        return Finding(what, "bad", f"{error.filename}: {error.strerror}; start install.sh of the bundle again")
+    if closed is None:
+        return Finding(what, "ok", f"{manifest.user} can read {installed}")
+    ours = closed.is_relative_to(installed.parent)
+    remedy = "start install.sh of the bundle again" if ours else "let others enter it"
+    mode = closed.stat().st_mode & 0o7777
+    return Finding(
+        what, "bad", f"{manifest.user} has no access to {closed} (mode {mode:04o}), so no node starts; {remedy}"
+    )
+
+
+def _closed(manifest: Manifest, reader: Reader) -> Path | None:
+    """Return the first of the folders and files that a node needs which its account cannot use.
+
+    Raises
+    ------
+    OSError
+        If one of them is not there, or cannot be looked at.
+    """
+    for path in manifest.files:
+        # Of a tunnel's configuration only root needs to know.
+        if not path.startswith("wireguard/") and (closed := reader.stopped_at(Path(manifest.installed) / path)):
+            return closed
+    if manifest.ros != "wheels":
+        return None
+    python = Path(manifest.checkout) / ".venv" / "bin" / "python"
+    return reader.stopped_at(python) or (None if reader.may(python, os.X_OK) else python)
+
+
+def _is_there(path: Path) -> bool:
+    """Say whether something is at a path; what is behind a closed folder counts as there."""
+    try:
+        path.stat()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """An account, as far as the modes of files are concerned."""
+
+    uid: int
+    groups: frozenset[int]
+
+    @classmethod
+    def of(cls, entry: pwd.struct_passwd) -> Reader:
+        """Return the account of an entry in the list of accounts."""
+        return cls(entry.pw_uid, frozenset(os.getgrouplist(entry.pw_name, entry.pw_gid)))
+
+    def may(self, path: Path, wanted: int) -> bool:
+        """Say whether the account has a right to a file or folder, `os.R_OK` or `os.X_OK`."""
+        found = path.stat()
+        if self.uid == 0:
+            return True
+        shift = 6 if found.st_uid == self.uid else 3 if found.st_gid in self.groups else 0
+        return bool(found.st_mode >> shift & wanted)
+
+    def stopped_at(self, path: Path) -> Path | None:
+        """Return the first folder on the way that the account cannot enter, or the file that it cannot read."""
+        for folder in reversed(path.parents):
+            if not self.may(folder, os.X_OK):
+                return folder
+        return None if self.may(path, os.R_OK) else path
+
+
 def _systemd(manifest: Manifest) -> Finding:
     version = _output("systemctl", "--version")
     found = re.match(r"systemd (\d+)", version)
@@ -169,5 +256,6 @@ _CHECKS: tuple[Callable[[Manifest], Finding], ...] = (
     _packages,
     _checkout,
     _account,
+    _readable,
     _systemd,
 )
