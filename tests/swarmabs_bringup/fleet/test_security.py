@@ -160,6 +160,12 @@ def test_who_may_publish_what(hall: Path) -> None:
         "rt/cmd_vel": {"agent_001"},
         "rt/odom": {"driver_arm_1"},
         "rt/plane/encoder": {"driver_base"},
+        "rt/hall/swarm/events": {
+            *("plane_driver", "abstraction_observer", "parent_controller", "agent_001", "agent_002", "operator_base")
+        },
+        "rt/hall/diagnostics": {
+            *("plane_driver", "abstraction_observer", "parent_controller", "agent_001", "agent_002")
+        },
     }
     for topic, expected in publishers.items():
         assert {name for name, folder in found.items() if may(folder, "publish", topic)} == expected, topic
@@ -175,7 +181,7 @@ def test_who_may_publish_what(hall: Path) -> None:
         "ros_discovery_info",
         "rt/rosout",
         "rt/parameter_events",
-        "rt/diagnostics",
+        "rt/hall/diagnostics",
         "rt/hall/swarm/agent_state",
         "rt/hall/swarm/events",
         "rt/hall/agent_001/*",

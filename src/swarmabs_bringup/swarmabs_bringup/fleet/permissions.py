@@ -8,7 +8,7 @@ from xml.sax.saxutils import escape
 
 from swarmabs_bringup.fleet.environment import tool_enclave
 from swarmabs_bringup.fleet.names import path_of
-from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER, node_plans
+from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER, node_plans, nodes_on
 from swarmabs_bringup.fleet.profile import profile_roles
 from swarmabs_bringup.fleet.robots import TopicDrive
 from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
@@ -33,7 +33,18 @@ if TYPE_CHECKING:
 
 _DISCOVERY_INFO = "ros_discovery_info"
 """The topic by which ROS nodes say which endpoints are theirs."""
-_OF_EVERY_NODE = ("rt/rosout", "rt/parameter_events", "rt/diagnostics")
+_PARAMETER_EVENTS, _LOG = "rt/parameter_events", "rt/rosout"
+_DRIVERS_DIAGNOSTICS = "rt/diagnostics"
+"""Where nodes that are not the swarm's say how they are."""
+_PLAIN = (RECORDER, DISCOVERY)
+"""Nodes without a life cycle, diagnostics and a log by topic."""
+_COMMAND_LINE = "_ros2cli"
+"""With what the names of nodes of ROS's command line begin."""
+_MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
+_COMMANDED = {"twist": "cmd_vel", "force": "force", "joint": "joint_command"}
+"""Names of topics below a node's own where the fleet file gives none."""
+DIAGNOSTICS = "diagnostics"
+"""Where the swarm's nodes say how they are, as in `swarmabs_ros.diagnostics`, which needs ROS."""
 _PUBLISHED: dict[str, tuple[Topic, ...]] = {
     PLANE: (PLANE_STATE, BASIS, EVENTS),
     PLANE_DRIVER: (PLANE_STATE, EVENTS),
@@ -43,10 +54,10 @@ _PUBLISHED: dict[str, tuple[Topic, ...]] = {
     DISCOVERY: (),
 }
 _HEARD: dict[str, tuple[Topic, ...]] = {
-    PLANE: (AGENT_STATE, EVENTS),
+    PLANE: (AGENT_STATE,),
     PLANE_DRIVER: (),
-    OBSERVER: (AGENT_STATE, PLANE_STATE),
-    CONTROLLER: (PLANE_STATE,),
+    OBSERVER: (AGENT_STATE, EVENTS),
+    CONTROLLER: (PLANE_STATE, ABSTRACT_STATE),
     RECORDER: (*MAIN_TOPICS, EVENTS, BASIS),
     DISCOVERY: (),
 }
@@ -153,55 +164,75 @@ def host_enclaves(fleet: Fleet, host: str) -> dict[str, Rights]:
 
 def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     """Return what a node may do: a robot publishes its own state, and nobody but the controller the desired one."""
-    ns = fleet.namespace
-    robot = node.robot
-    published = (AGENT_STATE, EVENTS) if robot else _PUBLISHED[node.name]
-    heard = BROADCASTS if robot else _HEARD[node.name]
-    publish = [_DISCOVERY_INFO, *_OF_EVERY_NODE, *(_topic(ns, topic.name) for topic in published)]
-    subscribe = [_DISCOVERY_INFO, "rt/parameter_events", *(_topic(ns, topic.name) for topic in heard)]
-    # The node's own topics and services, those of its parameters and its life cycle among them.
-    own = path_of(ns, node.name)
-    publish += [f"rt{own}/*", f"rr{own}/*Reply"]
-    subscribe += [f"rq{own}/*Request"]
+    ns, own = fleet.namespace, path_of(fleet.namespace, node.name)
+    managed = node.name not in _PLAIN
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS]
+    subscribe = [_DISCOVERY_INFO]
+    if managed:  # it has a log, diagnostics, and a life cycle, whose topic is its own
+        publish += [_LOG, _topic(ns, DIAGNOSTICS), f"rt{own}/*"]
+    publish += [_topic(ns, topic.name) for topic in _published(node)]
+    subscribe += [_topic(ns, topic.name) for topic in _heard(node)]
+    if node.name != RECORDER:  # services: those of its parameters and its life cycle among them
+        publish.append(f"rr{own}/*Reply")
+        subscribe.append(f"rq{own}/*Request")
     for service in _SERVICES.get(node.name, ()):
         publish.append(f"rr{path_of(ns, service)}Reply")
         subscribe.append(f"rq{path_of(ns, service)}Request")
-    if node.name in {PLANE, PLANE_DRIVER}:
-        publish.append(_topic(ns, "plane/joint_states"))
-    if node.name == PLANE_DRIVER and fleet.coordinators.plane.type == "driver":
-        subscribe.append(_topic(ns, fleet.coordinators.plane.topic or f"{PLANE_DRIVER}/*"))
-    if robot is not None and isinstance(robot.drive, TopicDrive):
-        named = {what: _topic(ns, topic) for what, topic in robot.drive.topics.items()}
-        publish += [topic for what, topic in named.items() if what == "command"]
-        subscribe += [topic for what, topic in named.items() if what != "command"]
-        subscribe.append(f"rt{own}/*")
-    return Rights(tuple(publish), tuple(subscribe))
+    measured, commanded = _body_topics(fleet, node)
+    publish += [topic for topic in commanded if not topic.startswith(f"rt{own}/")]
+    return Rights(tuple(publish), (*subscribe, *measured))
+
+
+def _published(node: NodePlan) -> tuple[Topic, ...]:
+    return (AGENT_STATE, EVENTS) if node.robot else _PUBLISHED[node.name]
+
+
+def _heard(node: NodePlan) -> tuple[Topic, ...]:
+    return BROADCASTS if node.robot else _HEARD[node.name]
+
+
+def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
+    """Return the topics by which a node learns of its body, or of the plane, and those by which it commands it."""
+    own = path_of(fleet.namespace, node.name)
+    plane = fleet.coordinators.plane
+    if node.name == PLANE_DRIVER and plane.type == "driver":
+        return [_topic(fleet.namespace, plane.topic or f"{own}/{_MEASURED[plane.source]}")], []
+    if node.robot is None or not isinstance(node.robot.drive, TopicDrive):
+        return [], []
+    drive = node.robot.drive
+    measured = [drive.topic or f"{own}/{_MEASURED[drive.source]}"]
+    if drive.gravity == "imu":
+        measured.append(drive.imu.topic or f"{own}/{_MEASURED['imu']}")
+    by_kind = "twist" if node.robot.kind == "single_integrator" else "force"
+    command = by_kind if drive.command == "auto" else drive.command
+    commanded = [drive.command_topic or f"{own}/{_COMMANDED[command]}"]
+    return [_topic(fleet.namespace, name) for name in measured], [_topic(fleet.namespace, name) for name in commanded]
 
 
 def _driver_rights(fleet: Fleet, host: str) -> Rights:
-    """Return what the robots' own nodes behind topic drives may do: the other side of these drives."""
-    publish = [_DISCOVERY_INFO, *_OF_EVERY_NODE]
-    subscribe = [_DISCOVERY_INFO]
-    for node in node_plans(fleet):
-        if node.host != host:
-            continue
-        plane = fleet.coordinators.plane
-        if node.name == PLANE_DRIVER and plane.type == "driver":
-            publish.append(_topic(fleet.namespace, plane.topic or f"{PLANE_DRIVER}/*"))
-        if node.robot is None or not isinstance(node.robot.drive, TopicDrive):
-            continue
-        own = path_of(fleet.namespace, node.name)
-        publish += [f"rt{own}/odom", f"rt{own}/joint_states", f"rt{own}/imu"]
-        subscribe += [f"rt{own}/cmd_vel", f"rt{own}/force", f"rt{own}/joint_command"]
-        for what, topic in node.robot.drive.topics.items():
-            (subscribe if what == "command" else publish).append(_topic(fleet.namespace, topic))
+    """Return what the robots' own nodes behind topic drives may do: the other side of these drives.
+
+    What a node has of its own, such as the services of its parameters, must be below the name of the enclave.
+    """
+    own = path_of(fleet.namespace, tool_enclave("driver", host))
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _DRIVERS_DIAGNOSTICS, f"rt{own}/*", f"rr{own}/*Reply"]
+    subscribe = [_DISCOVERY_INFO, _PARAMETER_EVENTS, f"rt{own}/*", f"rq{own}/*Request"]
+    for node in nodes_on(fleet, host):
+        measured, commanded = _body_topics(fleet, node)
+        publish += measured
+        subscribe += commanded
     return Rights(tuple(dict.fromkeys(publish)), tuple(dict.fromkeys(subscribe)))
 
 
 def _operator_rights(fleet: Fleet) -> Rights:
-    """Return what an operator's tools may do: see everything, and call every service."""
+    """Return what an operator's tools may do: see everything, call every service, say of a robot that it is gone."""
     ns = fleet.namespace.rstrip("/")
-    return Rights((_DISCOVERY_INFO, *_OF_EVERY_NODE, f"rq{ns}/*Request"), (_DISCOVERY_INFO, "rt/*", f"rr{ns}/*Reply"))
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, EVENTS.name), f"rq{ns}/*Request"]
+    subscribe = [_DISCOVERY_INFO, "rt/*", f"rr{ns}/*Reply"]
+    # Those of ROS's own command line have services themselves.
+    publish.append(f"rr/{_COMMAND_LINE}*Reply")
+    subscribe.append(f"rq/{_COMMAND_LINE}*Request")
+    return Rights(tuple(publish), tuple(subscribe))
 
 
 def _topic(namespace: str, name: str) -> str:
