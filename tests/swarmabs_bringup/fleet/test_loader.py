@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ def line_of(text: str, part: str) -> int:
     return text[: text.index(part)].count("\n") + 1
 
 
+TOMORROW = f"{datetime.now(timezone.utc) + timedelta(days=1):%Y-%m-%dT%H:%M:%SZ}"
 REFUSED = {
     # what is replaced: by what, in the line of what, and the words of the refusal
     "no security": ("security: {level: none}", "", "schema", ("security", "'security' is missing", "level: none")),
@@ -51,6 +53,41 @@ REFUSED = {
     "wheels with sros2": ("level: none", "level: sros2", "level: sros2", ("security.level", "no security plugins")),
     "no tunnel address": ("level: none", "level: tunnel", "name: base", ("hosts.0", "tunnel_address")),
     "an epoch that is not": ("name: lan", "name: lan\nepoch: yesterday", "epoch", ("epoch", "no time in UTC")),
+    "an epoch before 1970": (
+        "name: lan",
+        "name: lan\nepoch: 1969-12-31T23:59:59Z",
+        "epoch",
+        ("epoch: '1969-12-31T23:59:59Z' is before 1970", "in the past"),
+    ),
+    "the first of all epochs": ("name: lan", "name: lan\nepoch: 0001-12-31T00:00:00Z", "epoch", ("before 1970",)),
+    "an epoch beyond nodes": ("name: lan", "name: lan\nepoch: 2999-01-01T00:00:00Z", "epoch", ("has not begun",)),
+    "an epoch tomorrow": ("name: lan", f"name: lan\nepoch: {TOMORROW}", "epoch", (TOMORROW, "has not begun", "past")),
+    "loopback as interface": (
+        "interface: eth0",
+        "interface: lo",
+        "name: base",
+        ("hosts.0.interface: lo of base leads to no other host; name the interface that has the address 192.168.10.1",),
+    ),
+    "loopback as interface of all": ("interface: wlan0", "interface: lo", "interface: lo", ("network.interface: lo",)),
+    "root": (
+        "name: lan",
+        "name: lan\ninstallation: {user: root}",
+        "installation",
+        ("installation.user: root may do everything", "e.g. swarmabs"),
+    ),
+    "root on one host": (".11}", ".11, user: root}", "name: robot-1", ("hosts.1.user: root may do everything",)),
+    "the checkout's place": (
+        "name: lan",
+        "name: swarmabs\ninstallation: {prefix: /opt}",
+        "installation",
+        ("installation.prefix: the bundle would take the place of /opt/swarmabs", "e.g. /etc/swarmabs"),
+    ),
+    "around the checkout": (
+        "name: lan",
+        "name: opt\ninstallation: {prefix: /srv, checkout: /srv/opt/swarm}",
+        "installation",
+        ("the bundle would take the place of /srv/opt,",),
+    ),
     "clocks too far apart": ("name: lan", "name: lan\ntime: {max_offset: 0.2}", "max_offset", ("time.max_offset",)),
     "server without host": ("discovery: static", "discovery: server", "discovery: server", ("network.discovery",)),
 }
@@ -89,6 +126,47 @@ def test_no_text_that_a_shell_or_systemd_would_read_gets_in(place: str, text: st
     path = edited(tmp_path / "bad.yaml", base, (place, f'{field}: "{PLACES[place]}{text}"'))
     with pytest.raises(InputError, match=rf"{field}: '.*' is no "):
         load_fleet(path)
+
+
+BODY = "drive: {type: topic, "
+FIELDS = {
+    # a piece of a fleet file with a mistake, in place of what, and the field that is named
+    "a topic": ("drive: {type: simulated, position: 0.1}", f"{BODY}topic: 'a b'}}", "robots.0.drive.topic: 'a b' is"),
+    "no text": (
+        "drive: {type: simulated, position: 0.1}",
+        f"{BODY}command_topic: 5}}",
+        "robots.0.drive.command_topic:",
+    ),
+    "of the imu": (
+        "drive: {type: simulated, position: -0.1}",
+        f"{BODY}gravity: imu, imu: {{topic: /a-b}}}}",
+        "robots.1.drive.imu.topic: '/a-b' is",
+    ),
+    "of the plane": ("plane: {host", "plane: {type: driver, topic: '%', host", "coordinators.plane.topic: '%' is"),
+    "a setting": (
+        "drive: {type: simulated, position: 0.1}",
+        "drive: {type: plugin, name: a, settings: {'a b': 1}}",
+        "robots.0.drive.settings.a b: 'a b' is no name of a setting",
+    ),
+    "a setting's value": (
+        "drive: {type: simulated, position: 0.1}",
+        "drive: {type: plugin, name: a, settings: {a: {}}}",
+        "robots.0.drive.settings",
+    ),
+    "what is set": ("name: one", "name: one\nset: {'a b': 1}", "set.a b: 'a b' is no dotted path"),
+}
+
+
+@pytest.mark.parametrize("case", FIELDS)
+def test_a_field_is_named_as_it_is_in_the_file(case: str, tmp_path: Path) -> None:
+    old, new, field = FIELDS[case]
+    path = edited(tmp_path / "bad.yaml", ONE_HOST, (old, new))
+    with pytest.raises(InputError) as caught:
+        load_fleet(path)
+    text = str(caught.value)
+    assert f": {field}" in text
+    for internal in ("function-", "literal[", "[key]", "json", "+1 more", "check("):
+        assert internal not in text, text
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

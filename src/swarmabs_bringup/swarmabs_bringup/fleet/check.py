@@ -6,7 +6,6 @@ What can be seen on the host itself only is in `host_check`.
 from __future__ import annotations
 
 import re
-import time
 from datetime import datetime, timedelta, timezone
 from hashlib import sha256
 from itertools import combinations
@@ -106,8 +105,6 @@ def _fleet(loaded: LoadedFleet) -> Iterator[Finding]:
     yield Finding(
         f"fleet {fleet.name}", "ok", f"{len(fleet.robots)} robots on {len(used)} hosts, domain {fleet.network.domain}"
     )
-    if fleet.epoch_ns > time.time_ns():
-        yield Finding(f"fleet {fleet.name}", "bad", f"the epoch {fleet.epoch} has not begun; give one in the past")
     for warning in (*fleet.warnings(), *loaded.scenario.warnings()):
         yield Finding(f"fleet {fleet.name}", "note", warning)
 

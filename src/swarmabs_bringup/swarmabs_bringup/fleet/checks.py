@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from swarmabs_bringup.fleet.model import Fleet
 
 _TUNNEL = ("security", "level")
+_LOOPBACK = "lo"
 
 
 def findings(fleet: Fleet) -> list[Finding]:
     """Return every error of a fleet whose fields are valid one by one."""
     # A later check relies on the earlier ones.
-    for group in ((_hosts, _ids), (_references,), (_network, _security, _participants)):
+    for group in ((_hosts, _ids), (_references,), (_network, _loopback, _security, _installation, _participants)):
         if found := [finding for check in group for finding in check(fleet)]:
             return found
     return []
@@ -125,6 +126,36 @@ def _network(fleet: Fleet) -> Iterator[Finding]:
                     f"{host.address} is on loopback, where the other hosts are not",
                     "give the address of an interface",
                 )
+
+
+def _loopback(fleet: Fleet) -> Iterator[Finding]:
+    """Refuse the loopback interface where others have to be met; a fleet on one host may be on it."""
+    for n, host in enumerate(fleet.hosts):
+        alone = len(fleet.hosts) == 1 and ipaddress.IPv4Address(host.address).is_loopback
+        if fleet.host_interface(host.name) == _LOOPBACK and not alone:
+            location = ("hosts", n, "interface") if host.interface else ("network", "interface")
+            yield Finding.of(
+                location,
+                f"{_LOOPBACK} of {host.name} leads to no other host",
+                f"name the interface that has the address {host.address}",
+            )
+    if fleet.tunnel is not None and fleet.tunnel.interface == _LOOPBACK:
+        yield Finding.of(
+            ("security", "interface"), f"{_LOOPBACK} is on every host and no tunnel", "name another, e.g. swarmabs0"
+        )
+
+
+def _installation(fleet: Fleet) -> Iterator[Finding]:
+    """Refuse to install a bundle where the checkout is, or around it."""
+    place = fleet.installation
+    installed = f"{place.prefix}/{fleet.name}"
+    if f"{place.checkout}/".startswith(f"{installed}/"):
+        yield Finding.of(
+            ("installation", "prefix"),
+            f"the bundle would take the place of {installed}, where the checkout is",
+            "name another folder, e.g. /etc/swarmabs",
+            see=("name",),
+        )
 
 
 def _security(fleet: Fleet) -> Iterator[Finding]:

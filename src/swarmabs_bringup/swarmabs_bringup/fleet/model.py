@@ -72,9 +72,15 @@ class Fleet(Model):
         if not _TIME.fullmatch(text):
             raise error
         try:
-            datetime.fromisoformat(f"{text[:-1]}+00:00")
+            begin = datetime.fromisoformat(f"{text[:-1]}+00:00")
         except ValueError:
             raise error from None
+        if begin < _UNIX:
+            raise problem(f"{show(text)} is before 1970, from when on nodes count", "give one in the past since 1970")
+        if begin > datetime.now(timezone.utc):
+            raise problem(
+                f"{show(text)} has not begun by this machine's clock", "give a time in the past, or set the clock"
+            )
         return text
 
     @model_validator(mode="after")

@@ -44,6 +44,12 @@ def _address(*, loopback: bool) -> Callable[[str], str]:
     return check
 
 
+def _not_root(text: str) -> str:
+    if text == "root":
+        raise problem("root may do everything on its host", "name an account for the nodes alone, e.g. swarmabs")
+    return text
+
+
 def _network(text: str) -> str:
     try:
         ipaddress.IPv4Network(text)
@@ -75,7 +81,9 @@ Interface: TypeAlias = Annotated[
 ]
 
 Account: TypeAlias = Annotated[
-    str, _matching(r"[a-z_][a-z0-9_-]*", "name of an account", "use small letters, digits, - and _", 31)
+    str,
+    _matching(r"[a-z_][a-z0-9_-]*", "name of an account", "use small letters, digits, - and _", 31),
+    AfterValidator(_not_root),
 ]
 
 FolderPath: TypeAlias = Annotated[
@@ -93,8 +101,9 @@ Namespace: TypeAlias = Annotated[
     str, _matching(rf"/|(/{_WORD})+", "ROS namespace", "write / or e.g. /hall_a; letters, digits and _")
 ]
 TopicName: TypeAlias = Annotated[
-    str, _matching(rf"/?{_WORD}(/{_WORD})*", "name of a topic", "write e.g. /odom; letters, digits, _ and /")
+    str, _matching(rf"(/?{_WORD}(/{_WORD})*)?", "name of a topic", "write e.g. /odom; letters, digits, _ and /")
 ]
+"""A topic, or nothing for one below the node's own name."""
 FrameName: TypeAlias = Annotated[
     str, _matching(r"[A-Za-z0-9_./-]*", "name of a frame or joint", "use letters, digits, '_', '.', '-' and '/'")
 ]

@@ -56,7 +56,7 @@ class PlaneDriver(Model):
     source: Literal["joint_state", "imu"] = Field(
         default="joint_state", description="message of angle and angular velocity: sensor_msgs/JointState or Imu"
     )
-    topic: TopicName | Literal[""] = Field(default="", description="its topic; '': ~/joint_states or ~/imu")
+    topic: TopicName = Field(default="", description="its topic; '': ~/joint_states or ~/imu")
     stamp: Stamp = Field(default="header", description="time of a reading: its header's, or that of its arrival")
     joint: FrameName = Field(default="plane_tilt", description="joint of the encoder")
     scale: Number = Field(default=1.0, description="turn of the plane per unit of the encoder, rad, not 0")

@@ -34,7 +34,7 @@ class TopicJoint(Model):
 class TopicImu(Model):
     """The robot's own IMU, by which a double integrator knows its weight along the plane."""
 
-    topic: TopicName | Literal[""] = Field(default="", description="topic of sensor_msgs/Imu; '': ~/imu")
+    topic: TopicName = Field(default="", description="topic of sensor_msgs/Imu; '': ~/imu")
     frame: FrameName = Field(default="imu_link", description="frame_id that it must have; '': any")
     axis: Axis = Field(default="-y", description="axis of the IMU about which the robot's nose rises")
     offset: Number = Field(default=0.0, description="angle by which the nose is up where the IMU says 0, rad")
@@ -47,11 +47,11 @@ class TopicDrive(Model):
     source: Literal["odometry", "joint_state"] = Field(
         default="odometry", description="message of position and velocity: nav_msgs/Odometry or sensor_msgs/JointState"
     )
-    topic: TopicName | Literal[""] = Field(default="", description="its topic; '': ~/odom or ~/joint_states")
+    topic: TopicName = Field(default="", description="its topic; '': ~/odom or ~/joint_states")
     command: Literal["auto", "twist", "force", "joint"] = Field(
         default="auto", description="message of the command; auto: twist (velocity) or force, by the robot's kind"
     )
-    command_topic: TopicName | Literal[""] = Field(
+    command_topic: TopicName = Field(
         default="", description="topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command"
     )
     command_frame: FrameName = Field(default="base_link", description="frame_id of a twist")

@@ -144,16 +144,22 @@ def _first_error(exc: ValidationError, root: Node) -> ScenarioError:
 def _located(detail: ErrorDetails, root: Node) -> ScenarioError:
     """Return the error at its field; of two fields in contradiction, at the one that was overridden."""
     text, remedy = _explain(detail)
-    fields: list[Location] = [detail["loc"]]
+    own = _field(detail["loc"])
+    fields: list[Location] = [own]
     if "see" in detail.get("ctx", {}):
         fields.append(detail["ctx"]["see"])
     given = [(field, mark) for field in fields for mark, present in [root.locate(field)] if present]
     if not given:
-        given = [(detail["loc"], root.locate(detail["loc"])[0])]
+        given = [(own, root.locate(own)[0])]
     (field, mark), *others = sorted(given, key=lambda place: place[1].line is not None)
     for _, other in others:
         text += f" (see {other.source if other.line is None else f'line {other.line}'})"
     return ScenarioError(mark.source, text, remedy, line=mark.line, field=dotted(field))
+
+
+def _field(location: Location) -> Location:
+    """Return a location without the mark by which pydantic says that a mapping's key is meant, not its value."""
+    return location[:-1] if location[-1:] == ("[key]",) else location
 
 
 def _explain(detail: ErrorDetails) -> tuple[str, str]:
