@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.processes import until
+from tests.processes import marked_processes, until
 from tests.system.helpers import (
     bag_digest,
+    bag_file,
     bag_messages,
     seconds,
     signal_process,
@@ -64,6 +65,26 @@ def test_a_live_node_gives_the_recorded_digest(recorded: Path, folder: Path, nod
     logs = {path.stem for path in (folder / "logs").glob("*.log")}
     assert {"replay_player", "recorder"} < logs
     assert len(logs) == 5  # with those of launcher, orchestrator and the node under test
+
+
+def test_a_player_that_nobody_waits_for_may_fall_behind(recorded: Path, folder: Path, mark: str) -> None:
+    """With all nodes under test the loop is closed without it: it hears what is over, and not all of that."""
+    nodes = ("controller", "observer", "plane", *(f"agent:{number}" for number in (1, 2, 3, 4)))
+    words = [word for node in nodes for word in ("--node", node)]
+    long = folder.with_name("long")
+    assert swarm("simulate", "pd_het_4", "--duration", 60, "-o", long).code == 0
+    with started_swarm("replay", long, *words, "--expect-same", "-o", folder, "--json") as command:
+        until_stepping(folder)
+        process = next(pid for pid, name in marked_processes(mark).items() if name == "replay_player")
+        os.kill(process, signal.SIGSTOP)
+        size = bag_file(folder).stat().st_size
+        try:
+            until(lambda: bag_file(folder).stat().st_size > size, "the nodes go on without the player")
+        finally:
+            os.kill(process, signal.SIGCONT)
+        done = command.wait()
+    assert done.code == 0, done.err
+    assert done.summary()["replay"]["same"]
 
 
 def test_changed_gains_are_compared_over_dds_as_in_one_process(recorded: Path, tmp_path: Path) -> None:

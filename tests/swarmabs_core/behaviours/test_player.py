@@ -126,6 +126,58 @@ def test_an_answer_may_come_before_its_turn() -> None:
     assert topics(answer) == [(1, AGENT_STATE)] * 3 + [(1, PLANE_STATE), (1, ABSTRACT_STATE), (1, AUXILIARY_STATE)]
 
 
+ALL = (PLANE, OBSERVER, CONTROLLER, *(NodeName(NodeKind.AGENT, number) for number in (1, 2, 3, 4)))
+
+
+def test_nodes_that_do_not_wait_for_the_player_may_be_any_number_of_steps_ahead() -> None:
+    """With all nodes under test the loop is closed without it, and of what it is late for much is lost on it."""
+    tried = player(*ALL)
+    assert tried.start() == ()
+    for step in (7, 2, LAST):
+        for record in STEPS[step].records:
+            if record.topic is not EVENTS:
+                assert tried.handle(record.message) == ()
+    assert tried.awaits() == ()
+    assert tried.missing() == (LAST + 1, ())
+
+
+def test_a_robot_that_has_ended_is_not_waited_for_where_others_have_had_its_states() -> None:
+    tried = player(*ALL)
+    tried.start()
+    gone = recorded(5, AGENT_STATE, 3)  # its last state, which it cannot repeat: it was killed
+    later = [r.message for r in STEPS[LAST].records if r.topic is not EVENTS]
+    assert gone not in later
+    assert set(tried.awaits()) == {AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE}
+    for message in later:
+        tried.handle(message)
+    assert tried.awaits() == ()
+
+
+def test_the_nodes_left_go_on_without_the_player_once_its_robots_are_gone() -> None:
+    live = tuple(name for name in ALL if name.agent_id != 3)
+    tried = player(*live)
+    tried.start()
+    for step in range(5):
+        for record in STEPS[step].records:
+            if record.topic is not EVENTS and publisher_of(record.message) in live:
+                tried.handle(record.message)
+    assert tried.missing()[0] == 5  # up to here robot 3 had a part in every step
+    for record in STEPS[LAST].records:
+        tried.handle(record.message)
+    assert tried.awaits() == ()
+
+
+@pytest.mark.parametrize("node", [PLANE, OBSERVER, CONTROLLER, ROBOT])
+def test_an_answer_to_what_is_not_yet_published_is_refused(node: NodeName) -> None:
+    """Whether the next step has anything of the player in it is known when it comes to it."""
+    tried = player(*(name for name in ALL if name.agent_id != 4))
+    tried.start()
+    ahead = next(r.message for r in STEPS[3].records if publisher_of(r.message) == node)
+    others = (r.message for step in STEPS[:3] for r in step.records if r.topic is not EVENTS)
+    with pytest.raises(StepAheadError, match=f"{node}: step [012] expected, 3 received"):
+        list(map(tried.handle, (ahead, *others)))
+
+
 def test_the_recorder_is_not_left_behind() -> None:
     tried = player(ROBOT, window=3)
     tried.start()
@@ -145,6 +197,10 @@ def test_what_no_correct_node_sends_is_refused() -> None:
         tried.handle(recorded(2, DESIRED_ABSTRACT_STATE))
     with pytest.raises(UnexpectedMessageError, match="PlaneState"):
         tried.handle(recorded(0, PLANE_STATE))
+    tried = player(CONTROLLER, last=4)
+    tried.start()
+    with pytest.raises(StepAheadError, match="controller: step 4 expected, 5 received"):
+        tried.handle(recorded(5, DESIRED_ABSTRACT_STATE))
 
 
 def test_it_ends_with_the_last_step() -> None:

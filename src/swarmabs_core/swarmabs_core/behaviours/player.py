@@ -86,6 +86,8 @@ _PUBLISHER = {
     AUXILIARY_STATE: OBSERVER,
     DESIRED_ABSTRACT_STATE: CONTROLLER,
 }
+_GATHERED_BY = (PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
+"""Topics on which there is an answer only when the states of all robots of its step are there."""
 _ANNOUNCED_BY_OBSERVER = (EventKind.JOINED, EventKind.LEFT, EventKind.DEAD)
 _ANNOUNCED_BY_ROBOTS = (EventKind.SAFE_STOP, EventKind.RECOVERED, EventKind.FAULT_INJECTED)
 
@@ -118,10 +120,19 @@ class _Key(NamedTuple):
     agent_id: int
 
 
-class _Phase(NamedTuple):
-    """What is published at once, and what has to be there before anything else is."""
+class _Heard(NamedTuple):
+    """The newest answer on a topic."""
 
+    step: int
+    publisher: NodeName
+
+
+class _Phase(NamedTuple):
+    """What is published at once, and what has to be there before anything else is; `played`: states' topics in it."""
+
+    step: int
     messages: Messages
+    played: frozenset[Topic]
     awaited: frozenset[_Key]
 
 
@@ -131,6 +142,10 @@ class Player:
     A step has two phases: the robots' states with the events, then the coordinators' broadcasts. After each the player
     waits for those messages that the recording has from the nodes under test. So each of them is in the step of what it
     hears, and loses nothing: what got lost is repeated, since somebody waits for it.
+
+    Nodes under test that lack nothing but each other's messages do not wait for the player, and it may be any number of
+    steps behind them, without some of what they have said. An answer therefore stands for all before it: whoever has
+    given it had done with those steps. What is checked instead is that nobody has answered what is only published now.
 
     Parameters
     ----------
@@ -160,7 +175,8 @@ class Player:
         self._step = -1
         self._phases: deque[_Phase] = deque()
         self._awaited: frozenset[_Key] = frozenset()
-        self._heard: set[_Key] = set()
+        self._heard: dict[tuple[Topic, int], int] = {}
+        self._newest: dict[Topic, _Heard] = {}
         robots = any(name.kind is NodeKind.AGENT for name in live)
         self.hears = tuple(
             topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or _PUBLISHER.get(topic) in self._live
@@ -184,23 +200,27 @@ class Player:
         publisher = publisher_of(message)
         if publisher not in self._live:  # its own, on a topic that it shares with a node under test
             return ()
-        if message.step > self._step + 1:
-            raise StepAheadError(str(publisher), got=message.step, expected=self._step)
-        if message.step < self._step:
+        if message.step > self._last_step:
+            raise StepAheadError(str(publisher), got=message.step, expected=self._last_step)
+        key = (topic, publisher.agent_id)
+        if message.step <= self._heard.get(key, -1):
             return ()
-        self._heard.add(_Key(message.step, topic, publisher.agent_id))
+        self._heard[key] = message.step
+        if topic not in self._newest or message.step > self._newest[topic].step:
+            self._newest[topic] = _Heard(message.step, publisher)
         return self._proceed()
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the nodes under test, then, if the recorder is too far behind, for the recorder."""
-        missing = {key.topic for key in self._awaited - self._heard}
+        missing = {key.topic for key in self._lacking()}
         if missing:
-            return tuple(topic for topic in self.hears if topic in missing)
+            others = _GATHERED_BY if AGENT_STATE in missing else ()
+            return tuple(topic for topic in self.hears if topic in missing or topic in others)
         return () if self._finished() else (RECORDING_PROGRESS,)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and what is missing for it."""
-        keys = sorted(self._awaited - self._heard, key=lambda key: (key.topic.name, key.agent_id))
+        keys = sorted(self._lacking(), key=lambda key: (key.topic.name, key.agent_id))
         if not keys:
             return self._step + 1, () if self._finished() else ("recorder",)
         return self._step, tuple(f"agent {key.agent_id}" if key.agent_id else key.topic.name for key in keys)
@@ -208,13 +228,41 @@ class Player:
     def _finished(self) -> bool:
         return self._step >= self._last_step and not self._phases
 
+    def _lacking(self) -> list[_Key]:
+        """Return what is awaited and not known to have been said."""
+        return [key for key in self._awaited if not self._said(key)]
+
+    def _said(self, key: _Key) -> bool:
+        """Tell whether a message, or one that cannot have come before it, was heard.
+
+        A robot that has ended repeats nothing; but nobody has gathered the states of a step without its own.
+        """
+        if self._heard.get((key.topic, key.agent_id), -1) >= key.step:
+            return True
+        if key.topic is not AGENT_STATE:
+            return False
+        return any(self._newest[topic].step >= key.step for topic in _GATHERED_BY if topic in self._newest)
+
     def _proceed(self) -> Messages:
         """Publish, phase by phase, as long as nothing is missing."""
         out: list[Message] = []
-        while self._awaited <= self._heard and (self._phases or self._next_step()):
-            messages, self._awaited = self._phases.popleft()
+        while all(map(self._said, self._awaited)) and (self._phases or self._next_step()):
+            self._refuse_early(self._phases[0])
+            _, messages, _, self._awaited = self._phases.popleft()
             out.extend(messages)
         return tuple(out)
+
+    def _refuse_early(self, phase: _Phase) -> None:
+        """Refuse answers to what is published only now: the nodes under test cannot have given them."""
+        latest = dict.fromkeys(_GATHERED_BY, phase.step - 1) if AGENT_STATE in phase.played else {}
+        if phase.played & {AGENT_STATE, PLANE_STATE}:
+            latest[DESIRED_ABSTRACT_STATE] = phase.step - 1
+        if phase.played:
+            latest[AGENT_STATE] = phase.step
+        for topic, step in latest.items():
+            if topic in self._newest and self._newest[topic].step > step:
+                heard = self._newest[topic]
+                raise StepAheadError(str(heard.publisher), got=heard.step, expected=step)
 
     def _next_step(self) -> bool:
         """Load the next recorded step; tell whether there is one, and credit for it."""
@@ -224,18 +272,18 @@ class Player:
         if step is None:
             raise RunError(f"the recording ends with step {self._step}, before step {self._last_step}")
         self._step = max(self._step, step.step)  # an event that was late when it was recorded is of a step before
-        self._heard = {key for key in self._heard if key.step >= self._step}
         coordinators = [r for r in step.records if r.topic is not AGENT_STATE and r.topic is not EVENTS]
         # An event stands before the states that it explains.
         others = [r for r in step.records if r.topic is EVENTS] + [r for r in step.records if r.topic is AGENT_STATE]
-        self._phases.extend((self._phase(others), self._phase(coordinators)))
+        self._phases.extend((self._phase(step.step, others), self._phase(step.step, coordinators)))
         return True
 
-    def _phase(self, records: Collection[Record]) -> _Phase:
+    def _phase(self, step: int, records: Collection[Record]) -> _Phase:
         played, awaited = [], set()
         for record in records:
             if publisher_of(record.message) not in self._live:
                 played.append(record.message)
             elif record.topic is not EVENTS:
                 awaited.add(_Key(record.message.step, record.topic, record.agent_id))
-        return _Phase(tuple(played), frozenset(awaited))
+        topics = frozenset(TOPIC_OF[type(message)] for message in played) - {EVENTS}
+        return _Phase(step, tuple(played), topics, frozenset(awaited))
