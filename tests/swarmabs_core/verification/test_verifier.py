@@ -420,6 +420,39 @@ def test_a_bag_that_is_cut_off_anywhere_is_verified_up_to_there() -> None:
     assert verify(scenario, changed, Ending.CUT).difference is not None
 
 
+@pytest.mark.parametrize("ending", [Ending.EARLY, Ending.CUT])
+def test_a_bag_that_says_so_may_break_off_within_its_last_step(ending: Ending) -> None:
+    named = ("pd_het_4", SHORT)
+    scenario, bag = world(*named), recorded(*named)
+    begin = next(n for n, s in enumerate(bag) if s.message.step == 40)
+    for length in range(9):
+        found = verify(scenario, bag[: begin + length], ending)
+        assert found.difference is None
+        assert (found.step, found.messages) == (40 + (length == 8), begin + length)
+        assert found.digest() == verify(scenario, bag[: begin + 8 * (length == 8)], Ending.EARLY).digest()
+    for n in range(begin, begin + 7):  # what is there of it is still compared
+        part = [*bag[:n], bag[n].changed(stamp=1), *bag[n + 1 : begin + 7]]
+        found_there = first_difference(scenario, part, ending=ending)
+        assert place(found_there) == (bag[n].topic.name, 40, agent_id_of(bag[n].message) or None, "stamp")
+    for n in (begin + 1, begin + 4, begin + 6):  # a hole is no end
+        hole = [*bag[:n], *bag[n + 1 : begin + 8]]
+        assert place(first_difference(scenario, hole, ending=ending))[:2] == (bag[n].topic.name, 40)
+        before = [*bag[: n - 8], *bag[n - 7 : begin + 5]]
+        assert place(first_difference(scenario, before, ending=ending))[:2] == (bag[n].topic.name, 39)
+    unsaid = first_difference(scenario, bag[: begin + 2])
+    assert place(unsaid) == ("swarm/agent_state", 40, 3, "message")
+
+
+def test_a_robot_that_takes_the_name_of_another_is_named_whatever_the_clock_of_the_other() -> None:
+    named = ("pd_het_4", SHORT, "faults=[{kind: clock_offset, agent: 4, offset: 0.05}]")
+    bag = list(recorded(*named))
+    index = next(n for n, s in enumerate(bag) if s.message.step == 9 and agent_id_of(s.message) == 1)
+    bag[index] = bag[index].changed(agent_id=4)
+    found = first_difference(world(*named), bag)
+    assert place(found) == ("swarm/agent_state", 9, 1, "agent_id")
+    assert (found.recorded, found.recomputed) == (4, 1)
+
+
 def test_a_run_that_had_to_fail_cannot_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     named = ("pd_het_4", SHORT, "plane.angle=1.45", "plane.angular_velocity=5")
     scenario = world(*named)

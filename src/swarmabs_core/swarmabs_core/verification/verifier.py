@@ -50,7 +50,7 @@ class Ending(Enum):
     WHOLE = "whole"
     """With the last step of the scenario."""
     EARLY = "early"
-    """With a whole step before, and it says so: its run failed or was interrupted."""
+    """Before, and it says so: its run failed or was interrupted, or its recorder came to an end within a step."""
     CUT = "cut"
     """Anywhere: the rest was lost."""
 
@@ -131,9 +131,9 @@ class Verification:
 
     def finish(self, ending: Ending) -> None:
         """Judge what is left at the end of the bag."""
-        cut = ending is Ending.CUT
+        early = ending is not Ending.WHOLE
         while self.difference is None and len(self._window) and not self._ended:
-            self._judge(last=cut and self._window.newest == self.step)
+            self._judge(last=early and self._window.newest == self.step)
         if self.difference is None and self.step <= self._scenario.steps and ending is Ending.WHOLE:
             self.difference = _cut_short(self.step)
         if self.difference is None and self._beyond is not None:
@@ -222,26 +222,42 @@ class Verification:
             del told[payload]
 
     def _agent_states(self, slot: Slot, *, last: bool) -> Generator[Difference, None, bool]:
-        """Yield what is wrong with the robots' states; return whether all are there."""
-        found: dict[int, Stored] = {}
-        others = []
-        for stored in slot.agents:
-            agent_id = agent_id_of(stored.message)
-            if agent_id in self._states and agent_id not in found:
-                found[agent_id] = stored
-            else:
-                others.append(stored)
+        """Yield what is wrong with the robots' states; return whether all are there.
+
+        Of the last step of a bag that breaks off, they may be missing with all that stands behind them.
+        """
+        found, others = self._sorted(slot)
+        last = last and not slot.coordinated and not slot.events
+        whole = True
         for agent_id, expected in self._states.items():
-            state = found.get(agent_id) or (others.pop(0) if others else None)
+            state = found.get(agent_id) or _taken(others, expected)
             if state is not None:
                 yield from self._compare(state, expected, agent_id)
             elif last:
-                return False
+                whole = False
             else:
                 yield missing(AGENT_STATE, expected, agent_id)
         for stored in others:
             yield surplus(stored, self.step, agent_id_of(stored.message), "the robot publishes no such state")
-        return True
+        return whole
+
+    def _sorted(self, slot: Slot) -> tuple[dict[int, Stored], list[Stored]]:
+        """Return the states of a step by robot, of several that name one the most similar, and all others."""
+        found = {agent_id_of(stored.message): stored for stored in slot.agents}
+        if len(found) == len(slot.agents) and found.keys() <= self._states.keys():
+            return found, []
+        named: dict[int, list[Stored]] = {}
+        others: list[Stored] = []
+        for stored in slot.agents:
+            agent_id = agent_id_of(stored.message)
+            (named.setdefault(agent_id, []) if agent_id in self._states else others).append(stored)
+        found = {}
+        for agent_id, several in named.items():
+            state = _taken(several, self._states[agent_id])
+            assert state is not None  # noqa: S101 - there is one at least
+            found[agent_id] = state
+            others += several
+        return found, others
 
     def _ask_observer_and_plane(self, slot: Slot, dropped: tuple[int, ...]) -> dict[Topic, Message]:
         """Tell observer and plane who is out and where the robots are; return what they answer by topic."""
@@ -281,7 +297,8 @@ class Verification:
                 yield surplus(stored, self.step, None, self.failure or "")
             return False
         if not found:
-            if not last:
+            later = COORDINATED[COORDINATED.index(topic) :]
+            if not last or slot.events or any(slot.coordinated.get(other) for other in later):
                 yield missing(topic, expected, None)
             return False
         yield from self._compare(found[0], expected, None)
@@ -312,11 +329,10 @@ class Verification:
 
     def _other_event(self, stored: Stored, expected: dict[bytes, SwarmEvent]) -> Iterator[Difference]:
         """Compare an event with the most similar one that is missing."""
-        recorded = stored.message
         if not expected:
-            yield surplus(stored, self.step, agent_id_of(recorded) or None, "nothing leads to this event")
+            yield surplus(stored, self.step, agent_id_of(stored.message) or None, "nothing leads to this event")
             return
-        payload = max(expected, key=lambda p: sum(a == b for a, b in zip(expected[p], recorded, strict=True)))
+        payload = max(expected, key=lambda p: _likeness(stored, expected[p]))
         event = expected.pop(payload)
         yield from self._compare(stored, event, event.agent_id or None)
 
@@ -335,6 +351,19 @@ class Verification:
         stored = (*slot.agents, *(messages[0] for messages in slot.coordinated.values()))
         records = (Record(s.topic, agent_id_of(s.message), s.message, s.payload) for s in stored)
         self._digest.update(RecordedStep(self.step, tuple(records)))
+
+
+def _taken(several: list[Stored], expected: Message) -> Stored | None:
+    """Take the most similar one of several messages, None if there is none."""
+    if not several:
+        return None
+    place = max(range(len(several)), key=lambda n: _likeness(several[n], expected)) if len(several) > 1 else 0
+    return several.pop(place)
+
+
+def _likeness(stored: Stored, expected: Message) -> int:
+    """Return in how many fields a recorded message is as expected."""
+    return sum(a == b for a, b in zip(stored.message, expected, strict=True))
 
 
 def _cut_short(step: int) -> Difference:
