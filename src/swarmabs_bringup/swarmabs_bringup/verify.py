@@ -226,8 +226,8 @@ class BagToVerify:
         """Hand the bag's messages over, as long as they matter; return what is wrong with the file."""
         try:
             topics = RECORDED if isinstance(verification, RealtimeVerification) else (*MAIN_TOPICS, EVENTS)
-            for topic, time, payload in self._bag.messages(topics):
-                verification.add(topic, time, payload)
+            for topic, time, published, payload in self._bag.published(topics):
+                verification.add(topic, time, payload, published)
                 if verification.decided:
                     return None
                 if on_step is not None:

@@ -52,8 +52,9 @@ def rewritten(
     target: Path,
     change: Change = lambda _topic, _number, data: data,
     attachments: Mapping[str, bytes | None] = {},
+    published: Callable[[str, int], int] = lambda _topic, _number: 0,
 ) -> Path:
-    """Write a bag's messages and attachments to a new file, some of them changed, None for left out."""
+    """Write a bag's messages and attachments to a new file, some changed, None for left out, or published later, ns."""
     with (run / "bag" / BAG_FILE).open("rb") as source, target.open("wb") as sink:
         reader, writer = make_reader(source), Writer(sink)
         writer.start(profile="ros2", library="another")
@@ -74,7 +75,8 @@ def rewritten(
                 channels[channel.topic] = writer.register_channel(
                     channel.topic, channel.message_encoding, made, dict(channel.metadata)
                 )
-            writer.add_message(channels[channel.topic], message.log_time, data, message.publish_time)
+            time = message.publish_time + published(channel.topic, number)
+            writer.add_message(channels[channel.topic], message.log_time, data, time)
         writer.finish()
     return target
 
@@ -149,6 +151,15 @@ def test_the_summary_beside_the_bag_must_have_its_digest(
         )
 
 
+def test_the_time_of_publication_counts(capfd: pytest.CaptureFixture[str], run: Path, tmp_path: Path) -> None:
+    late = rewritten(
+        run, tmp_path / "late.mcap", published=lambda topic, number: topic == "/plane/state" and number == 7
+    )
+    difference = verify(capfd, late, code=1)["first_difference"]
+    assert (difference["topic"], difference["step"], difference["field"]) == ("plane/state", 7, "publish_time")
+    assert (difference["recorded"], difference["recomputed"]) == (70_000_001, 70_000_000)
+
+
 def test_another_library_explains_a_difference(capfd: pytest.CaptureFixture[str], run: Path, tmp_path: Path) -> None:
     elsewhere = {"provenance.json": b'{"libm_fingerprint": "0123", "versions": {"python": "2.7"}}'}
     assert verify(capfd, rewritten(run, tmp_path / "same.mcap", attachments=elsewhere), code=0)["notes"] == []
@@ -185,6 +196,26 @@ def test_a_damaged_bag_is_verified_up_to_there_and_is_not_right(
         assert (found["ok"], found["first_difference"], found["digest"]) == (False, None, None)
         assert found["problem"] and 0 < found["steps"] < 6001
         assert found["messages"] >= 8 * found["steps"]
+
+
+def test_a_recording_that_was_killed_is_right_once_it_is_repaired(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data = (record(tmp_path / "long", "pd_het_4", "duration=60") / "bag" / BAG_FILE).read_bytes()
+    within = 0
+    for part in (4, 5, 6):
+        run = tmp_path / str(part)
+        (run / "bag").mkdir(parents=True)
+        (run / "bag" / BAG_FILE).write_bytes(data[: len(data) * part // 8])
+        assert main(["repair", str(run), "--in-place"]) == 0
+        capfd.readouterr()
+        found = verify(capfd, run, code=0)
+        assert (found["complete"], found["ended_early"]) == (False, "the recording was cut off")
+        assert 8 * found["steps"] <= found["messages"] < 8 * (found["steps"] + 1)
+        within += found["messages"] > 8 * found["steps"]
+        unsaid = verify(capfd, rewritten(run, run / "unsaid.mcap"), code=1)["first_difference"]
+        assert (unsaid["step"], unsaid["field"]) == (found["steps"], "message")
+    assert within
 
 
 @pytest.mark.parametrize("length", [4, 100])

@@ -166,16 +166,28 @@ class BagReader:
         UnknownTypeError
             If messages have a definition that this version does not know.
         """
-        check_definitions(self.path, self._channels.values())
-        wanted = {
-            number: channel.topic
-            for number, channel in self._channels.items()
-            if channel.topic is not None and (topics is None or channel.topic in topics)
-        }
+        wanted = self._wanted(topics)
         for message in self._stored():
             topic = wanted.get(message.channel_id)
             if topic is not None:
                 yield topic, message.log_time, message.payload
+
+    def published(self, topics: Collection[Topic]) -> Iterator[tuple[Topic, int, int, bytes]]:
+        """Yield topic, log time and publish time in ns, and payload; parameters and errors as of `messages`."""
+        wanted = self._wanted(topics)
+        for message in self._stored():
+            topic = wanted.get(message.channel_id)
+            if topic is not None:
+                yield topic, message.log_time, message.publish_time, message.payload
+
+    def _wanted(self, topics: Collection[Topic] | None) -> dict[int, Topic]:
+        """Return the topics of the swarm to be read, by the numbers of their channels."""
+        check_definitions(self.path, self._channels.values())
+        return {
+            number: channel.topic
+            for number, channel in self._channels.items()
+            if channel.topic is not None and (topics is None or channel.topic in topics)
+        }
 
     def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
         """Yield topic, log time in ns and message, in file order; parameters and errors as of `messages`."""

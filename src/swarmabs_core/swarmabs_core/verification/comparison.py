@@ -17,6 +17,8 @@ Value: TypeAlias = "float | int | str | dict[str, float | int | str] | None"
 
 LOG_TIME = "log_time"
 """Stands for a field where the bag's own time of a message, in ns, is wrong."""
+PUBLISH_TIME = "publish_time"
+"""Stands for a field where the time at which the bag says that a message was published, in ns, is wrong."""
 PADDING = "padding"
 """Stands for a field where all fields are right, but the bytes between them are not those of canonical CDR."""
 PAYLOAD = "payload"
@@ -34,12 +36,13 @@ _LONGEST = 512
 
 
 class Stored(NamedTuple):
-    """A message as a bag holds it: topic, log time (ns), the message and its bytes."""
+    """A message as a bag holds it: topic, log time (ns), the message, its bytes, and when it was published (ns)."""
 
     topic: Topic
     time: int
     message: Message
     payload: bytes
+    published: int | None = None
 
 
 class Difference(NamedTuple):
@@ -86,14 +89,15 @@ def compare(stored: Stored, expected: Message, time: int, agent: int | None, tol
     expected : Message
         What should stand there.
     time : int
-        Log time that it should have, ns.
+        Log time that it should have, ns; that of its publication, if it is known, too.
     agent : int, optional
         The robot to which the place belongs.
     tolerance : float
         A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
     """
     payload = encode(expected)
-    if stored.payload == payload and stored.time == time:
+    published = time if stored.published is None else stored.published
+    if stored.payload == payload and stored.time == time == published:
         return None
     place = (stored.topic.name, expected.step, agent)
     recorded = stored.message
@@ -103,6 +107,8 @@ def compare(stored: Stored, expected: Message, time: int, agent: int | None, tol
             return Difference(*place, name, was, should)
     if stored.time != time:
         return Difference(*place, LOG_TIME, stored.time, time)
+    if published != time:
+        return Difference(*place, PUBLISH_TIME, published, time)
     if tolerance:  # the values may differ
         payload = encode(recorded)
     if stored.payload != payload:

@@ -105,7 +105,7 @@ class RealtimeVerification:
         """Whether no further message can change what is found."""
         return self.difference is not None
 
-    def add(self, topic: Topic, time: int, payload: bytes) -> None:
+    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:  # noqa: ARG002 - as of a run in lockstep
         """Take the next message of the bag: its topic, its log time (ns) and its bytes."""
         if self.decided:
             return

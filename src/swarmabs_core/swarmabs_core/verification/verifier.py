@@ -111,9 +111,21 @@ class Verification:
         """Return the digest of the verified steps."""
         return self._digest.hexdigest()
 
-    def add(self, topic: Topic, time: int, payload: bytes) -> None:
-        """Take the next message of the bag: one of a main topic or an event, its log time (ns) and its bytes."""
-        step, found = self._window.read(topic, time, payload)
+    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
+        """Take the next message of the bag.
+
+        Parameters
+        ----------
+        topic : Topic
+            A main topic, or that of the events.
+        time : int
+            Its log time, ns.
+        payload : bytes
+            Its bytes.
+        published : int, optional
+            When it was published, ns, if that is to be verified.
+        """
+        step, found = self._window.read(topic, time, payload, published)
         if self.difference is not None:
             if isinstance(found, Stored):
                 self._late.pop(found.payload, None)

@@ -72,14 +72,16 @@ class Window:
         """Whether there is more than any run has in so many steps."""
         return self._count > self._capacity
 
-    def read(self, topic: Topic, time: int, payload: bytes) -> tuple[int, Stored | Difference]:
+    def read(
+        self, topic: Topic, time: int, payload: bytes, published: int | None = None
+    ) -> tuple[int, Stored | Difference]:
         """Return the step to which bytes belong, and the message that they are, or that they are none."""
         try:
             message = decode(topic.message, payload)
         except MalformedMessageError as error:
             step = time // self._period_ns
             return step, Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
-        return self._place(time, message), Stored(topic, time, message, payload)
+        return self._place(time, message), Stored(topic, time, message, payload, published)
 
     def add(self, step: int, found: Stored | Difference) -> None:
         """Put a message, or what is none, into the slot of a step."""
