@@ -31,7 +31,9 @@ from swarmabs_bringup.verify import BagToVerify, Verdict
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Message, PlaneState
+from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.virtual_fleet import EPOCH
+from swarmabs_core.verification.realtime import RealtimeVerification
 
 FAR = pytest.mark.parametrize("since_1970", [False, True], ids=["own epoch", "since 1970"])
 
@@ -68,6 +70,18 @@ def test_a_bag_is_verified(tmp_path: Path, name: str, *, since_1970: bool) -> No
     assert found.messages == sum(stored.topic in MAIN_TOPICS for stored in world(name).bag)
     assert found.digest is None
     assert json.loads(json.dumps(found.to_dict()))["ok"] is True
+
+
+def test_a_message_published_at_another_time_than_its_stamp_is_named() -> None:
+    recorded = world("quiet")
+    verification = RealtimeVerification(recorded.scenario, configure.schedule(recorded.scenario, EPOCH))
+    for number, stored in enumerate(recorded.bag):
+        verification.add(stored.topic, stored.time, stored.payload, stored.message.stamp + (number == 500))
+    changed = recorded.bag[500]
+    found = verification.difference
+    assert found is not None
+    assert (found.topic, found.step, found.field) == (changed.topic.name, changed.message.step, "publish_time")
+    assert (found.recorded, found.recomputed) == (changed.message.stamp + 1, changed.message.stamp)
 
 
 def test_a_bag_with_one_command_one_bit_off_is_not_ok(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from tests.swarmabs_bringup.bag.conftest import SCENARIO
+from tests.swarmabs_bringup.figures.conftest import record
 from tests.swarmabs_bringup.sample_run import changed, make_run, make_step, write_bag
 from tests.swarmabs_msgs.definitions import DEFINITIONS
 
@@ -23,6 +25,7 @@ from swarmabs_bringup.export import TABLES, export_arrays, export_tables
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import TOPIC_OF, EventKind, Message, PlaneState, SwarmEvent
 
+PERIOD = 10_000_000
 ODD = (math.nan, math.inf, -0.0, 5e-324, 0.1 + 0.2, 1.7976931348623157e308)
 
 
@@ -42,7 +45,7 @@ RUN = run_with_odd_numbers()
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bag(tmp_path_factory.mktemp("bag") / "bag", RUN, {"scenario.yaml": b"schema: 1"})
+    return write_bag(tmp_path_factory.mktemp("bag") / "bag", RUN, {"scenario.yaml": SCENARIO})
 
 
 def bits(value: Any) -> Any:
@@ -53,7 +56,12 @@ def expected(table: Any) -> list[list[Any]]:
     """Return the rows of a table as bits, from the messages that went into the bag."""
     messages = [m for m in RUN if TOPIC_OF[type(m)] is table.topic]
     names = [column.name for column in table.columns]
-    return [[bits(m.stamp / 1e9 if n == "time" else getattr(m, n)) for n in names] for m in messages]
+    return [[bits(value_of(m, n)) for n in names] for m in messages]
+
+
+def value_of(message: Any, column: str) -> Any:
+    times = {"time": message.step * PERIOD, "stamp": message.stamp}
+    return times[column] / 1e9 if column in times else getattr(message, column)
 
 
 def test_csv_read_by_the_csv_module(bag: Path, tmp_path: Path) -> None:
@@ -107,7 +115,28 @@ def test_numpy_has_the_events_without_pickle(bag: Path, tmp_path: Path) -> None:
         for name in ("step", "agent_id", "kind", "value", "detail"):
             found = read[f"events_{name}"].tolist()
             assert [bits(value) for value in found] == [bits(getattr(event, name)) for event in events]
-        assert read["events_time"].tolist() == [event.stamp / 1e9 for event in events]
+        assert read["events_time"].tolist() == [event.step * PERIOD / 1e9 for event in events]
+        assert read["events_stamp"].tolist() == [event.stamp / 1e9 for event in events]
+
+
+def test_a_wrong_clock_changes_stamps_and_no_times(tmp_path: Path) -> None:
+    offset = "faults=[{kind: clock_offset, agent: 1, offset: -0.25}]"
+    export_tables(record(tmp_path / "run", "pd_het_4", offset), tmp_path / "out", "csv")
+    with (tmp_path / "out" / "agents.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["agent_id"] == "1"]
+    assert [(row["step"], row["time"], row["stamp"]) for row in rows[:3]] == [
+        ("0", "0.0", "-0.25"),
+        ("1", "0.01", "-0.24"),
+        ("2", "0.02", "-0.23"),
+    ]
+
+
+def test_without_a_period_the_stamp_is_the_time(tmp_path: Path) -> None:
+    """Nobody says how long a step is: another recorder attaches no scenario."""
+    export_tables(write_bag(tmp_path / "bag", make_run(3)), tmp_path / "out", "csv")
+    with (tmp_path / "out" / "plane.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["time"] for row in rows] == [row["stamp"] for row in rows] == ["0.0", "0.01", "0.02", "0.03"]
 
 
 def test_numpy_without_events_has_empty_columns(tmp_path: Path) -> None:
@@ -115,7 +144,7 @@ def test_numpy_without_events_has_empty_columns(tmp_path: Path) -> None:
     with np.load(export_arrays(quiet, tmp_path / "run.npz"), allow_pickle=False) as read:
         shapes = {name: read[name].shape for name in read.files if name.startswith("events_")}
     assert set(shapes.values()) == {(0,)}
-    assert len(shapes) == 6
+    assert len(shapes) == 7
 
 
 def test_texts_that_would_not_fit_into_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +162,7 @@ def test_units_are_those_of_the_message_definitions() -> None:
     """A comment in a definition begins with the unit."""
     for table in TABLES:
         fields = {field.name: field for field in DEFINITIONS[table.topic.message.__name__].fields}
-        columns = {column.name: column for column in table.columns if column.name != "time"}
+        columns = {column.name: column for column in table.columns if column.name not in {"time", "stamp"}}
         assert set(columns) == set(fields) - {"header"}
         for name, column in columns.items():
             assert column.type == fields[name].type

@@ -69,10 +69,16 @@ def arrays_of(bag: BagReader, tables: Tables) -> RunArrays:
     tables : mapping
         Its messages, as `load_tables` returns them.
     """
+    return arrays_since(bag, tables)[0]
+
+
+def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
+    """Return the arrays, and the time (s) from which theirs counts; parameters as of `arrays_of`."""
     arrays = run_arrays(tables)
     if not is_realtime(bag) or not len(arrays.time):
-        return arrays
-    return replace(arrays, time=arrays.time - arrays.time[0])
+        return arrays, 0.0
+    start = float(arrays.time[0])
+    return replace(arrays, time=arrays.time - start), start
 
 
 def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:

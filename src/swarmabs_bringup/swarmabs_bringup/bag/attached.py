@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from swarmabs_bringup.bag.reader import BagReader
     from swarmabs_core.scenario import Scenario
 
+REALTIME = "realtime"
+"""What the provenance of a run in real time calls what moved its state machines."""
+
 
 def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
     """Return the scenario that a bag holds, of several swarms in it that of all.
@@ -55,6 +58,16 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
     except UnicodeDecodeError as error:
         raise InputError(f"{source} is not UTF-8 text, so it is not known what it is a run of") from error
     return as_planned(scenario, _events(bag), source=source, overrides=overrides) if acted else scenario
+
+
+def step_period(bag: BagReader) -> int | None:
+    """Return the control period of a bag's run in lockstep, ns; None in real time, and where it is not known."""
+    if attached_provenance(bag).get("driver") == REALTIME:
+        return None
+    try:
+        return attached_scenario(bag, steered=False).step_ns
+    except (InputError, DamagedBagError):
+        return None
 
 
 def was_steered(bag: BagReader) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.bag.attached import attached_provenance
+from swarmabs_bringup.bag.attached import REALTIME, attached_provenance
 from swarmabs_core import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import BASIS, Basis, Source
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from swarmabs_bringup.bag.reader import BagReader
     from swarmabs_core.scenario import Scenario
 
-DRIVER = "realtime"
-"""What the provenance of such a bag calls what moved its state machines."""
+DRIVER = REALTIME
 _WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane", "own_limits")
 
 

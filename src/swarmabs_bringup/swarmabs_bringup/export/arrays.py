@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_bringup.bag import BagTooLargeError, load_tables, open_bag
-from swarmabs_bringup.bag.arrays import arrays_of
+from swarmabs_bringup.bag.arrays import arrays_since
+from swarmabs_bringup.bag.attached import step_period
 from swarmabs_bringup.bag.memory import available_memory
-from swarmabs_bringup.export.columns import TABLES
+from swarmabs_bringup.export.columns import TABLES, time_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS
 
@@ -55,7 +56,8 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     if file.exists():
         raise InputError(f"{file} is there already; name another with -o, or remove it")
     bag = open_bag(path, namespace=namespace)
-    arrays: dict[str, NDArray[Any]] = {**dict(_named(arrays_of(bag, load_tables(bag)), "")), **_events(bag)}
+    run, start = arrays_since(bag, load_tables(bag))
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(run, "")), **_events(bag, start)}
     units = {name: unit for name, unit in _units().items() if name in arrays}
     part = file.with_name(f".{file.name}.part")
     try:
@@ -80,8 +82,9 @@ def _named(group: Any, prefix: str) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, value
 
 
-def _events(bag: BagReader) -> dict[str, NDArray[Any]]:
-    """Return the events' fields, each of shape (E,); a bag without the topic has none."""
+def _events(bag: BagReader, start: float) -> dict[str, NDArray[Any]]:
+    """Return the events' fields, each of shape (E,), times since `start` (s); a bag without the topic has none."""
+    period = step_period(bag)
     count = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
     _check_memory(bag, count * _EVENT_BYTES)
     events: list[Any] = [message for _, _, message in bag.decoded((EVENTS,))]
@@ -89,11 +92,12 @@ def _events(bag: BagReader) -> dict[str, NDArray[Any]]:
     _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
     return {
         "events_step": np.array([event.step for event in events], dtype=np.uint64),
-        "events_time": np.array([event.stamp / 1e9 for event in events], dtype=np.float64),
+        "events_time": np.array([time_of(event, period) / 1e9 - start for event in events], dtype=np.float64),
         "events_agent_id": np.array([event.agent_id for event in events], dtype=np.uint16),
         "events_kind": np.array([event.kind for event in events], dtype=np.uint8),
         "events_value": np.array([event.value for event in events], dtype=np.float64),
         "events_detail": np.array([event.detail for event in events], dtype=f"U{max(widest, 1)}"),
+        "events_stamp": np.array([event.stamp / 1e9 for event in events], dtype=np.float64),
     }
 
 
@@ -111,6 +115,8 @@ def _units() -> dict[str, str]:
     units = {"agents_ids": "1"}
     for table in TABLES:
         for column in table.columns:
+            if column.name == "stamp" and table.topic is not EVENTS:
+                continue
             plain = table.name == "plane" or (column.name in {"step", "time"} and table.topic is not EVENTS)
             units[column.name if plain else f"{table.name}_{column.name}"] = column.unit
     return units

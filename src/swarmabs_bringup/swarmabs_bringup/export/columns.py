@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -14,6 +14,9 @@ from swarmabs_core.messages import (
     PLANE_STATE,
     Topic,
 )
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import Message
 
 TableFormat = Literal["csv", "parquet"]
 ColumnType = Literal["uint8", "uint16", "uint64", "float64", "string"]
@@ -30,7 +33,7 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BagTable:
-    """A topic as a table; the columns are time, and fields of the message by their names."""
+    """A topic as a table; the columns are time, stamp, and fields of the message by their names."""
 
     name: str
     topic: Topic
@@ -38,7 +41,8 @@ class BagTable:
 
 
 _STEP = Column("step", "uint64", "1", "number of the control period")
-_TIME = Column("time", "float64", "s", "time of the step")
+_TIME = Column("time", "float64", "s", "time of the step; in real time the stamp")
+_STAMP = Column("stamp", "float64", "s", "when it was made, by the clock of who made it")
 _AGENT = Column("agent_id", "uint16", "1", "robot")
 
 
@@ -62,9 +66,10 @@ TABLES = (
             _float("position", "m"),
             _float("velocity", "m/s"),
             _float("command", "m/s or N", "held over the step before; m/s of single, N of double integrators"),
+            _STAMP,
         ),
     ),
-    BagTable("plane", PLANE_STATE, (_STEP, _TIME, _float("angle", "rad"), _float("angular_velocity", "rad/s"))),
+    BagTable("plane", PLANE_STATE, (_STEP, _TIME, _float("angle", "rad"), _float("angular_velocity", "rad/s"), _STAMP)),
     BagTable(
         "abstract",
         ABSTRACT_STATE,
@@ -76,6 +81,7 @@ TABLES = (
             _float("inertia", "kg m^2"),
             _float("torque_rate", "N m/s"),
             _float("inertia_rate", "kg m^2/s"),
+            _STAMP,
         ),
     ),
     BagTable(
@@ -92,6 +98,7 @@ TABLES = (
             _float("d1", "kg^2 m/s", "sum of m (c + ksd) p"),
             _float("d2", "kg^2 m^2/s", "sum of m (c + ksd) p^2"),
             _float("q", "kg m^2/s^2", "sum of m v^2"),
+            _STAMP,
         ),
     ),
     BagTable(
@@ -109,6 +116,7 @@ TABLES = (
             _float("mean_inertia_rate", "kg m^2/s", "mean over the step"),
             _float("torque_acceleration", "N m/s^2", "mean over the step"),
             _float("inertia_acceleration", "kg m^2/s^2"),
+            _STAMP,
         ),
     ),
     BagTable(
@@ -121,7 +129,16 @@ TABLES = (
             Column("kind", "uint8", "1", "what happened, by the numbers in SwarmEvent.msg"),
             _float("value", "by kind"),
             Column("detail", "string", "", "for people"),
+            _STAMP,
         ),
     ),
 )
 """All tables, in the order of a bag."""
+
+
+def time_of(message: Message, period: int | None) -> int:
+    """Return the time of a message's step, ns; where there is no period (ns), as in real time, its stamp.
+
+    In lockstep a robot's clock may be wrong, and nobody uses it.
+    """
+    return message.stamp if period is None else message.step * period

@@ -9,7 +9,8 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from swarmabs_bringup.bag import NotABagError, open_bag
-from swarmabs_bringup.export.columns import TABLES
+from swarmabs_bringup.bag.attached import step_period
+from swarmabs_bringup.export.columns import TABLES, time_of
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ def export_tables(
     opened = _parquet() if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
         sinks = {table.topic: stack.enter_context(opened(part, table)) for table in TABLES}
-        rows = {table.topic: _row(table) for table in TABLES}
+        period = step_period(bag)
+        rows = {table.topic: _row(table, period) for table in TABLES}
         for topic, _, message in bag.decoded(tuple(sinks)):
             sinks[topic].add(rows[topic](message))
         _write_columns(part / COLUMNS_FILE)
@@ -90,14 +92,16 @@ def new_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
-def _row(table: BagTable) -> Callable[[Message], Sequence[Any]]:
+def _row(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:
     fields = table.topic.message._fields
-    pick = itemgetter(*(0 if column.name == "time" else fields.index(column.name) for column in table.columns))
-    time = next(place for place, column in enumerate(table.columns) if column.name == "time")
+    names = [column.name for column in table.columns]
+    time, stamp = names.index("time"), names.index("stamp")
+    pick = itemgetter(*(0 if name in {"time", "stamp"} else fields.index(name) for name in names))
 
     def row(message: Message) -> Sequence[Any]:
-        picked = pick(message)
-        return (*picked[:time], picked[time] / 1e9, *picked[time + 1 :])
+        picked = list(pick(message))
+        picked[time], picked[stamp] = time_of(message, period) / 1e9, message.stamp / 1e9
+        return picked
 
     return row
 

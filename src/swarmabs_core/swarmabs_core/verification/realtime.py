@@ -16,7 +16,7 @@ from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import EVENTS, PLANE_STATE, Basis, DesiredAbstractState
 from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.recording import MEMORY
-from swarmabs_core.verification.comparison import PADDING, PAYLOAD, Difference, Stored, in_hex, surplus
+from swarmabs_core.verification.comparison import PADDING, PAYLOAD, PUBLISH_TIME, Difference, Stored, in_hex, surplus
 from swarmabs_core.verification.history import WAIT, History
 from swarmabs_core.verification.realtime_coordinators import ControllerCheck, ObserverCheck, PlaneCheck
 from swarmabs_core.verification.realtime_robot import RobotCheck
@@ -105,8 +105,8 @@ class RealtimeVerification:
         """Whether no further message can change what is found."""
         return self.difference is not None
 
-    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:  # noqa: ARG002 - as of a run in lockstep
-        """Take the next message of the bag: its topic, its log time (ns) and its bytes."""
+    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
+        """Take the next message of the bag: topic, log time (ns), bytes, and, if known, when it was published (ns)."""
         if self.decided:
             return
         try:
@@ -116,6 +116,11 @@ class RealtimeVerification:
             return
         now = self._schedule.step(time)
         self._newest = max(self._newest, now)
+        stamp = max(0, message.stamp)  # a bag has no time before 1970
+        if published not in {None, stamp}:
+            agent = agent_id_of(message) or None
+            self.difference = Difference(topic.name, message.step, agent, PUBLISH_TIME, published, stamp)
+            return
         self.difference = self._keep(Stored(topic, time, message, payload), now)
         if self._judged is None:
             self._judged = now - MEMORY
