@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import IndexType, Writer
 from tests.swarmabs_bringup.figures.conftest import record
 
 from swarmabs_bringup.bag import BAG_FILE
@@ -53,13 +53,15 @@ def rewritten(
     change: Change = lambda _topic, _number, data: data,
     attachments: Mapping[str, bytes | None] = {},
     published: Callable[[str, int], int] = lambda _topic, _number: 0,
+    more: Mapping[str, bytes] = {},
+    **options: Any,
 ) -> Path:
     """Write a bag's messages and attachments to a new file, some changed, None for left out, or published later, ns."""
     with (run / "bag" / BAG_FILE).open("rb") as source, target.open("wb") as sink:
-        reader, writer = make_reader(source), Writer(sink)
+        reader, writer = make_reader(source), Writer(sink, **options)
         writer.start(profile="ros2", library="another")
         kept = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
-        for name, data in {**kept, **attachments}.items():
+        for name, data in (*{**kept, **attachments}.items(), *more.items()):
             if data is not None:
                 writer.add_attachment(0, 0, name, "text/plain", data)
         channels: dict[str, int] = {}
@@ -126,6 +128,42 @@ def test_a_bag_of_another_writer_is_right_and_one_bit_in_it_is_named(
     assert "NOT ok" in shown
     assert f"/swarm/agent_state, step 7, robot 3: command is {difference['recorded']!r}, recomputed" in shown
     assert verify(capfd, changed, "--tolerance", "1e-12", code=0)["tolerance"] == 1e-12
+
+
+def test_a_bag_with_two_scenarios_is_refused(capfd: pytest.CaptureFixture[str], run: Path, tmp_path: Path) -> None:
+    """Of what is it a run? Whoever reads the first attachment and who reads the last would not agree."""
+    text = (run / "scenario.yaml").read_bytes()
+    same = rewritten(run, tmp_path / "same.mcap", more={"scenario.yaml": text})
+    assert verify(capfd, same, code=0)["ok"]
+    other = str(rewritten(run, tmp_path / "other.mcap", more={"scenario.yaml": text + b"# another\n"}))
+    for words in (
+        ["verify", other],
+        ["replay", other, "--node", "plane", "-o", "again", "--in-process"],
+        ["report", other],
+        ["simulate", other, "-o", "again"],
+        ["check", other],
+        ["markers", other, "-o", "again"],
+        ["scenario", "show", other],
+    ):
+        assert main(words) == 2, words
+        assert "other.mcap holds several scenarios and does not say of which it is a run" in capfd.readouterr().err
+    assert main(["info", other]) == 1
+    assert "several scenarios" in " ".join(capfd.readouterr().out.split())
+    assert not Path("again").exists()
+
+
+@pytest.mark.parametrize("command", ["verify", "info"])
+def test_a_bag_of_a_writer_that_does_not_index_attachments(
+    capfd: pytest.CaptureFixture[str], run: Path, tmp_path: Path, command: str
+) -> None:
+    bare = rewritten(run, tmp_path / "bare.mcap", index_types=IndexType.NONE)
+    with bare.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None and summary.attachment_indexes == [] and summary.statistics.attachment_count == 2
+    assert main([command, str(bare), "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    found = found[0] if isinstance(found, list) else found
+    assert "pd_het_4" in str(found["scenario"])
 
 
 def test_several_bags_give_a_list_and_one_wrong_one_decides(

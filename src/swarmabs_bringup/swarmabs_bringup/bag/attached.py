@@ -41,16 +41,16 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
     Raises
     ------
     InputError
-        If there is none, it is not valid, there are several swarms with different ones, or what was done from outside
-        contradicts it.
+        If there is none, it is not valid, there are different ones, or what was done from outside contradicts it.
     DamagedBagError
         If its bytes are damaged.
     """
     text = bag.attachment(SCENARIO_FILE)
     if text is None:
         raise InputError(f"{bag.path} holds no scenario, so it is not known what it is a run of")
-    if len(bag.swarms) > 1 and len(set(bag.attachments(SCENARIO_FILE))) > 1:
-        raise InputError(f"{bag.path} holds several scenarios and does not say which of its swarms each is of")
+    if bag.contradicts_itself(SCENARIO_FILE):
+        of = "which of its swarms each is of" if len(bag.swarms) > 1 else "of which it is a run"
+        raise InputError(f"{bag.path} holds several scenarios and does not say {of}")
     source = f"{bag.path}:{SCENARIO_FILE}"
     acted = steered and was_steered(bag) and len(bag.swarms) <= 1
     try:

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 _FOOTER_SIZE = HEAD_SIZE + 20
 _FOOTER_HEAD = struct.Struct("<BQQQ")
+_RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_INDEX_HEAD = struct.Struct("<HI")
 _MESSAGE_INDEX_ENTRY = 16
 _PIECE = 2**20
@@ -355,6 +356,38 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     if not found:
         raise RecordError(footer.summary_start, "the summary section has no statistics")
     return index
+
+
+def list_unlisted(stream: BinaryIO, index: FileIndex, size: int) -> None:
+    """List the attachments and metadata records that a summary section counts and does not list: it need not.
+
+    Parameters
+    ----------
+    stream : binary file
+        The file, open for reading.
+    index : FileIndex
+        As `read_index` returns it; it is completed.
+    size : int
+        Size of the file in bytes.
+
+    Raises
+    ------
+    RecordError
+        If a record is not as it should be.
+    """
+    attachments = index.statistics.attachment_count > len(index.attachments)
+    metadata = index.statistics.metadata_count > len(index.metadata)
+    if not attachments and not metadata:
+        return
+    found, offset = FileIndex(), len(MAGIC)
+    while offset < index.data_end:
+        stream.seek(offset)
+        opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
+        if (attachments and opcode == Opcode.ATTACHMENT) or (metadata and opcode == Opcode.METADATA):
+            _take(found, read_record(stream, offset, size))
+        offset += HEAD_SIZE + length
+    index.attachments = found.attachments if attachments else index.attachments
+    index.metadata = found.metadata if metadata else index.metadata
 
 
 def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> None:

@@ -153,8 +153,11 @@ def bag_info(path: Path | str) -> BagInfo:
     if problem is None:
         try:
             bag.check()
+            several = len(bag.swarms) <= 1 and bag.contradicts_itself(SCENARIO_FILE)
         except DamagedBagError as error:
             problem = str(error)
+        else:
+            problem = "it holds several scenarios and does not say of which it is a run" if several else None
     provenance = _provenance(_attachment(bag, PROVENANCE_FILE))
     versions, fingerprint = provenance.get("versions"), provenance.get("libm_fingerprint")
     return BagInfo(

@@ -19,7 +19,7 @@ from mcap.records import DataEnd, Metadata as MetadataRecord, Statistics
 
 from swarmabs_bringup.bag.definitions import check_definitions
 from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
-from swarmabs_bringup.bag.index import FileIndex, read_attachment, read_index, scan_index
+from swarmabs_bringup.bag.index import FileIndex, list_unlisted, read_attachment, read_index, scan_index
 from swarmabs_bringup.bag.metadata import ABORTED_KEY, RECORD_KEY, RECORD_NAME
 from swarmabs_bringup.bag.records import (
     MAGIC,
@@ -222,6 +222,10 @@ class BagReader:
                         raise RecordError(entry.offset, f"the attachment here is not {show(name)}, as the summary says")
                 yield attachment.data
 
+    def contradicts_itself(self, name: str) -> bool:
+        """Tell whether there are different attachments of a name; errors as of `attachments`."""
+        return len(set(self.attachments(name))) > 1
+
     def rosbag2_metadata(self) -> dict[str, Any]:
         """Return rosbag2's description of the bag from within the file, empty if it has none.
 
@@ -402,7 +406,7 @@ def load_yaml(text: str) -> Any:
 
 def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileIndex:
     try:
-        return read_index(stream, size)
+        stated = read_index(stream, size)
     except RecordError as error:
         found = scan_index(stream, size)
         found.problem = found.problem or str(error)
@@ -411,6 +415,8 @@ def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileInd
         raise DamagedBagError(
             f"{file} is incomplete: {found.problem}{_readable(found)}; repair saves what can be saved"
         ) from error
+    list_unlisted(stream, stated, size)
+    return stated
 
 
 def _miscounted(path: Path, name: str, said: int, counted: str) -> str:

@@ -48,7 +48,8 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
     try:
         bag = open_bag(path, damaged=True)
         attached = bag.attachment(SCENARIO_FILE)
-        if attached is None or is_realtime(bag):  # in real time a step need not have all messages
+        # In real time a step need not have all messages.
+        if attached is None or is_realtime(bag) or bag.contradicts_itself(SCENARIO_FILE):
             return None
         scenario = parse_scenario(attached.decode(), source=SCENARIO_FILE)
         members = configure.members(scenario)
