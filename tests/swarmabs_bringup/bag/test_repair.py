@@ -19,6 +19,7 @@ from mcap.records import Channel, Header, Message as McapMessage, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
+from tests.swarmabs_bringup.bag.conftest import WriteBag
 from tests.swarmabs_bringup.bag.damage import MAGIC, chunk as packed, sealed
 
 from swarmabs_bringup.bag import (
@@ -34,6 +35,7 @@ from swarmabs_bringup.bag import (
 )
 from swarmabs_bringup.bag.index import encoded
 from swarmabs_bringup.bag.output import RecordFile
+from swarmabs_bringup.cli import main
 from swarmabs_bringup.splitting import Split
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
@@ -335,6 +337,26 @@ def test_a_file_of_which_nothing_is_right_cannot_be_repaired(copy: Path) -> None
             overwrite(file, begin + 60, b"\0\0\0\0\0\0\0\0")
     with pytest.raises(DamagedBagError, match=r"no message can be saved: at byte .* chunk: "):
         repair_bag(copy)
+
+
+def test_a_recording_that_was_killed_before_its_first_chunk_cannot_be_repaired(copy: Path, tmp_path: Path) -> None:
+    """There is a scenario, but no message: no bag of a run can be made of that."""
+    file = copy / "bag_0.mcap"
+    os.truncate(file, next(begin for opcode, begin, _ in records(file) if opcode == Opcode.CHUNK))
+    with pytest.raises(DamagedBagError, match=r"no message can be saved: it ends before it says what it holds"):
+        repair_bag(copy)
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+def test_of_less_than_a_step_no_step_is_said_to_be_complete(
+    tmp_path: Path, run: list[Message], write_bag: WriteBag, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_bag(tmp_path / "bag", run[:2])
+    (bag / "metadata.yaml").unlink()
+    assert main(["repair", str(bag)]) == 0
+    shown = capfd.readouterr().out
+    assert "no step is complete, of 0 to 40" in shown
+    assert "-1" not in shown
 
 
 def test_a_disk_that_is_full_leaves_nothing_behind(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,9 +84,9 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
     kept = [part for part in parts if part.found is not None]
     if not kept:
         raise DamagedBagError(f"{found}: nothing can be saved: {parts[0].problems[0]}")
-    damaged = [part for part in kept if part.found is not None and part.found.damage]
-    if damaged and not any(part.found.index.statistics.message_count for part in kept if part.found is not None):
-        raise DamagedBagError(f"{damaged[0].path}: no message can be saved: {damaged[0].problems[0]}")
+    broken = [part for part in kept if part.found is not None and (part.found.damage or not part.found.ended)]
+    if broken and not any(part.found.index.statistics.message_count for part in kept if part.found is not None):
+        raise DamagedBagError(f"{broken[0].path}: no message can be saved: {broken[0].problems[0]}")
     if in_place and any(part.name != part.path.name for part in kept):
         gap = next(iter(problems), None) or next(part.problems[0] for part in parts if part.found is None)
         raise BagFolderError(f"{found} cannot be repaired in place: {gap}; repair it into a new folder with -o")

@@ -49,14 +49,21 @@ def _lines(report: RepairReport) -> Iterator[str]:
             yield f"lost: {part.bytes} bytes at byte {part.offset} of {Path(file.file).name}{span}"
     for topic in report.topics:
         lost = f", {topic.lost} known to be lost" if topic.lost else ""
-        step = "" if topic.last_complete_step is None else f", complete up to step {topic.last_complete_step}"
+        last = topic.last_complete_step
+        step = "" if last is None or last < (report.first_step or 0) else f", complete up to step {last}"
         yield f"{topic.name}: {topic.messages} messages{lost}{step}"
     for name in report.lost_attachments:
         yield f"lost: attachment {name}"
     if report.last_complete_step is not None:
-        steps = f"{report.first_step} to {report.last_complete_step}"
-        yield f"steps {steps} are complete, of 0 to {report.last_planned_step}"
+        yield f"{_complete_steps(report)}, of 0 to {report.last_planned_step}"
     if report.output is None:
         yield f"{report.bag} is whole: nothing to do"
     else:
         yield f"{report.messages} messages are in {report.output}"
+
+
+def _complete_steps(report: RepairReport) -> str:
+    first, last = report.first_step, report.last_complete_step
+    if first is None or last is None or last < first:
+        return "no step is complete"
+    return f"steps {first} to {last} are complete"
