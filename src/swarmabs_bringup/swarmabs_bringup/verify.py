@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bringup.bag import SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
+from swarmabs_bringup.bag import PROVENANCE_FILE, SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
 from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.bag.realtime import DRIVER, RealtimeWorld, realtime_world
 from swarmabs_bringup.provenance import plugin_versions, versions
@@ -176,7 +176,7 @@ class BagToVerify:
             ended_early=aborted,
             digest=digest,
             tolerance=tolerance,
-            notes=(*self._from_outside, *(() if difference is None else self._elsewhere())),
+            notes=(*self._from_outside, *self._unsaid(), *(() if difference is None else self._elsewhere())),
         )
 
     def _verify_realtime(
@@ -229,12 +229,19 @@ class BagToVerify:
             for topic, time, published, payload in self._bag.published(topics):
                 verification.add(topic, time, payload, published)
                 if verification.decided:
-                    return None
+                    break
                 if on_step is not None:
                     on_step(verification.step)
         except DamagedBagError as error:
             return str(error)
         return self._bag.problem
+
+    def _unsaid(self) -> tuple[str, ...]:
+        """Return what the bag does not say of its origin."""
+        if self._provenance:
+            return ()
+        what = f"the bag has no {PROVENANCE_FILE} that can be read"
+        return (f"{what}: it does not say with what it was made, and was taken for a run in lockstep",)
 
     def _elsewhere(self) -> tuple[str, ...]:
         """Return what was different where the bag was recorded and may explain a difference."""

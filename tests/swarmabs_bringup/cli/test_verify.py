@@ -166,6 +166,24 @@ def test_a_bag_of_a_writer_that_does_not_index_attachments(
     assert "pd_het_4" in str(found["scenario"])
 
 
+@pytest.mark.parametrize("provenance", [None, b"{", b"[]"])
+def test_a_bag_that_does_not_say_how_it_was_made_is_verified_with_a_note(
+    capfd: pytest.CaptureFixture[str], run: Path, tmp_path: Path, provenance: bytes | None
+) -> None:
+    bare = rewritten(run, tmp_path / "bare.mcap", attachments={"provenance.json": provenance})
+    (note,) = verify(capfd, bare, code=0)["notes"]
+    assert "no provenance.json that can be read" in note and "taken for a run in lockstep" in note
+
+
+def test_a_file_of_a_split_bag_that_is_missing_is_named(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["simulate", "--duration", "4", "--max-bag-duration", "1", "-o", "split"]) == 0
+    capfd.readouterr()
+    (tmp_path / "split" / "bag" / "bag_1.mcap").unlink()
+    found = verify(capfd, "split", code=1)
+    assert "bag_1.mcap is missing" in found["problem"]
+    assert (found["first_difference"]["step"], found["first_difference"]["field"]) == (100, "message")
+
+
 def test_several_bags_give_a_list_and_one_wrong_one_decides(
     capfd: pytest.CaptureFixture[str], run: Path, tmp_path: Path
 ) -> None:
