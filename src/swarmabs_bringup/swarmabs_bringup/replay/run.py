@@ -15,6 +15,7 @@ from swarmabs_core.behaviours.player import publisher_of
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.recording import Digest, RecordedStep
 from swarmabs_core.replay import Replay
+from swarmabs_core.verification.comparison import MESSAGE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -139,8 +140,15 @@ class ReplayRun:
 
 def _difference(first: Difference) -> dict[str, object]:
     """Return the first difference as plain data; a number that is not finite becomes a text."""
-    place = {"step": first.step, "topic": first.topic, "agent": first.agent, "field": first.field}
-    return {**place, "recorded": _plain(first.a), "replayed": _plain(first.b)}
+    place = {"step": first.step, "topic": first.topic, "agent": first.agent}
+    if first.missing is not None:  # the same words as of `verify`
+        return {**place, "field": MESSAGE, **dict(zip(("recorded", "replayed"), _there(first.missing), strict=True))}
+    return {**place, "field": first.field, "recorded": _plain(first.a), "replayed": _plain(first.b)}
+
+
+def _there(missing: str) -> tuple[str | None, str | None]:
+    """Return what stands for a whole message in the recording and in the replay, None where it is missing."""
+    return (None, MESSAGE) if missing == "A" else (MESSAGE, None)
 
 
 def _plain(value: float | str | None) -> float | str | None:

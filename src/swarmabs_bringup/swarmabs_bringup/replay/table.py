@@ -24,8 +24,7 @@ def result_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
         return (Text(f"{compared}; none differs"),)
     robot = f" of robot {first['agent']}" if first["agent"] else ""
     text = (
-        f"{compared}; the first that differs: step {first['step']}, {first['topic']}{robot}, {first['field']} is "
-        f"{first['replayed']!r}, was {first['recorded']!r}\n"
+        f"{compared}; the first that differs: step {first['step']}, {first['topic']}{robot}, {_what(first)}\n"
         "open loop: this is what the nodes would have said to what was recorded; nothing else has reacted"
     )
     table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -41,3 +40,12 @@ def result_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
         step = "-" if row["step"] is None else str(row["step"])
         table.add_row(f"  {row['field']}", f"{row['differing']:,}", largest, step, str(row["agent"] or "-"))
     return Text(text), table
+
+
+def _what(first: Mapping[str, Any]) -> str:
+    """Say how a message differs."""
+    if first["replayed"] is None:
+        return "the message is missing in the replay"
+    if first["recorded"] is None:
+        return "the message is missing in the recording"
+    return f"{first['field']} is {first['replayed']!r}, was {first['recorded']!r}"
