@@ -124,3 +124,11 @@ def test_refused_bags(tmp_path: Path) -> None:
     file.write_bytes(content)
     with pytest.raises(DamagedBagError, match="can be read"):
         make_report(file)
+
+
+def test_who_lies_is_named_where_positions_are_shown(tmp_path: Path) -> None:
+    lie = "faults=[{kind: lie, agent: 2, position_offset: 0.1}]"
+    report = make_report(record(tmp_path / "run", "pd_het_4", lie))
+    assert report.html.count("Robot 2 lies by an injected fault: positions and masses are the published ones") == 3
+    honest = make_report(record(tmp_path / "honest", "pd_het_4"))
+    assert "injected fault: positions" not in honest.html

@@ -159,6 +159,8 @@ def _metrics(recorded: Recorded, margin: Margins) -> Iterator[ET.Element]:
         yield element("p", "Fewer than two steps are recorded, so there is nothing to draw over time.")
     if recorded.measured:
         yield element("p", "The errors are those of the measured angle: the plane's sensor is imperfect.")
+    if recorded.lies_note:
+        yield element("p", recorded.lies_note)
 
 
 def _realtime(recorded: Recorded) -> ET.Element:

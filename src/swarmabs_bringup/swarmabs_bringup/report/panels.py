@@ -157,6 +157,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
     bands = len(agents.ids) > MANY
     if bands:
         note = joined(BANDS, note, by=" ")
+    said = joined(note, recorded.lies_note, by=" ")
 
     def positions(figure: FigureBase) -> None:
         axes = _quantity(figure, recorded, agents.position, "p", "position p, m")
@@ -168,7 +169,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
         span(f"positions of {counted(len(agents.ids), 'robot')}", agents.position, "m", over_time=False),
         f"the plane ends at ±{half:g} m",
     )
-    yield Panel("positions", "robots", "Positions of the robots", positions, about, note)
+    yield Panel("positions", "robots", "Positions of the robots", positions, about, said)
     if bands:
 
         def mass(figure: FigureBase) -> None:
@@ -180,7 +181,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
             _finish(axes, recorded, [])
 
         about = f"total mass {quantity(float(np.nansum(np.nanmax(agents.mass, axis=0))), 'kg')}"
-        yield Panel("mass", "robots", "Where the mass of the robots is", mass, about)
+        yield Panel("mass", "robots", "Where the mass of the robots is", mass, about, recorded.lies_note)
     about = span("velocities", agents.velocity, "m/s", over_time=False)
     yield Panel(
         "velocities",
@@ -279,6 +280,7 @@ def _margins(recorded: Recorded, margin: Margins) -> Iterator[Panel]:
         "From the outermost robot to the plane's end",
         end,
         joined(span("margin", margin.end, "m"), _lowest(margin.end, time, "m")),
+        recorded.lies_note,
     )
 
     def sets(figure: FigureBase) -> None:

@@ -123,6 +123,18 @@ class Recorded:
         return self.scenario.observer.type == "parent_response"
 
     @property
+    def lies_note(self) -> str:
+        """Say whose positions and masses are not true, empty if all are."""
+        ids = sorted({lie.agent_id for lie in configure.lies(self.scenario)})
+        if not ids:
+            return ""
+        who = f"Robot {ids[0]} lies" if len(ids) == 1 else f"Robots {', '.join(map(str, ids))} lie"
+        return (
+            f"{who} by an injected fault: positions and masses are the published ones, and so is what is computed from "
+            "them."
+        )
+
+    @property
     def measured(self) -> bool:
         """Whether the recorded motion of the plane is that of an imperfect sensor."""
         sensor = self.scenario.plane.sensor
