@@ -17,10 +17,13 @@ from typing import IO, TYPE_CHECKING, Any
 import pytest
 import zstandard
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from swarmabs_bringup.bag import DamagedBagError, NotABagError, find_bag, open_bag
 from swarmabs_bringup.bag.index import scan_index, tail
+from swarmabs_bringup.bag.info import bag_info
+from swarmabs_bringup.bag.repair import repair_bag
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, TOPIC_OF, Message
@@ -335,14 +338,81 @@ def test_bags_of_other_writers_are_read(options: dict[str, Any], tmp_path: Path,
     assert [channel.topic for channel in reader.channels] == [PLANE_STATE, None]
 
 
-def test_bag_without_statistics_or_summary_counts_as_damaged(tmp_path: Path, run: list[Message]) -> None:
-    path = tmp_path / "x.mcap"
-    options = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
-    with Recorded(path, index_types=IndexType.NONE, use_summary_offsets=False, **options) as bag:
-        bag.message(bag.channel("/plane/state", PLANE_STATE.ros_type), encode(run[3]))
-    with pytest.raises(DamagedBagError, match="no summary section; 1 messages before it"):
-        open_bag(path)
-    assert len(list(open_bag(path, damaged=True).messages())) == 1
+LEFT_OUT: dict[str, dict[str, Any]] = {
+    "statistics": {"use_statistics": False},
+    "schemas": {"repeat_schemas": False},
+    "channels": {"repeat_channels": False},
+    "chunk index": {"index_types": IndexType.ALL & ~IndexType.CHUNK},
+    "attachment index": {"index_types": IndexType.ALL & ~IndexType.ATTACHMENT},
+    "metadata index": {"index_types": IndexType.ALL & ~IndexType.METADATA},
+    "summary offsets": {"use_summary_offsets": False},
+}
+LEFT_OUT["statistics and indexes"] = {"use_statistics": False, "index_types": IndexType.MESSAGE}
+LEFT_OUT["the whole summary"] = {
+    name: value for options in LEFT_OUT.values() for name, value in options.items()
+} | {"index_types": IndexType.MESSAGE}
+
+
+def rewritten(bag: Path, path: Path, **options: Any) -> Path:
+    """Write a whole bag once more by the library's writer; chunks are as large as those of the bag."""
+    writer = Writer(str(path), chunk_size=4000, enable_data_crcs=True, **options)
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        writer.start("ros2", "somebody else")
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                assert schema is not None
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, known, channel.metadata
+                )
+            number = channels[channel.id]
+            writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+        for one in reader.iter_attachments():
+            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+    writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("options", LEFT_OUT.values(), ids=LEFT_OUT)
+def test_a_file_without_what_the_format_leaves_to_its_writer_is_whole(
+    options: dict[str, Any], tmp_path: Path, bag: Path
+) -> None:
+    path = rewritten(bag, tmp_path / "x.mcap", **options)
+    reader, own = open_bag(path), open_bag(bag)
+    assert reader.problem is None
+    assert read_everything(path) == read_everything(bag)
+    assert {channel.name: channel.message_count for channel in reader.channels} == {
+        channel.name: channel.message_count for channel in own.channels if channel.message_count
+    }
+    assert (reader.start, reader.end, reader.message_count) == (own.start, own.end, own.message_count)
+    assert {name: reader.attachment(name) for name in reader.attachment_names()} == {
+        name: own.attachment(name) for name in own.attachment_names()
+    }
+    assert reader.rosbag2_metadata() == own.rosbag2_metadata() != {}
+    info = bag_info(path)
+    assert (info.complete, info.problem) == (True, None)
+    assert info.chunks == len(reader.index.chunks) > 5
+    report = repair_bag(path)
+    assert (report.output, report.problems) == (None, ())
+
+
+@pytest.mark.parametrize("name", ["statistics", "the whole summary"])
+def test_what_is_missing_in_a_summary_hides_no_damage(name: str, tmp_path: Path, bag: Path) -> None:
+    data = rewritten(bag, tmp_path / "x.mcap", **LEFT_OUT[name]).read_bytes()
+    found = scan_index(BytesIO(data), len(data))
+    begin = found.chunks[2].chunk_start_offset
+    (tmp_path / "changed.mcap").write_bytes(data[: begin + 80] + bytes([data[begin + 80] ^ 1]) + data[begin + 81 :])
+    cut = data[:begin] + data[found.chunks[3].chunk_start_offset :]
+    (tmp_path / "shorter.mcap").write_bytes(cut)
+    (tmp_path / "end.mcap").write_bytes(data[:-1])
+    for one in ("changed", "shorter", "end"):
+        assert not bag_info(tmp_path / f"{one}.mcap").complete
+        with pytest.raises(DamagedBagError):
+            read_everything(tmp_path / f"{one}.mcap")
 
 
 def test_topic_of_another_type_or_encoding_is_not_ours(tmp_path: Path) -> None:

@@ -1,5 +1,8 @@
 """Where everything is in an MCAP file: its summary section, read, gathered by a scan, or written anew.
 
+The format lets a writer leave out the summary section, or any part of it. A file without it is whole nevertheless, and
+what is missing is gathered by a scan.
+
 A file whose writer was killed has no summary section. `scan_index` finds out what a file holds by reading it
 from the start, as far as its records are whole; `tail` makes the end of the file from that, so such a file
 becomes a complete one.
@@ -303,7 +306,7 @@ def _define(index: FileIndex, record: Record) -> None:
 
 
 def read_index(stream: BinaryIO, size: int) -> FileIndex:
-    """Read the summary section at the end of a file.
+    """Read the summary section at the end of a file; what the format lets a writer leave out of it, by a scan.
 
     Parameters
     ----------
@@ -315,7 +318,7 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     Raises
     ------
     RecordError
-        If the file has no end, no summary section, or one that is not as it should be.
+        If the file has no end, a summary section that is not as it should be, or none and a data section that is not.
     """
     end_size = _FOOTER_SIZE + len(MAGIC)
     if size < end_size + len(MAGIC):
@@ -326,7 +329,7 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
         raise RecordError(size, "the file ends before it says what it holds")
     footer: Footer = parse(Footer, read_record(stream, size - end_size, size))
     if footer.summary_start == 0:
-        raise RecordError(size, "the file has no summary section")
+        return _scanned(stream, size, size - end_size)
     if not len(MAGIC) <= footer.summary_start <= size - end_size:
         raise RecordError(size - end_size, f"the summary section is said to begin at byte {footer.summary_start}")
     if size - footer.summary_start > MAX_SIZE:
@@ -337,11 +340,10 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     before = read_record(stream, index.data_end, size)
     if before.opcode != Opcode.DATA_END or before.end != footer.summary_start:
         raise RecordError(index.data_end, "no end of the data section is where the summary section begins")
-    found = False
+    stated: Statistics | None = None
     for record in read_records(stream, footer.summary_start, size):
         if record.opcode == Opcode.STATISTICS:
-            index.statistics = parse(Statistics, record)
-            found = True
+            stated = parse(Statistics, record)
         elif record.opcode == Opcode.CHUNK_INDEX:
             index.chunks.append(parse(ChunkIndex, record))
         elif record.opcode == Opcode.ATTACHMENT_INDEX:
@@ -349,45 +351,58 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
         elif record.opcode == Opcode.METADATA_INDEX:
             index.metadata.append(parse(MetadataIndex, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            counted = index.statistics
             _define(index, record)
-            index.statistics = counted
         _check_number(index, record.offset)
-    if not found:
-        raise RecordError(footer.summary_start, "the summary section has no statistics")
+    if stated is not None:
+        index.statistics = stated
+    if stated is None or _leaves_out(index):
+        _complete(index, stream, size, footer.summary_start, counted=stated is not None)
     return index
 
 
-def list_unlisted(stream: BinaryIO, index: FileIndex, size: int) -> None:
-    """List the attachments and metadata records that a summary section counts and does not list: it need not.
+def _leaves_out(index: FileIndex) -> bool:
+    """Tell whether a summary section counts records of a kind of which it lists none."""
+    counted = index.statistics
+    return (
+        (counted.schema_count > 0 and not index.schemas)
+        or (counted.channel_count > 0 and not index.channels)
+        or (counted.chunk_count > 0 and not index.chunks)
+        or (counted.attachment_count > 0 and not index.attachments)
+        or (counted.metadata_count > 0 and not index.metadata)
+    )
 
-    Parameters
-    ----------
-    stream : binary file
-        The file, open for reading.
-    index : FileIndex
-        As `read_index` returns it; it is completed.
-    size : int
-        Size of the file in bytes.
+
+def _complete(index: FileIndex, stream: BinaryIO, size: int, end: int, *, counted: bool) -> None:
+    """Take over from the data section what the summary section leaves out: numbers, and kinds it lists none of."""
+    try:
+        found = _scanned(stream, size, end)
+    except RecordError:
+        if counted:  # whoever reads the file finds the damage where it is
+            return
+        raise
+    index.schemas = index.schemas or found.schemas
+    index.channels = index.channels or found.channels
+    index.chunks = index.chunks or found.chunks
+    index.attachments = index.attachments or found.attachments
+    index.metadata = index.metadata or found.metadata
+    if not counted:
+        index.statistics = found.statistics
+
+
+def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
+    """Return what a data section holds that is whole and ends at byte `end`.
 
     Raises
     ------
     RecordError
-        If a record is not as it should be.
+        If it is not.
     """
-    attachments = index.statistics.attachment_count > len(index.attachments)
-    metadata = index.statistics.metadata_count > len(index.metadata)
-    if not attachments and not metadata:
-        return
-    found, offset = FileIndex(), len(MAGIC)
-    while offset < index.data_end:
-        stream.seek(offset)
-        opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-        if (attachments and opcode == Opcode.ATTACHMENT) or (metadata and opcode == Opcode.METADATA):
-            _take(found, read_record(stream, offset, size))
-        offset += HEAD_SIZE + length
-    index.attachments = found.attachments if attachments else index.attachments
-    index.metadata = found.metadata if metadata else index.metadata
+    found = scan_index(stream, size)
+    if found.problem is not None:
+        raise RecordError(found.data_end, found.problem.removeprefix(f"at byte {found.data_end}: "))
+    if found.data_end + len(encoded(DataEnd(0))) != end:
+        raise RecordError(found.data_end, f"the data section ends here and not at byte {end}, as the file says")
+    return found
 
 
 def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> None:

@@ -19,7 +19,7 @@ from mcap.records import DataEnd, Metadata as MetadataRecord, Statistics
 
 from swarmabs_bringup.bag.definitions import check_definitions
 from swarmabs_bringup.bag.errors import DamagedBagError, NotABagError
-from swarmabs_bringup.bag.index import FileIndex, list_unlisted, read_attachment, read_index, scan_index
+from swarmabs_bringup.bag.index import FileIndex, read_attachment, read_index, scan_index
 from swarmabs_bringup.bag.metadata import ABORTED_KEY, RECORD_KEY, RECORD_NAME
 from swarmabs_bringup.bag.records import (
     MAGIC,
@@ -406,7 +406,7 @@ def load_yaml(text: str) -> Any:
 
 def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileIndex:
     try:
-        stated = read_index(stream, size)
+        return read_index(stream, size)
     except RecordError as error:
         found = scan_index(stream, size)
         found.problem = found.problem or str(error)
@@ -415,8 +415,6 @@ def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileInd
         raise DamagedBagError(
             f"{file} is incomplete: {found.problem}{_readable(found)}; repair saves what can be saved"
         ) from error
-    list_unlisted(stream, stated, size)
-    return stated
 
 
 def _miscounted(path: Path, name: str, said: int, counted: str) -> str:
