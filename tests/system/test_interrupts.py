@@ -20,6 +20,8 @@ from tests.system.helpers import (
     until_stepping,
 )
 
+from swarmabs_bringup.bag import open_bag
+
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
 FOREVER = ("--duration", 100_000)
@@ -35,7 +37,8 @@ def test_the_orchestrator_alone_is_told_to_end(folder: Path, number: signal.Sign
     assert "error: interrupted" in done.err
     assert "Traceback" not in done.err
     assert done.summary() == summary_of(folder)
-    assert summary_of(folder)["status"] == "interrupted"
+    assert summary_of(folder)["status"] == summary_of(folder)["reason"] == "interrupted"
+    assert open_bag(folder).aborted() == "interrupted"
     assert (folder / "bag" / "metadata.yaml").is_file()
     assert len(bag_messages(folder)) == summary_of(folder)["messages"] > 0
 

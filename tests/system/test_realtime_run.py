@@ -142,7 +142,7 @@ def test_an_interrupt_completes_the_bag(folder: Path, number: signal.Signals) ->
     assert "Traceback" not in done.err
     assert summary_of(folder)["status"] == "interrupted"
     assert len(bag_messages(folder)) == summary_of(folder)["messages"] > 0
-    assert verdict(folder)["ended_early"] is not None
+    assert verdict(folder)["ended_early"] == "interrupted"
 
 
 def test_a_killed_orchestrator_leaves_nothing_and_its_bag_is_readable(folder: Path, mark: str) -> None:

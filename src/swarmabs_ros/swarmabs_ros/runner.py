@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from swarmabs_ros.endpoints import Receiver, Waiting
     from swarmabs_ros.qos import Qos
 
+INTERRUPTED = "interrupted"
+"""What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
+
 COMMON = (
     Parameter("period_ns", 10_000_000, "control period, ns", minimum=1),
     Parameter("last_step", -1, "step with which the run ends; -1: none", minimum=-1),
@@ -132,7 +135,7 @@ class NodeSpec:
     on_stall : callable, optional
         What the behaviour answers to a stall.
     on_exit : callable, optional
-        What to do at the end, whatever it is; the argument says what went wrong, if something did.
+        What to do at the end, whatever it is; the argument says what went wrong, if something did, or `INTERRUPTED`.
     lingers : bool
         Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
     gather : float
@@ -232,11 +235,11 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         repeat_steps=settings.integer("repeat_steps"),
         on_idle=spec.on_idle,
     )
-    stopped = False
+    stopped = interrupted = False
 
-    def stop(*_: Any) -> None:
-        nonlocal stopped
-        stopped = True
+    def stop(number: int, *_: Any) -> None:
+        nonlocal stopped, interrupted
+        stopped, interrupted = True, number == signal.SIGINT
         loop.stop()
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -251,7 +254,7 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         while not stopped and not status.wait_for_start(SLICE):
             pass
         loop.run()
-        problem = None
+        problem = INTERRUPTED if interrupted else None
     except RunError as error:
         problem = str(error)
         raise

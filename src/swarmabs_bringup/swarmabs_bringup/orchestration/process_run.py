@@ -238,7 +238,8 @@ class ProcessRun:
         if reason is not None:
             self._note(reason)
         if RECORDER in state.pids and not (failure is not None and RECORDER in failure.culprits):
-            launcher.signal(RECORDER, signal.SIGTERM)
+            # By the signal it knows what to write into the bag as the reason.
+            launcher.signal(RECORDER, signal.SIGINT if self._interrupted and failure is None else signal.SIGTERM)
             deadline = time.monotonic() + CLOSING_SECONDS
             while self._recorder_works(launcher) and time.monotonic() < deadline:
                 self._listen(launcher, wake)

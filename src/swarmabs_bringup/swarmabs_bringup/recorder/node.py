@@ -32,7 +32,7 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_core.recording import RunCollector
 from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.qos import requested
-from swarmabs_ros.runner import STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.runner import INTERRUPTED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -210,11 +210,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
 
     def finish(problem: str | None) -> None:
         log = {"run.log": log_text(settings.text("logs"))}
-        if problem is None and recorder.finished:
-            figures = recording.close(log)
-        else:
-            figures = recording.abort(problem or "stopped before the end", log)
-        status.send("done", complete=problem is None and recorder.finished, problem=problem, figures=figures)
+        complete = recorder.finished and problem in {None, INTERRUPTED}
+        figures = recording.close(log) if complete else recording.abort(problem or "stopped before the end", log)
+        status.send("done", complete=complete, problem=None if problem == INTERRUPTED else problem, figures=figures)
 
     # What may be under way, and the step that is being recorded.
     depth = max(1000, (configure.recording_window(scenario) + 1) * len(scenario.agents))

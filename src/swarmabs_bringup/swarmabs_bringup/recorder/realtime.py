@@ -28,7 +28,7 @@ from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
-from swarmabs_ros.runner import COMMON, Settings, SwarmNode, fail
+from swarmabs_ros.runner import COMMON, INTERRUPTED, Settings, SwarmNode, fail
 from swarmabs_ros.start import initialise
 from swarmabs_ros.status import StatusChannel
 from swarmabs_ros.systemd import notify, watchdog_interval
@@ -79,11 +79,13 @@ class RealtimeRecorder:
         self._reported = 0.0
         self._interval, self._due = watchdog_interval(), 0
         self._stopped = False
+        self.interrupted = False
         self.malformed = 0
 
-    def stop(self, *_: Any) -> None:
-        """Let the loop end."""
+    def stop(self, number: int, *_: Any) -> None:
+        """Let the loop end, for a signal."""
         self._stopped = True
+        self.interrupted = number == signal.SIGINT
 
     def run(self, recording: RealtimeRecording, end_ns: int) -> bool:
         """Record until told to stop, or until a time (ns since 1970); return whether it is over."""
@@ -182,15 +184,15 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     over = False
     try:
         over = recorder.run(recording, NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9))
-        problem = None
+        problem = INTERRUPTED if recorder.interrupted else None
     except RunError as error:
         problem = str(error)
         raise
     finally:
         log = {"run.log": log_text(settings.text("logs"))}
-        complete = problem is None and (over or last is None)
+        complete = problem in {None, INTERRUPTED} and (over or last is None)
         figures = recording.close(log) if complete else recording.abort(problem or "stopped before the end", log)
-        status.send("done", complete=complete, problem=problem, figures=figures)
+        status.send("done", complete=complete, problem=None if problem == INTERRUPTED else problem, figures=figures)
         if recorder.malformed:
             node.get_logger().warning(f"{recorder.malformed} messages were malformed and are not recorded")
 

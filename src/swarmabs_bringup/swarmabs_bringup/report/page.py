@@ -97,7 +97,7 @@ def _header(recorded: Recorded, name: str) -> Iterator[ET.Element]:
     yield element("h1", name)
     good = recorded.status == "ok"
     text = "completed" if good else recorded.status
-    reason = f": {shown(recorded.reason)}" if recorded.reason else ""
+    reason = f": {shown(recorded.reason)}" if recorded.reason not in {None, recorded.status} else ""
     yield element("p", element("span", text, class_=f"status {'good' if good else 'bad'}"), reason)
     scenario, agents = recorded.scenario, recorded.arrays.agents
     singles = int((agents.kind == 1).any(axis=0).sum())
