@@ -348,9 +348,9 @@ LEFT_OUT: dict[str, dict[str, Any]] = {
     "summary offsets": {"use_summary_offsets": False},
 }
 LEFT_OUT["statistics and indexes"] = {"use_statistics": False, "index_types": IndexType.MESSAGE}
-LEFT_OUT["the whole summary"] = {
-    name: value for options in LEFT_OUT.values() for name, value in options.items()
-} | {"index_types": IndexType.MESSAGE}
+LEFT_OUT["the whole summary"] = {name: value for options in LEFT_OUT.values() for name, value in options.items()} | {
+    "index_types": IndexType.MESSAGE
+}
 
 
 def rewritten(bag: Path, path: Path, **options: Any) -> Path:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import random
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 import rclpy
@@ -18,9 +22,22 @@ from swarmabs_bringup.view.facts import regions
 from swarmabs_bringup.view.health import ProcessWatch
 from swarmabs_bringup.view.live import SILENCE, Listener, LiveSession, LiveView, StepRate
 from swarmabs_bringup.view.picture import Picture
-from swarmabs_bringup.view.protocol import Curves, Events, Frame, Hello, Message, Play, State
+from swarmabs_bringup.view.protocol import (
+    Curves,
+    Events,
+    Frame,
+    Hello,
+    Manifold,
+    Message,
+    Plane,
+    Play,
+    Robot,
+    Sets,
+    State,
+)
+from swarmabs_bringup.view.shading import Shading
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import TOPIC_OF
+from swarmabs_core.messages import TOPIC_OF, EventKind, SwarmEvent
 from swarmabs_core.theory.constraint_sets import StateClass, classify
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.runner import SwarmNode
@@ -167,7 +184,8 @@ def test_step_rate_is_that_of_the_last_seconds() -> None:
 
 def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:
     masses, length, gravity = [0.3552, 0.3532, 0.6762, 0.4596], 1.0, 9.81
-    found = regions(masses, length, gravity, 5.5)
+    found = regions(masses, length, gravity, 5.0)
+    assert found is not None
     assert found.torque == sorted(found.torque)
     rows = zip(found.torque, found.smallest, found.admissible, found.reachable, strict=True)
     for torque, smallest, admissible, reachable in list(rows)[::20]:
@@ -183,8 +201,72 @@ def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:
             assert classify(torque, inertia, masses, length, gravity) is expected
 
 
+def test_weights_that_stand_still_shift_the_sets() -> None:
+    """Any positions on the plane of those who move give, with the weights that stand still, a state within."""
+    masses, standing, length, gravity = [0.35, 0.4, 0.6], [(0.5, 0.3), (0.2, -0.45)], 1.0, 9.81
+    found = regions(masses, length, gravity, 8.0, standing)
+    assert found is not None
+    draw = random.Random(5)
+    for _ in range(300):
+        places = [draw.uniform(-0.5, 0.5) for _ in masses]
+        weights = [*zip(masses, places, strict=True), *standing]
+        torque = gravity * sum(mass * place for mass, place in weights)
+        inertia = sum(mass * place**2 for mass, place in weights)
+        smallest, reachable = (
+            float(np.interp(torque, found.torque, np.array(one, dtype=float)))
+            for one in (found.smallest, found.reachable)
+        )
+        assert smallest - 1e-3 < inertia < reachable + 1e-3
+    # All who move at one end: the largest torque, at which there is one inertia.
+    ends = [*((mass, 0.5) for mass in masses), *standing]
+    assert found.torque[-1] == pytest.approx(gravity * sum(mass * place for mass, place in ends))
+    assert found.smallest[-1] == found.admissible[-1] == pytest.approx(sum(mass * place**2 for mass, place in ends))
+    assert regions(masses[:1], length, gravity, 5.0, standing) is None
+    assert regions(masses, length, gravity, 5.0, [(0.5, math.nan)]) is None
+
+
+def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
+    robots = [Robot(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)]
+    plane = Plane(length=1.0, inertia=0.1, gravity=9.81)
+    known = {"robots": robots, "plane": plane, "manifold": Manifold(curvature=0.1, offset=0.02, torque_max=5.0)}
+    first = regions([0.4] * 3, 1.0, 9.81, 5.0)
+    hello = HELLO.model_copy(update={**known, "regions": first})
+    live = LiveView(hello, Picture(robots))
+    waiting: list[Callable[[], None]] = []
+    live.shading = Shading(hello, waiting.append)
+    pages = [LiveSession(live), LiveSession(live)]
+    for page in pages:
+        page.hello()
+
+    def told(step: int, *events: SwarmEvent) -> list[list[Sets]]:
+        for message in [*events, *make_step(step)]:
+            live.picture.add(message)
+        said = [page.poll(step / 10) for page in pages]
+        assert all("Frame" in types(messages) for messages in said)  # which come also while the sets are computed
+        while waiting:
+            waiting.pop()()
+        said = [[*messages, *page.poll(step / 10)] for messages, page in zip(said, pages, strict=True)]
+        return [[message for message in messages if isinstance(message, Sets)] for messages in said]
+
+    def event(step: int, robot: int, kind: EventKind) -> SwarmEvent:
+        return SwarmEvent(step, step, robot, kind, 0.25, "")
+
+    assert told(0) == [[], []]
+    joined = Sets(moving=[1, 2, 7, 9], standing=[], regions=regions([0.4] * 4, 1.0, 9.81, 5.0))
+    assert told(1, event(1, 9, EventKind.JOINED)) == [[joined], [joined]]
+    died = Sets(moving=[1, 7, 9], standing=[2], regions=regions([0.4] * 3, 1.0, 9.81, 5.0, [(0.4, 0.25)]))
+    assert told(2, event(2, 2, EventKind.DEAD)) == [[died], [died]]
+    assert told(3) == [[], []]
+    ((alone,), _) = told(4, event(4, 1, EventKind.LEFT), event(4, 9, EventKind.LEFT))
+    assert (alone.moving, alone.regions) == ([7], None)
+    late = LiveSession(live)
+    late.hello()
+    assert [message for message in late.poll(1.0) if isinstance(message, Sets)] == [alone]
+
+
 def test_a_torque_that_no_robots_on_the_plane_give_is_not_shown() -> None:
     found = regions([0.1, 0.1], 1.0, 10.0, 5.0)
+    assert found is not None
     assert max(found.torque) == pytest.approx(1.0)
     assert found.reachable[-1] == pytest.approx(0.05)
 

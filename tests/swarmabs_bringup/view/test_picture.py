@@ -7,6 +7,7 @@ import random
 import pytest
 from tests.swarmabs_bringup.sample_run import PERIOD, make_run, make_step
 
+from swarmabs_bringup.attendance import Members
 from swarmabs_bringup.view import picture as module
 from swarmabs_bringup.view.picture import MOST_EVENTS, SILENT_STEPS, STALE, Picture
 from swarmabs_bringup.view.protocol import Robot
@@ -96,6 +97,37 @@ def test_events_say_who_is_out(kind: EventKind, status: str) -> None:
     frame = picture_of([*make_run(5), event(3, 2, kind)]).frame(None)
     assert frame is not None
     assert frame.robots.status == ["active", status, "active"]
+
+
+def test_a_robot_that_was_dead_before_anything_was_heard_stands_where_its_event_says() -> None:
+    known = [Robot(id=number, kind="single_integrator", mass=1.0, damping=0.0) for number in (1, 2, 7, 9)]
+    made = Picture(known)
+    for message in [event(3, 9, EventKind.LEFT), event(3, 2, EventKind.DEAD, "kill"), *make_step(500, agents=(1, 7))]:
+        made.add(message)
+    frame = made.frame(None)
+    assert frame is not None
+    assert frame.robots.status == ["active", "dead", "active", "left"]
+    for name, dead in (("position", 0.5), ("velocity", 0.0), ("command", None)):
+        found = getattr(frame.robots, name)
+        assert None not in (found[0], found[2])
+        assert (found[1], found[3]) == (dead, None)
+    assert made.members() == Members((1, 7), ((2, 0.5),))
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_what_a_robot_says_after_its_end_is_not_shown(late: bool) -> None:  # noqa: FBT001 - a case, not a switch
+    end = event(6, 2, EventKind.DEAD, "kill")
+    again = event(8, 2, EventKind.RECOVERED)
+    run = make_run(20)
+    made = picture_of([*run, again, end] if late else [end, again, *run])
+    frame = made.frame(None)
+    assert frame is not None
+    assert frame.step == 20
+    assert (frame.robots.status[1], frame.robots.position[1], frame.robots.velocity[1]) == ("dead", 0.5, 0.0)
+    early = picture_of([end, *(message for message in run if message.step < 6)]).frame(None)
+    assert early is not None
+    (state,) = (m for m in run if isinstance(m, AgentState) and (m.step, m.agent_id) == (5, 2))
+    assert (early.robots.status[1], early.robots.position[1]) == ("active", state.position)
 
 
 def test_who_joins_again_is_in() -> None:

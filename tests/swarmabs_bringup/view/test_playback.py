@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.swarmabs_bringup.figures.conftest import ReadBag, record
-from tests.swarmabs_bringup.report.conftest import messages, write
+from tests.swarmabs_bringup.report.conftest import SCENARIO, messages, write
+from tests.swarmabs_bringup.sample_run import write_bag
 
+from swarmabs_bringup.view.facts import regions
 from swarmabs_bringup.view.playback import COLUMNS, PlaybackSession, Recording, open_recording
-from swarmabs_bringup.view.protocol import Frame, Message, Pause, Play, Seek, Speed, State
+from swarmabs_bringup.view.protocol import Frame, Message, Pause, Play, Seek, Sets, Speed, State
+from swarmabs_bringup.view.shading import Shading
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +44,17 @@ def test_every_frame_is_what_the_bag_holds(run: Path, recording: Recording) -> N
         frame = recording.frame(recording.row_at(step))
         assert (frame.step, frame.time, frame.angle) == (step, step / 100, angle[step])
         assert (frame.abstract.torque, frame.desired.inertia) == (torque[step], wanted[step])
-        # Who is out stays where it was last heard.
-        assert frame.robots.position == [found[min(step, len(found) - 1)] for found in positions.values()]
-        dead, left = step > 100, step > 200
-        expected = ["dead" if dead else "active", "left" if left else "active", "active", "active"]
-        if step != 200:  # at which the robot itself says that it leaves
-            assert frame.robots.status == expected
+        dead, left = step > 100, step >= 200  # the robot itself says that it leaves
+        assert frame.robots.status == ["dead" if dead else "active", "left" if left else "active", "active", "active"]
+        # Who is dead stands still where it was last heard; who has left is nowhere.
+        assert frame.robots.position == [
+            None if left and robot == 2 else found[min(step, len(found) - 1)] for robot, found in positions.items()
+        ]
+        if dead:
+            assert (frame.robots.velocity[0], frame.robots.command[0]) == (0.0, None)
+        if left:
+            assert (frame.robots.velocity[1], frame.robots.command[1]) == (None, None)
+        assert None not in (*frame.robots.velocity[2:], *frame.robots.command[2:])
 
 
 def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
@@ -111,6 +119,62 @@ def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(tmp_path: Path, 
     assert len(recording.curves.time) == len(recording)
     for row in range(len(recording)):  # also with robots of which nothing is left
         assert len(recording.frame(row).robots.position) == 3
+
+
+def test_the_sets_are_those_of_whoever_takes_part(run: Path) -> None:
+    recording = open_recording(run)
+    recording.shading = Shading(recording.hello, lambda work: work())
+    agents = {agent.id: agent for agent in recording.recorded.scenario.agents}
+    place = ReadBag(run).column("/swarm/agent_state", "position", 1)[-1]
+    session = PlaybackSession(recording)
+    session.hello()
+    found: dict[int, Sets] = {}
+    for step in (0, 100, 101, 150, 200, 201, 400, 101, 50):
+        session.control(Seek(v=1, type="seek", step=step))
+        found.update((step, message) for message in session.poll(0.0) if isinstance(message, Sets))
+    assert list(found) == [101, 201, 50]  # at 101 once more it is the same message
+    assert found[50] == recording.shading.first
+    assert found[50].regions == recording.hello.regions
+    plane, manifold = recording.recorded.scenario.plane, recording.recorded.scenario.manifold
+    for step, moving in ((101, [2, 3, 4]), (201, [3, 4])):
+        assert (found[step].moving, found[step].standing) == (moving, [1])
+        assert found[step].regions == regions(
+            [agents[robot].mass for robot in moving],
+            *(plane.length, plane.gravity, manifold.torque_max),
+            [(agents[1].mass, place)],
+        )
+
+
+def test_a_robot_that_joins_later_counts_from_then_on(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", "pd_het_4", "duration=1.0", "faults=[{at: 0.5, kind: join, agent: 3}]")
+    recording = open_recording(folder)
+    recording.shading = Shading(recording.hello, lambda work: work())
+    assert recording.shading.first.moving == [1, 2, 4]
+    last = recording.sets(len(recording) - 1)
+    assert last is not None
+    assert last.moving == [1, 2, 3, 4]
+    assert last.regions != recording.hello.regions
+    before, since = recording.sets(recording.row_at(49)), recording.sets(recording.row_at(50))
+    assert (before, since) == (recording.shading.first, last)
+
+
+def test_a_bag_of_several_swarms_says_which_one_it_shows(tmp_path: Path) -> None:
+    attached = {"scenario.yaml": SCENARIO.encode(), "provenance.json": b"{}"}
+    bag = write_bag(tmp_path / "bag", messages(20), attached, namespace="/b")
+    named = open_recording(bag, namespace="/b").hello
+    assert named.title == "sample, swarm /b"
+    assert named.place == f"{bag / 'bag_0.mcap'}, namespace /b"
+    assert open_recording(bag).hello == named  # it is the only one, and in a namespace all the same
+    plain = open_recording(write(tmp_path / "plain", messages(20))).hello
+    assert (plain.title, plain.place) == ("sample", str(tmp_path / "plain" / "bag_0.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("reason", "text"), [("interrupted", "interrupted"), ("robot 2 is silent", "failed: robot 2 is silent")]
+)
+def test_a_run_that_did_not_end_by_itself_has_one_name(tmp_path: Path, reason: str, text: str) -> None:
+    said = PlaybackSession(open_recording(write(tmp_path / "bag", messages(20), aborted=reason))).poll(0.0)
+    assert [message.text for message in said if isinstance(message, State)] == [text]
 
 
 def test_a_bag_in_which_nothing_is_is_shown_as_such(tmp_path: Path) -> None:

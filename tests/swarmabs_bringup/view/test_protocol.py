@@ -61,7 +61,7 @@ def test_schema_says_who_sends_what() -> None:
 
 
 FROM = {
-    "from_server": {"Hello", "Frame", "Curves", "Events", "Health", "State", "Steering", "Answer"},
+    "from_server": {"Hello", "Frame", "Sets", "Curves", "Events", "Health", "State", "Steering", "Answer"},
     "from_page": {"Play", "Pause", "Seek", "Speed", "Steer"},
 }
 
@@ -112,6 +112,13 @@ def test_wishes_of_a_page(text: str, wish: object) -> None:
         "",
         "[]",
         '{"v": 2, "type": "play"}',
+        '{"v": true, "type": "play"}',
+        '{"v": 1.0, "type": "play"}',
+        '{"v": "1", "type": "play"}',
+        '{"v": 1, "type": "seek", "step": true}',
+        '{"v": 1, "type": "seek", "step": "7"}',
+        '{"v": 1, "type": "speed", "speed": "2"}',
+        '{"v": 1, "type": "speed", "speed": true}',
         '{"type": "play"}',
         '{"v": 1, "type": "kill"}',
         '{"v": 1, "type": "play", "more": 1}',

@@ -120,14 +120,16 @@ def test_a_port_that_is_taken_is_refused_and_named(served: Served) -> None:
         bound(served.port)
 
 
-async def hear(served: Served, *wishes: str, origin: str | None = None, until: str = "frame") -> list[dict[str, Any]]:
+async def hear(
+    served: Served, *wishes: str | bytes, origin: str | None = None, until: str = "frame"
+) -> list[dict[str, Any]]:
     """Connect, say something, and return what comes up to the first message of a type."""
     url = served.url
     headers = {"Origin": url.rstrip("/") if origin is None else origin}
     found: list[dict[str, Any]] = []
     async with ClientSession() as session, session.ws_connect(f"{url}socket", headers=headers) as page:
         for wish in wishes:
-            await page.send_str(wish)
+            await (page.send_str(wish) if isinstance(wish, str) else page.send_bytes(wish))
         async for message in page:
             if message.type is not WSMsgType.TEXT:
                 break
@@ -155,8 +157,15 @@ def test_connections_of_other_pages_are_refused(served: Served) -> None:
     assert caught.value.status == 403
 
 
-@pytest.mark.parametrize("wish", ["", "x" * 5000, '{"v": 1, "type": "steer"}', '{"v": 9, "type": "play"}'])
-def test_who_says_what_is_no_message_is_shown_out_and_others_stay(served: Served, wish: str) -> None:
+@pytest.mark.parametrize(
+    "wish",
+    [
+        *("", "x" * 5000, '{"v": 1, "type": "steer"}', '{"v": 9, "type": "play"}', '{"v": true, "type": "play"}'),
+        *(b"", b'{"v": 1, "type": "play"}', b"\xff" * 100),
+    ],
+    ids=repr,
+)
+def test_who_says_what_is_no_message_is_shown_out_and_others_stay(served: Served, wish: str | bytes) -> None:
     found = asyncio.run(hear(served, wish, until="never"))
     assert found[-1]["code"] in {1008, 1009}
     assert asyncio.run(hear(served))[-1]["type"] == "frame"

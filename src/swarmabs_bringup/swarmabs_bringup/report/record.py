@@ -67,6 +67,8 @@ class Recorded:
         where the controller has not answered.
     realtime : dict or None
         Figures that only a run in real time has, as under ``realtime`` in ``summary.json``.
+    swarm : str or None
+        Namespace of the swarm; None where it is in none, and the bag holds no other.
     """
 
     bag: Path
@@ -81,6 +83,7 @@ class Recorded:
     summary_note: str
     law_time: Floats
     realtime: Mapping[str, Any] | None = None
+    swarm: str | None = None
 
     def time_of(self, event: SwarmEvent) -> float:
         """Return the time of an event's step, s: the clock that has stamped it may be wrong."""
@@ -181,7 +184,14 @@ def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
         summary_note=note,
         law_time=law_time,
         realtime=None if realtime is None else realtime.realtime(),
+        swarm=_swarm(bag),
     )
+
+
+def _swarm(bag: BagReader) -> str | None:
+    if bag.namespace is None or (bag.namespace == "/" and len(bag.swarms) <= 1):
+        return None
+    return bag.namespace.rstrip("/") or "/"
 
 
 def _check_kinds(bag: BagReader, tables: Tables) -> None:

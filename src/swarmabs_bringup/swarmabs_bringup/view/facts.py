@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from math import fsum, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -32,53 +33,76 @@ UNKNOWN: dict[str, Any] = {
 
 def scenario_facts(scenario: Scenario) -> dict[str, Any]:
     """Return the fields of a `Hello` that a scenario determines; generated robots are listed."""
+    initial = scenario.initial_agents
+    there = {agent.id for agent in initial}
     return {
         "period": scenario.period,
         "last_step": scenario.steps,
         "robots": [
-            Robot(id=agent.id, kind=agent.kind, mass=agent.mass, damping=agent.damping) for agent in scenario.agents
+            Robot(
+                id=agent.id,
+                kind=agent.kind,
+                mass=agent.mass,
+                damping=agent.damping,
+                joins=agent.id not in there,
+            )
+            for agent in scenario.agents
         ],
-        "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia),
+        "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia, gravity=scenario.plane.gravity),
         "manifold": Manifold(
             curvature=scenario.manifold.curvature,
             offset=scenario.manifold.offset,
             torque_max=scenario.manifold.torque_max,
         ),
         "regions": regions(
-            [agent.mass for agent in scenario.agents],
+            [agent.mass for agent in initial],
             scenario.plane.length,
             scenario.plane.gravity,
-            _MARGIN * scenario.manifold.torque_max,
+            scenario.manifold.torque_max,
         ),
     }
 
 
-def regions(masses: Sequence[float], length: float, gravity: float, torque_max: float) -> Regions:
-    """Sample the boundaries of A_A and A_P.
+def regions(
+    masses: Sequence[float],
+    length: float,
+    gravity: float,
+    torque_max: float,
+    standing: Sequence[tuple[float, float]] = (),
+) -> Regions | None:
+    """Sample the boundaries of A_A and A_P: of the states that robots give, and weights that stand still among them.
+
+    These add a constant torque and a constant inertia to what the robots give.
 
     Parameters
     ----------
     masses : sequence of float
-        Of all robots, kg.
+        Of all robots that are commanded, kg; there are no sets of fewer than two.
     length : float
         Of the plane, m.
     gravity : float
         m/s^2.
     torque_max : float
-        Up to which torque, N m; never further than robots on the plane reach.
+        Of the manifold, N m: the sets are shown somewhat beyond, but never further than robots on the plane reach.
+    standing : sequence of tuple of float
+        Mass (kg) and place (m) of each weight that stands still.
     """
-    reach = min(torque_max, gravity * fsum(masses) * length / 2.0)
+    if len(masses) < 2 or not all(map(isfinite, (*masses, *chain.from_iterable(standing)))):
+        return None
+    shift = gravity * fsum(mass * place for mass, place in standing)
+    lift = fsum(mass * place**2 for mass, place in standing)
+    reach = min(_MARGIN * torque_max + abs(shift), gravity * fsum(masses) * length / 2.0)
     samples = 4 * _SAMPLES if len(masses) <= _FEW else _SAMPLES
-    # The sets are symmetric in the torque.
+    # Without the weights that stand still, the sets are symmetric in the torque.
     half = [reach * index / samples for index in range(samples + 1)]
     curves = [
-        [finite(smallest_inertia(torque, masses, gravity)) for torque in half],
-        [finite(largest_admissible_inertia(torque, masses, length, gravity)) for torque in half],
-        [finite(largest_inertia(torque, masses, length, gravity).lower) for torque in half],
+        [finite(lift + smallest_inertia(torque, masses, gravity)) for torque in half],
+        [finite(lift + largest_admissible_inertia(torque, masses, length, gravity)) for torque in half],
+        [finite(lift + largest_inertia(torque, masses, length, gravity).lower) for torque in half],
     ]
     smallest, admissible, reachable = ([*reversed(curve[1:]), *curve] for curve in curves)
     return Regions(
-        torque=[*(-torque for torque in reversed(half[1:])), *half],
+        torque=[shift + torque for torque in (*(-torque for torque in reversed(half[1:])), *half)],
         smallest=smallest,
         admissible=admissible,
         reachable=reachable,

@@ -17,7 +17,8 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.view.picture import Picture
-from swarmabs_bringup.view.protocol import Curves, Events, Frame, Hello, Message, State
+from swarmabs_bringup.view.protocol import Curves, Events, Frame, Hello, Message, Sets, State
+from swarmabs_bringup.view.shading import Shading
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
@@ -143,6 +144,7 @@ class LiveView:
     def __init__(self, hello: Hello, picture: Picture) -> None:
         self._hello = hello
         self.picture = picture
+        self.shading = Shading(hello)
         self.health: Health | None = None
         self.phase: Phase = "waiting"
         self.text = "waiting for the first step"
@@ -151,7 +153,7 @@ class LiveView:
 
     def learn(self, hello: Hello, picture: Picture) -> None:
         """Begin anew, with what has become known."""
-        self._hello, self.picture = hello, picture
+        self._hello, self.picture, self.shading = hello, picture, Shading(hello)
         self.facts += 1
 
     def hello(self) -> Hello:
@@ -199,6 +201,7 @@ class LiveSession:
         self._version = -1
         self._curves = (-1, 0)
         self._events = 0
+        self._sets: Sets | None = None
         self._health: Health | None = None
         self._state: tuple[str, str] | None = None
         self._told = float("-inf")
@@ -208,6 +211,7 @@ class LiveSession:
         live = self._live
         self._known = (live.facts, len(live.picture.robots))
         self._version, self._curves, self._events, self._state = -1, (-1, 0), 0, None
+        self._sets = live.shading.first
         return [live.hello(), Events(replace=True, events=[])]
 
     def poll(self, now: float) -> list[Message]:
@@ -225,6 +229,7 @@ class LiveSession:
         if picture.version != self._version:
             self._version = picture.version
             messages += [*self._new_curves(), *self._new_events(), *self._frame(now)]
+        messages += self._new_sets()
         if live.health is not self._health and live.health is not None:
             self._health = live.health
             messages.append(live.health)
@@ -243,6 +248,13 @@ class LiveSession:
     def _frame(self, now: float) -> list[Frame]:
         frame = self._live.picture.frame(self._live.rate.at(now))
         return [] if frame is None else [frame]
+
+    def _new_sets(self) -> list[Sets]:
+        found = self._live.shading.of(self._live.picture.members())
+        if found is None or found is self._sets:
+            return []
+        self._sets = found
+        return [found]
 
     def _new_curves(self) -> list[Curves]:
         buffer = self._live.picture.curves

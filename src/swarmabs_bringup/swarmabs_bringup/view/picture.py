@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_bringup.attendance import Attendance
 from swarmabs_bringup.view.curves import CurveBuffer, Point
 from swarmabs_bringup.view.facts import finite
 from swarmabs_bringup.view.protocol import Abstract, Event, Frame, Robot, RobotStates, RobotStatus
@@ -31,6 +32,7 @@ from swarmabs_core.steering import REFERENCE
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from swarmabs_bringup.attendance import Members
     from swarmabs_core.steering import OffsetReference
 
 MOST_EVENTS = 1000
@@ -42,13 +44,32 @@ SILENT_STEPS = 100
 PENDING = 256
 """Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
 
+MOST_CHANGES = 16
+"""How often a robot is in and out that is remembered, the latest times."""
+
 STALE = 1000
 """Steps after which the plane is shown alone, if observer or controller are not heard any more."""
 CLOCK = 10**17
 """Stamps beyond, ns, are those of a clock and not of steps: three years."""
 
 STATUS: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
-_ENDS: dict[int, RobotStatus] = {EventKind.DEAD: "dead", EventKind.LEFT: "left"}
+
+
+class Seen(NamedTuple):
+    """What is shown of a robot: position (m), velocity (m/s), command (m/s, of double integrators N), and status."""
+
+    position: float | None = None
+    velocity: float | None = None
+    command: float | None = None
+    status: RobotStatus | None = None
+
+
+GONE = Seen(status="left")
+
+
+def standing(place: float) -> Seen:
+    """Return what is shown of a dead robot: it stands still (m), whatever its process goes on saying."""
+    return Seen(finite(place), 0.0, None, "dead")
 
 
 def event_of(event: SwarmEvent, time: float) -> Event:
@@ -131,9 +152,11 @@ class Picture:
         self._begun: Basis | None = None
         self._first_stamp: int | None = None
         self._states: dict[int, list[AgentState]] = {}
-        self._ended: dict[int, RobotStatus] = {}
+        known = [robot.id for robot in robots]
+        absent = [robot.id for robot in robots if robot.joins]
+        self._attendance = Attendance(known, absent, most=MOST_CHANGES)
         self._known_events: dict[tuple[int, int, int, str], None] = {}
-        self._known = {robot.id for robot in robots}
+        self._known = set(known)
         self._latest = _Step()
         self._shown = _Step()
         self._steps: dict[int, _Step] = {}
@@ -171,14 +194,11 @@ class Picture:
 
     def frame(self, step_rate: float | None) -> Frame | None:
         """Return what is to be seen, None before the plane was heard."""
-        latest, shown = self._latest, self._shown
-        if latest.plane is None:
+        plane, abstract, desired = self._current()
+        if plane is None:
             return None
-        if shown.plane is None or shown.plane.step + STALE < latest.plane.step:  # somebody says nothing any more
-            shown = self._steps.get(latest.plane.step, _Step())
-        plane, abstract, desired = shown.plane or latest.plane, shown.abstract, shown.desired
         time = self._time(plane)
-        states = [self._state(robot.id, plane.step) for robot in self.robots]
+        robots = [self._seen(robot.id, plane.step) for robot in self.robots]
         return Frame(
             step=plane.step,
             time=time,
@@ -188,13 +208,27 @@ class Picture:
             abstract=_pair(abstract),
             desired=_pair(desired),
             robots=RobotStates(
-                position=[None if state is None else finite(state.position) for state in states],
-                velocity=[None if state is None else finite(state.velocity) for state in states],
-                command=[None if state is None else finite(state.command) for state in states],
-                status=[self._status(state, plane.step) for state in states],
+                position=[seen.position for seen in robots],
+                velocity=[seen.velocity for seen in robots],
+                command=[seen.command for seen in robots],
+                status=[seen.status for seen in robots],
             ),
             step_rate=step_rate,
         )
+
+    def members(self) -> Members:
+        """Return who takes part in the step that is to be seen, of the robots that were known beforehand."""
+        plane, _, _ = self._current()
+        return self._attendance.members(0 if plane is None else plane.step)
+
+    def _current(self) -> tuple[PlaneState | None, AbstractState | None, DesiredAbstractState | None]:
+        """Return what is known of the step that is to be seen; no plane before it was heard."""
+        latest, shown = self._latest, self._shown
+        if latest.plane is None:
+            return None, None, None
+        if shown.plane is None or shown.plane.step + STALE < latest.plane.step:  # somebody says nothing any more
+            shown = self._steps.get(latest.plane.step, _Step())
+        return shown.plane or latest.plane, shown.abstract, shown.desired
 
     def _agent(self, state: AgentState) -> None:
         if state.agent_id not in self._known:
@@ -226,20 +260,21 @@ class Picture:
         del self.events[:-MOST_EVENTS]
         if event.kind == EventKind.STEERING and event.detail == REFERENCE and self._reference is not None:
             self._reference.shift(event.step, event.value)
-        elif event.kind in _ENDS:
-            self._ended[event.agent_id] = _ENDS[event.kind]
-        elif event.kind in {EventKind.JOINED, EventKind.RECOVERED}:
-            self._ended.pop(event.agent_id, None)
+        elif event.agent_id in self._known or len(self._attendance) < MOST_ROBOTS:
+            self._attendance.take(event)
 
-    def _status(self, state: AgentState | None, step: int) -> RobotStatus | None:
+    def _seen(self, robot: int, step: int) -> Seen:
+        """Return what is shown of a robot: what it has said, unless it is out."""
+        out, state = self._attendance.out(robot, step), self._state(robot, step)
+        if out is not None and out.status == "dead":
+            return standing(out.place)
+        if (out is not None and out.status == "left") or (state is not None and state.status == Status.LEFT):
+            return GONE
         if state is None:
-            return None
-        ended = self._ended.get(state.agent_id)
-        if ended is not None:
-            return ended
-        if state.step + SILENT_STEPS < step and state.status != Status.LEFT:
-            return "silent"
-        return STATUS.get(state.status)
+            return Seen()
+        silent = state.step + SILENT_STEPS < step
+        status: RobotStatus | None = "silent" if silent else STATUS.get(state.status)
+        return Seen(finite(state.position), finite(state.velocity), finite(state.command), status)
 
     def _pending(self, step: int) -> _Step:
         found = self._steps.get(step)

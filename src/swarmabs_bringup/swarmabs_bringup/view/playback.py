@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmabs_bringup.attendance import Attendance
 from swarmabs_bringup.report.record import read_recorded
 from swarmabs_bringup.report.thinning import column_points
 from swarmabs_bringup.view.curves import Point, curves
 from swarmabs_bringup.view.facts import finite, scenario_facts
-from swarmabs_bringup.view.picture import MOST_EVENTS, STATUS, event_of
+from swarmabs_bringup.view.picture import GONE, MOST_EVENTS, STATUS, Seen, event_of, standing
 from swarmabs_bringup.view.protocol import (
     Abstract,
     Control,
@@ -25,12 +26,13 @@ from swarmabs_bringup.view.protocol import (
     Pause,
     Play,
     RobotStates,
-    RobotStatus,
     Seek,
+    Sets,
     Speed,
     State,
 )
-from swarmabs_core.messages import EventKind
+from swarmabs_bringup.view.shading import Shading
+from swarmabs_core.messages import Status
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,7 +40,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bringup.report.record import Recorded
-    from swarmabs_core.messages import SwarmEvent
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -47,8 +48,6 @@ COLUMNS = 1000
 """Columns of a picture of a curve; of each the first, lowest, highest and last point of every curve are sent."""
 STATE_INTERVAL = 1.0
 """Longest time, s, between two messages to a page."""
-
-_ENDS: dict[int, RobotStatus] = {EventKind.DEAD: "dead", EventKind.LEFT: "left"}
 
 
 class Recording:
@@ -70,7 +69,10 @@ class Recording:
         heard = agents.status > 0
         rows = np.where(heard, np.arange(len(heard))[:, None], -1)
         self._latest: Integers = np.maximum.accumulate(rows, axis=0)
-        self._ends = _ends(recorded.events)
+        there = {agent.id for agent in recorded.scenario.initial_agents}
+        self._attendance = Attendance(wanted.tolist(), [robot for robot in wanted.tolist() if robot not in there])
+        for event in recorded.events:
+            self._attendance.take(event)
 
     def __len__(self) -> int:
         return len(self.recorded.arrays.step)
@@ -81,7 +83,15 @@ class Recording:
         recorded = self.recorded
         facts = scenario_facts(recorded.scenario)
         facts["last_step"] = int(recorded.arrays.step[-1]) if len(self) else 0
-        return Hello(source="bag", title=recorded.scenario.name, place=str(recorded.bag), playback=True, **facts)
+        title, place = recorded.scenario.name, str(recorded.bag)
+        if recorded.swarm is not None:
+            title, place = f"{title}, swarm {recorded.swarm}", f"{place}, namespace {recorded.swarm}"
+        return Hello(source="bag", title=title, place=place, playback=True, **facts)
+
+    @cached_property
+    def shading(self) -> Shading:
+        """The sets of whoever takes part."""
+        return Shading(self.hello)
 
     @cached_property
     def curves(self) -> Curves:
@@ -119,11 +129,16 @@ class Recording:
         latest = np.append(self._latest[row], -1)[self._column]
         there = latest >= 0
         place = (latest[there], self._column[there])
-        position, velocity, command = (
-            numbers(_scattered(there, values[place])) for values in (agents.position, agents.velocity, agents.command)
+        said = (
+            numbers(_scattered(there, values[place].astype(np.float64)))
+            for values in (agents.position, agents.velocity, agents.command, agents.status)
         )
-        statuses = _scattered(there, agents.status[place].astype(float))
-        robots = [agent.id for agent in recorded.scenario.agents]
+        robots = [
+            self._seen(agent.id, Seen(position, velocity, command), status, row - last, step)
+            for agent, position, velocity, command, status, last in zip(
+                recorded.scenario.agents, *said, latest.tolist(), strict=True
+            )
+        ]
         return Frame(
             step=step,
             time=float(arrays.time[row]),
@@ -133,13 +148,10 @@ class Recording:
             abstract=_pair(arrays.abstract.torque[row], arrays.abstract.inertia[row]),
             desired=_pair(arrays.desired.torque[row], arrays.desired.inertia[row]),
             robots=RobotStates(
-                position=position,
-                velocity=velocity,
-                command=command,
-                status=[
-                    self._status(robot, int(status), row - last, step) if last >= 0 else None
-                    for robot, status, last in zip(robots, statuses.tolist(), latest.tolist(), strict=True)
-                ],
+                position=[seen.position for seen in robots],
+                velocity=[seen.velocity for seen in robots],
+                command=[seen.command for seen in robots],
+                status=[seen.status for seen in robots],
             ),
             step_rate=step_rate,
         )
@@ -154,15 +166,20 @@ class Recording:
         found = int(np.searchsorted(self.recorded.arrays.time, time + 1e-9, side="right")) - 1
         return min(max(found, 0), len(self) - 1)
 
-    def _status(self, robot: int, status: int, age: int, step: int) -> RobotStatus | None:
-        end: RobotStatus | None = None
-        for since, found in self._ends.get(robot, ()):
-            if since <= step:
-                end = found
-        if end is not None:
-            return end
-        known = STATUS.get(status)
-        return "silent" if age > 0 and known != "left" else known
+    def sets(self, row: int) -> Sets | None:
+        """Return the sets of those who take part at a row, None as long as they are not computed."""
+        return self.shading.of(self._attendance.members(int(self.recorded.arrays.step[row])))
+
+    def _seen(self, robot: int, said: Seen, status: float | None, age: int, step: int) -> Seen:
+        """Return what is shown of a robot: what it has said so many rows ago, unless it is out."""
+        out = self._attendance.out(robot, step)
+        if out is not None and out.status == "dead":
+            return standing(out.place)
+        if (out is not None and out.status == "left") or status == Status.LEFT:
+            return GONE
+        if status is None:
+            return said
+        return said._replace(status="silent" if age > 0 else STATUS.get(int(status)))
 
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
@@ -189,17 +206,6 @@ def _pair(torque: float, inertia: float) -> Abstract:
     return Abstract(torque=finite(float(torque)), inertia=finite(float(inertia)))
 
 
-def _ends(events: tuple[SwarmEvent, ...]) -> dict[int, list[tuple[int, RobotStatus | None]]]:
-    """Return for each robot from which step on it is out, and in which way; None from when it is in again."""
-    found: dict[int, list[tuple[int, RobotStatus | None]]] = {}
-    for event in events:
-        if event.kind in _ENDS:
-            found.setdefault(event.agent_id, []).append((event.step, _ENDS[event.kind]))
-        elif event.kind in {EventKind.JOINED, EventKind.RECOVERED}:
-            found.setdefault(event.agent_id, []).append((event.step, None))
-    return found
-
-
 @dataclass(slots=True)
 class PlaybackSession:
     """What one page sees of a bag: pure, on any clock that does not jump.
@@ -217,10 +223,12 @@ class PlaybackSession:
     _time: float = 0.0
     _now: float | None = None
     _shown: tuple[int, bool, float] | None = None
+    _sets: Sets | None = None
     _told: float = float("-inf")
 
     def hello(self) -> list[Message]:
         """Return what a page needs first."""
+        self._sets = self.recording.shading.first
         return [self.recording.hello, self.recording.curves, self.recording.events]
 
     def poll(self, now: float) -> list[Message]:
@@ -230,13 +238,13 @@ class PlaybackSession:
         self._go_on(now)
         shown = (self._row, self._playing, self._speed)
         if shown == self._shown:
-            return self._state(now) if now - self._told >= STATE_INTERVAL else []
+            return [*self._new_sets(), *(self._state(now) if now - self._told >= STATE_INTERVAL else [])]
         moved = self._shown is None or self._shown[0] != self._row
         changed = self._shown is None or self._shown[1:] != shown[1:] or now - self._told >= STATE_INTERVAL
         self._shown = shown
         rate = self._speed / self.recording.recorded.scenario.period if self._playing else None
         frames: list[Message] = [self.recording.frame(self._row, rate)] if moved else []
-        return [*frames, *(self._state(now) if changed else [])]
+        return [*frames, *self._new_sets(), *(self._state(now) if changed else [])]
 
     def control(self, wish: Control) -> None:
         """Do what the page asks for; what is over cannot be steered."""
@@ -266,8 +274,16 @@ class PlaybackSession:
         if self._row == len(self.recording) - 1:
             self._playing = False
 
+    def _new_sets(self) -> list[Message]:
+        found = self.recording.sets(self._row)
+        if found is None or found is (self._sets or self.recording.shading.first):
+            return []
+        self._sets = found
+        return [found]
+
     def _state(self, now: float) -> list[Message]:
         self._told = now
         recorded = self.recording.recorded
-        text = recorded.status if recorded.reason is None else f"{recorded.status}: {recorded.reason}"
+        told = recorded.reason in {None, recorded.status}
+        text = recorded.status if told else f"{recorded.status}: {recorded.reason}"
         return [State(phase="recorded", text=text, playing=self._playing, speed=self._speed)]

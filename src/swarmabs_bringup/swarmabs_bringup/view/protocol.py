@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import models_json_schema
 
 VERSION = 1
-"""Of the messages; it is raised when a message changes its meaning."""
+"""Of the messages; it is raised when one changes its meaning or goes. Messages and fields of the server may be added: a
+page leaves out what it does not know."""
 
 Number: TypeAlias = float | None
 Phase: TypeAlias = Literal["waiting", "running", "silent", "ended", "recorded"]
@@ -42,6 +43,7 @@ class Robot(Part):
     kind: Literal["single_integrator", "double_integrator"]
     mass: Number = Field(description="kg")
     damping: Number = Field(description="N s/m")
+    joins: bool = Field(default=False, description="whether it takes part only from when it joins")
 
 
 class Plane(Part):
@@ -49,6 +51,7 @@ class Plane(Part):
 
     length: float = Field(description="m")
     inertia: float = Field(description="kg m^2")
+    gravity: float = Field(description="m/s^2")
 
 
 class Manifold(Part):
@@ -60,7 +63,10 @@ class Manifold(Part):
 
 
 class Regions(Part):
-    """Boundaries of the sets of abstract states, over the torque; null where there is no such state."""
+    """Boundaries of the sets of abstract states, over the torque; null where there is no such state.
+
+    Positions are those of the robots that the law commands; the weights of dead ones stand still where they are.
+    """
 
     torque: list[float] = Field(description="N m")
     smallest: list[Number] = Field(description="J_min, kg m^2: below, no positions give the state")
@@ -80,7 +86,7 @@ class Hello(Message):
     robots: list[Robot] = Field(description="in the order of the arrays of a frame")
     plane: Plane | None
     manifold: Manifold | None
-    regions: Regions | None
+    regions: Regions | None = Field(description="while all take part that do from the beginning")
     playback: bool = Field(description="whether the page can say what is shown: play, pause, seek, speed")
 
 
@@ -92,7 +98,10 @@ class Abstract(Part):
 
 
 class RobotStates(Part):
-    """States of all robots in the order of the hello, null where a robot has not been heard of."""
+    """States of all robots in the order of the hello, null where a robot has not been heard of, or has left.
+
+    A dead one stands still where its event says.
+    """
 
     position: list[Number] = Field(description="m")
     velocity: list[Number] = Field(description="m/s")
@@ -113,6 +122,15 @@ class Frame(Message):
     desired: Abstract
     robots: RobotStates
     step_rate: Number = Field(description="steps per second of wall time")
+
+
+class Sets(Message):
+    """The sets of the hello anew, for whoever takes part now; sent when it changes."""
+
+    type: Literal["sets"] = "sets"
+    moving: list[int] = Field(description="robots that the law commands")
+    standing: list[int] = Field(description="dead robots, whose weights stand still on the plane")
+    regions: Regions | None = Field(description="null where fewer than two are commanded, or nothing is known of them")
 
 
 class Curves(Message):
@@ -198,10 +216,19 @@ class Answer(Message):
     text: str = Field(description="from which step on it holds, or why it is not done")
 
 
-class Wish(Part):
-    """A message of a page, which must say its version."""
+def _no_other_one(version: object) -> object:
+    """Refuse what equals 1 and is not it."""
+    if type(version) is not int:
+        raise ValueError("not an integer")
+    return version
 
-    v: Literal[1]
+
+class Wish(Part):
+    """A message of a page, which must say its version; nothing is taken for a number that is none."""
+
+    model_config = ConfigDict(strict=True)
+
+    v: Annotated[Literal[1], BeforeValidator(_no_other_one)]
 
 
 class Play(Wish):
@@ -248,7 +275,7 @@ Control: TypeAlias = Play | Pause | Seek | Speed | Steer
 
 CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="type")])
 
-FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Curves, Events, Health, State, Steering, Answer)
+FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Sets, Curves, Events, Health, State, Steering, Answer)
 FROM_PAGE: tuple[type[Wish], ...] = (Play, Pause, Seek, Speed, Steer)
 
 

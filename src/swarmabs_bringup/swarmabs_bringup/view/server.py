@@ -164,13 +164,14 @@ async def _send(page: web.WebSocketResponse, session: Session) -> None:
 async def _hear(page: web.WebSocketResponse, session: Session) -> None:
     """Do what a page asks for, until it goes; one that says what is no message is shown out."""
     async for heard in page:
-        if heard.type is not WSMsgType.TEXT:
-            continue
         try:
-            session.control(CONTROL.validate_json(heard.data))
+            wish = CONTROL.validate_json(heard.data) if heard.type is WSMsgType.TEXT else None
         except ValidationError:
+            wish = None
+        if wish is None:
             await page.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not a message of version 1")
             return
+        session.control(wish)
 
 
 def bound(port: int) -> socket.socket:

@@ -33,6 +33,9 @@ function take(message) {
     frame = message;
     controls.frame(message);
     dirty = true;
+  } else if (message.type === "sets") {
+    hello.regions = message.regions;
+    dirty = true;
   } else if (message.type === "curves") {
     charts.take(message);
     dirty = true;
