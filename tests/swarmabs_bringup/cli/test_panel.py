@@ -65,6 +65,19 @@ def test_every_robot_stands_at_its_place_in_its_lane() -> None:
     assert [lanes[1].index("●"), lanes[2].index("●"), lanes[3].index("■"), lanes[4].index("■")] == [0, 34, 50, 67]
 
 
+@pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "×"), ("ascii", "x")])
+def test_who_is_out_is_told_apart(encoding: str, sign: str) -> None:
+    seen = Glance({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [-1000, 0, 500, 1000], [])
+    lines = drawn(progress(400, seen=seen), width=80, encoding=encoding)
+    assert line(lines, "robots") == "1 active, 1 left, 1 dead, 1 not heard"
+    lanes = [set(line(lines, str(robot))) for robot in (1, 2, 3, 4)]
+    empty = lanes[1]
+    assert lanes[0] - empty == {sign}
+    assert lanes[2] - empty == {"■" if sign == "×" else "#"}
+    assert lanes[3] == empty
+    assert line(lines, "1")[0] == sign
+
+
 def test_the_error_shrinks_over_the_run() -> None:
     lines = drawn(*(progress(step, 1000.0 / (step + 1000.0)) for step in range(501)))
     bars = line(lines, "error").split("  ")[0].split(" ")[0]

@@ -60,11 +60,58 @@ def test_in_real_time_messages_come_one_by_one() -> None:
     said = {state.agent_id: state for state in make_step(0, (1, 2, 3)) if isinstance(state, AgentState)}
     onlooker.hear(said[1]._replace(position=0.5))
     onlooker.hear(said[2]._replace(position=-0.5, status=Status.LEFT))
-    assert onlooker.glance() == Glance({"-": 1, "A": 1, "L": 1}, "AL-", [500, -500, 0], [])
+    assert onlooker.glance() == Glance({"?": 1, "A": 1, "L": 1}, "AL?", [500, -500, 0], [])
     onlooker.hear(SwarmEvent(0, 7, 1, EventKind.HELD, 0.0, ""))
     onlooker.hear(said[3]._replace(step=SILENT_STEPS, position=1.0))
     seen = onlooker.glance()
     assert seen == Glance({"-": 1, "A": 1, "L": 1}, "-LA", [500, -500, 1000], ["step 7: robot 1 held"])
+
+
+def ended(step: int, robot: int, kind: EventKind) -> SwarmEvent:
+    return SwarmEvent(0, step, robot, kind, 0.25, "kill")
+
+
+def test_who_is_dead_or_has_left_is_called_so_and_who_waits_to_join_is_not_silent() -> None:
+    onlooker = Onlooker((1, 2, 3, 4), length=1.0)
+    there = (Status.ACTIVE, 0.1)
+    onlooker.take(robots(0, {1: there, 2: there, 3: there}))
+    assert onlooker.glance() == Glance({"?": 1, "A": 3}, "AAA?", [200, 200, 200, 0], [])
+    told = [ended(1, 1, EventKind.DEAD), ended(1, 2, EventKind.LEFT)]
+    later = robots(1, {3: there})
+    onlooker.take(recorded(1, [*(record.message for record in later.records if record.message is not None), *told]))
+    seen = onlooker.glance()
+    assert seen is not None
+    assert (seen.counts, seen.statuses, seen.places) == ({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [500, 200, 200, 0])
+    assert seen.events == ["step 1: robot 1 dead, 0.25: kill", "step 1: robot 2 left, 0.25: kill"]
+
+
+def test_in_real_time_a_dead_robot_may_come_back() -> None:
+    onlooker = RealtimeOnlooker((1, 2), length=1.0)
+    said = {state.agent_id: state for state in make_step(9, (1, 2)) if isinstance(state, AgentState)}
+    for state in said.values():
+        onlooker.hear(state._replace(position=0.1))
+    onlooker.hear(ended(9, 1, EventKind.DEAD))
+    seen = onlooker.glance()
+    assert seen is not None
+    assert (seen.statuses, seen.places) == ("DA", [500, 200])
+    onlooker.hear(ended(9, 1, EventKind.JOINED))
+    seen = onlooker.glance()
+    assert seen is not None
+    assert (seen.statuses, seen.places) == ("AA", [200, 200])
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "detail", "text"),
+    [
+        (EventKind.STEERING, 0.05, "reference", "step 7: steering, 0.05: reference"),
+        (EventKind.STEERING, 0.0, "disturbance", "step 7: steering, 0: disturbance"),
+        (EventKind.DEAD, 0.107341234, "kill", "step 7: dead, 0.10734: kill"),
+        (EventKind.JOINED, 0.0, "", "step 7: joined"),
+        (EventKind.LIMIT_HIT, float("nan"), "", "step 7: limit hit"),
+    ],
+)
+def test_events_are_told_with_their_values(kind: EventKind, value: float, detail: str, text: str) -> None:
+    assert describe_event(SwarmEvent(0, 7, 0, kind, value, detail)) == text
 
 
 @pytest.mark.parametrize(("position", "place"), [(7.0, 1000), (-7.0, -1000), (float("inf"), 1000), (float("nan"), 0)])
@@ -116,4 +163,4 @@ def test_a_report_is_short_whatever_robots_say(detail: str) -> None:
 def test_very_many_robots_are_counted_only() -> None:
     onlooker = Onlooker(range(1, 1001), length=1.0)
     onlooker.take(robots(0, dict.fromkeys(range(1, 901), (Status.ACTIVE, 0.0))))
-    assert onlooker.glance() == Glance({"-": 100, "A": 900}, "", [], [])
+    assert onlooker.glance() == Glance({"?": 100, "A": 900}, "", [], [])

@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.panel import Panel
 from rich.text import Text
 
-from swarmabs_bringup.recorder.glance import SILENT, THOUSAND
+from swarmabs_bringup.recorder.glance import DEAD, LEFT, SILENT, THOUSAND, UNHEARD
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -31,9 +31,13 @@ _ASCII_BARS = " .:-=+*#@"
 _STATUS = {
     "A": ("active", "green"),
     "S": ("in safe stop", "yellow"),
-    "L": ("left", "dim"),
+    LEFT: ("left", "dim"),
+    DEAD: ("dead", "magenta"),
     SILENT: ("silent", "red"),
+    UNHEARD: ("not heard", "dim"),
 }
+_NOWHERE = (LEFT, UNHEARD)
+"""Those who are not on the plane, or of whom it is not known where."""
 _LABEL = 8
 
 
@@ -148,9 +152,9 @@ class RunPanel:
         robots = zip(sorted(self._kinds), seen.statuses, seen.places, strict=True)
         for agent_id, status, place in robots:
             cells = _empty_lane(width, ascii_only=ascii_only)
-            # Those who have left are no longer on the plane.
-            if status != "L":
-                cells[_cell(place, width)] = (self._sign(agent_id, ascii_only=ascii_only), _STATUS[status][1])
+            if status not in _NOWHERE:
+                sign = self._sign(agent_id, status, ascii_only=ascii_only)
+                cells[_cell(place, width)] = (sign, _STATUS[status][1])
             lanes.append(_line(f"{agent_id:>6}", _joined(cells)))
         return lanes
 
@@ -160,17 +164,19 @@ class RunPanel:
         numbers = [0] * width
         worst = ["A"] * width
         for status, place in zip(seen.statuses, seen.places, strict=True):
-            if status != "L":
+            if status not in _NOWHERE:
                 cell = _cell(place, width)
                 numbers[cell] += 1
-                worst[cell] = max(worst[cell], status, key="ALS-".index)
+                worst[cell] = max(worst[cell], status, key="ADS-".index)
         cells = _empty_lane(width, ascii_only=ascii_only)
         for cell, number in enumerate(numbers):
             if number:
                 cells[cell] = (str(number) if number < 10 else "+", _STATUS[worst[cell]][1])
         return [_line("plane", _joined(cells))]
 
-    def _sign(self, agent_id: int, *, ascii_only: bool) -> str:
+    def _sign(self, agent_id: int, status: str, *, ascii_only: bool) -> str:
+        if status == DEAD:
+            return "x" if ascii_only else "×"
         round_ = self._kinds[agent_id] == "single_integrator"
         if ascii_only:
             return "o" if round_ else "#"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from swarmabs_bringup.attendance import Attendance
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status, SwarmEvent
 
@@ -18,12 +20,19 @@ SHOWN_ROBOTS = 200
 """More robots than these are only counted: a report must stay below 4 KiB."""
 SHOWN_EVENTS = 3
 EVENT_CHARACTERS = 80
+MOST_CHANGES = 16
+"""How often a robot is in and out that is remembered, the latest times."""
 THOUSAND = 1000
 """The end of the plane, in the unit of the places."""
 
-_LETTERS: dict[int, str] = {Status.ACTIVE: "A", Status.SAFE_STOP: "S", Status.LEFT: "L"}
+DEAD, LEFT = "D", "L"
+"""Letters of robots that are out, whatever they still say."""
+_LETTERS: dict[int, str] = {Status.ACTIVE: "A", Status.SAFE_STOP: "S", Status.LEFT: LEFT}
+_OUT = {"dead": DEAD, "left": LEFT}
 SILENT = "-"
 """Letter of a robot that has said nothing in the latest step, in real time in the latest `SILENT_STEPS`."""
+UNHEARD = "?"
+"""Letter of a robot that was not heard yet, such as one that waits to join."""
 SILENT_STEPS = 50
 
 
@@ -33,7 +42,8 @@ class Glance(NamedTuple):
     Parameters
     ----------
     counts : dict
-        Number of robots by the letter of their status: A active, S safe stop, L left, - silent.
+        Number of robots by the letter of their status: A active, S safe stop, L left, D dead, - silent, ? not
+        heard yet.
     statuses : str
         A letter per robot, by ascending id; empty if they are more than `SHOWN_ROBOTS`.
     places : list of int
@@ -73,11 +83,13 @@ class Onlooker:
         self._half = length / 2.0
         self._places: dict[int, int] = {}
         self._events: deque[str] = deque(maxlen=SHOWN_EVENTS)
+        self._attendance = Attendance(members, most=MOST_CHANGES)
         self._latest: Step | None = None
 
     def take(self, step: Step) -> None:
         """Take a complete step; what is shown of it is only found out when it is asked for."""
-        self._events.extend(map(describe_event, step.events))
+        for event in step.events:
+            self._happened(event)
         if step.plane is not None:
             self._latest = step
 
@@ -90,7 +102,7 @@ class Onlooker:
         for state in states:
             found[state.agent_id] = _LETTERS.get(state.status, SILENT)
             self._places[state.agent_id] = self._place(state.position)
-        statuses = [found.get(member, SILENT) for member in self._members]
+        statuses = [self._out(member) or found.get(member) or self._unheard(member) for member in self._members]
         few = len(statuses) <= SHOWN_ROBOTS
         return Glance(
             dict(sorted(Counter(statuses).items())),
@@ -98,6 +110,25 @@ class Onlooker:
             [self._places.get(member, 0) for member in self._members] if few else [],
             list(self._events),
         )
+
+    def _happened(self, event: SwarmEvent) -> None:
+        self._events.append(describe_event(event))
+        if event.agent_id in self._members:
+            self._attendance.take(event)
+
+    def _step(self) -> int:
+        """Return the latest step, -1 before the first."""
+        return -1 if self._latest is None else self._latest.step
+
+    def _out(self, member: int) -> str | None:
+        """Return the letter of a robot that is out, None if it is in; a dead one stands where its event says."""
+        out = self._attendance.out(member, self._step())
+        if out is not None and out.status == "dead":
+            self._places[member] = self._place(out.place)
+        return None if out is None else _OUT[out.status]
+
+    def _unheard(self, member: int) -> str:
+        return SILENT if member in self._places else UNHEARD
 
     def _states(self) -> list[AgentState] | None:
         """Return what the robots have said in the latest step, None before the first."""
@@ -125,7 +156,10 @@ class RealtimeOnlooker(Onlooker):
             self._said[message.agent_id] = message
             self._newest = max(self._newest, message.step)
         elif isinstance(message, SwarmEvent):
-            self._events.append(describe_event(message))
+            self._happened(message)
+
+    def _step(self) -> int:
+        return self._newest
 
     def _states(self) -> list[AgentState] | None:
         # Who has left says nothing any more, and is still known to have left.
@@ -140,6 +174,8 @@ def describe_event(event: SwarmEvent) -> str:
     except ValueError:
         kind = f"event {event.kind}"
     who = f"robot {event.agent_id} " if event.agent_id else ""
+    told = isfinite(event.value) and (event.value != 0.0 or event.kind == EventKind.STEERING)  # which may set it to 0
+    value = f", {event.value:.5g}" if told else ""
     detail = f": {event.detail}" if event.detail else ""
-    text = "".join(c if c.isprintable() else " " for c in f"step {event.step}: {who}{kind}{detail}")
+    text = "".join(c if c.isprintable() else " " for c in f"step {event.step}: {who}{kind}{value}{detail}")
     return text if len(text) <= EVENT_CHARACTERS else f"{text[: EVENT_CHARACTERS - 1]}…"
