@@ -23,6 +23,36 @@ MARKUP = "<img src=x onerror=document.title='broken'><script>document.title='bro
 NAME = "x<img src=q onerror=alert(1)>&amp;"
 
 
+SHADED = """
+const drawing = CanvasRenderingContext2D.prototype;
+const { beginPath, lineTo, fill } = drawing;
+let path = [];
+window.shaded = [];
+drawing.beginPath = function () { path = []; beginPath.call(this); };
+drawing.lineTo = function (x, y) { path.push([x, y]); lineTo.call(this, x, y); };
+drawing.fill = function () {
+  if (this.canvas.id === "abstract" && path.length > 100) {
+    window.shaded = [...window.shaded, path].slice(-2);
+  }
+  fill.call(this);
+};
+"""
+"""Keeps what is shaded in the picture of the abstract state: the outlines of both sets."""
+
+
+def test_what_is_shaded_follows_who_takes_part(page: Page, served: Served) -> None:
+    page.add_init_script(SHADED)
+    load(page, served)
+    whole = page.evaluate("JSON.stringify(window.shaded)")
+    assert whole.count("],[") > 200
+    seek(page, 100)
+    assert page.evaluate("JSON.stringify(window.shaded)") == whole
+    seek(page, 101)  # robot 1 is dead
+    page.wait_for_function("(whole) => JSON.stringify(window.shaded) !== whole", arg=whole)
+    seek(page, 50)
+    page.wait_for_function("(whole) => JSON.stringify(window.shaded) === whole", arg=whole)
+
+
 @pytest.mark.parametrize("step", [0, 57, 200, 399, 400])
 def test_numbers_are_those_in_the_bag(page: Page, served: Served, step: int) -> None:
     read = ReadBag(served.run)
