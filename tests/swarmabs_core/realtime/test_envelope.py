@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.messages import Kind
@@ -129,6 +129,7 @@ def test_a_robot_beyond_its_lane_may_only_come_back(kind: Kind) -> None:
 
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.2, 0.2), st.floats(-0.5, 0.5))
+@example(0.0, 5e-324, 0.0)
 def test_far_from_the_ends_nothing_is_changed(position: float, velocity: float, command: float) -> None:
     for kind in Kind:
         assert envelope(kind, period=0.01)[1].apply(position, velocity, command) == command

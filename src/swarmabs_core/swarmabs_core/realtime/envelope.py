@@ -78,6 +78,8 @@ class LaneEnvelope:
         """Return a bound of the way (m) in which the brake stops the robot."""
         controller = self._controller
         mass, tau, force = controller.mass, controller.braking_time, controller.braking_force(velocity)
+        if not force:  # so slow that the brake's force vanishes
+            return 0.0
         # First the brake's full force, then, below the velocity F tau / m, one that follows the velocity.
         return 0.5 * (mass * velocity * velocity / force + force * tau * tau / mass)
 
