@@ -4,20 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import inf, nan
-from typing import TYPE_CHECKING
 
 import pytest
-from tests.swarmabs_core.helpers import SCENARIOS
+from tests.swarmabs_core.realtime.nodes import (
+    CLOCK,
+    Body,
+    at,
+    broadcasts,
+    controller,
+    desired,
+    kinds,
+    observer,
+    robot,
+    scenario,
+    state_of,
+    states,
+    sums,
+    tell,
+)
 
-from swarmabs_core import configure as lockstep
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, spread_sums
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
-    AgentState,
     AuxiliaryState,
-    DesiredAbstractState,
     EventKind,
     Kind,
     Mode,
@@ -27,84 +38,10 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.agent import HELD, RealtimeAgent
-from swarmabs_core.realtime.base import Level, Schedule, StepCounter
-from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_core.realtime.drives import Measurement
-from swarmabs_core.realtime.observer import RealtimeObserver, Role
+from swarmabs_core.realtime.base import Level, StepCounter
+from swarmabs_core.realtime.observer import Role
 from swarmabs_core.realtime.plane import RealtimePlane
 from swarmabs_core.realtime.refusals import QUIET_NS, Refusals
-from swarmabs_core.scenario import load_scenario
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from swarmabs_core.messages import Message
-    from swarmabs_core.scenario import Scenario
-
-PERIOD = 10_000_000
-EPOCH = 1_000_000_000
-CLOCK = Schedule(PERIOD, EPOCH)
-
-
-def scenario(*overrides: str) -> Scenario:
-    return load_scenario(SCENARIOS / "pd_het_4.yaml", overrides).resolved()
-
-
-class Body:
-    """A drive of which a test says what it measures."""
-
-    def __init__(self, position: float = 0.1, velocity: float = 0.0) -> None:
-        self.position, self.velocity = position, velocity
-        self.stamp: int | None = None
-        self.blind = False
-        self.commands: list[float] = []
-        self.stops = 0
-
-    def read(self, now: int) -> Measurement | None:
-        return None if self.blind else Measurement(self.stamp or now, self.position, self.velocity)
-
-    def write(self, command: float, now: int) -> None:
-        self.commands.append(command)
-
-    def stop(self) -> None:
-        self.stops += 1
-
-
-def robot(body: Body, agent_id: int = 3) -> RealtimeAgent:
-    """Return robot 3 of the scenario, a double integrator."""
-    config = next(c for c in configure.agent_configs(scenario(), CLOCK) if c.agent_id == agent_id)
-    return RealtimeAgent(config, body)
-
-
-def broadcasts(step: int, mode: Mode = Mode.RUN, torque: float = 0.5) -> tuple[Message, ...]:
-    robots = [(0.5, 0.1), (0.5, -0.1), (0.6762, 0.1)]
-    weights = [Weight(m, p, 0.0) for m, p in robots]
-    *sums, q = abstraction(weights, 9.81)
-    spread = spread_sums(robots)
-    damping = damping_sums([(0.6762, 0.1, 0.65)], 1.0)
-    return (
-        AbstractState(0, step, 3, *sums),
-        AuxiliaryState(0, step, *spread, *damping, q),
-        DesiredAbstractState(0, step, mode, torque, 0.03, *(0.0,) * 6),
-    )
-
-
-def at(step: float) -> int:
-    return EPOCH + round(step * PERIOD)
-
-
-def tell(node: RealtimeAgent, messages: Iterable[Message], step: float) -> None:
-    for message in messages:
-        node.hear(message, at(step))
-
-
-def state_of(answer: tuple[Message, ...]) -> AgentState:
-    (state,) = [m for m in answer if isinstance(m, AgentState)]
-    return state
-
-
-def kinds(answer: tuple[Message, ...]) -> list[int]:
-    return [m.kind for m in answer if isinstance(m, SwarmEvent)]
 
 
 def test_a_state_tells_the_command_that_led_to_it() -> None:
@@ -216,9 +153,9 @@ def test_a_reset_that_was_overtaken_by_a_stop_does_not_count() -> None:
     tell(node, broadcasts(13), 13.6)
     node.tick(at(14))
     assert body.commands == [0.0]
-    tell(node, broadcasts(14, Mode.RESET)[2:], 14.6)
-    tell(node, broadcasts(15), 15.6)
-    node.tick(at(16))
+    tell(node, broadcasts(30, Mode.RESET)[2:], 30.6)
+    tell(node, broadcasts(31), 31.6)
+    node.tick(at(32))
     assert body.commands[-1] != 0.0
 
 
@@ -244,24 +181,6 @@ def test_a_swarm_without_spread_is_waited_for() -> None:
     later = state_of(node.tick(at(12)))
     assert (later.status, later.broadcast_step) == (Status.ACTIVE, NEVER)
     assert HELD in node.health(at(12)).text
-
-
-def observer(*overrides: str) -> RealtimeObserver:
-    return RealtimeObserver(configure.observer_config(scenario(*overrides), CLOCK))
-
-
-def states(step: int, **changes: object) -> list[AgentState]:
-    return [
-        AgentState(0, step, NEVER, i, kind, 1, 0.5 + 0.1 * i, 0.1 * (kind == 2), p, 0.01 * i, 0.0)._replace(**changes)
-        for i, kind, p in ((1, 1, 0.1), (2, 1, -0.12), (3, 2, 0.13), (4, 2, -0.1))
-    ]
-
-
-def sums(answer: tuple[Message, ...]) -> tuple[AbstractState, AuxiliaryState]:
-    abstract, auxiliary = answer[-2:]
-    assert isinstance(abstract, AbstractState)
-    assert isinstance(auxiliary, AuxiliaryState)
-    return abstract, auxiliary
 
 
 def test_roles_decide_what_a_robot_counts_in() -> None:
@@ -299,19 +218,6 @@ def test_an_observer_with_too_few_robots_says_so_and_publishes_nothing() -> None
         node.hear(state, at(5.2))
     assert not [m for m in node.tick(at(5.5)) if isinstance(m, AbstractState)]
     assert "3 heard, 4 needed" in node.health(at(5.5)).text
-
-
-def controller(mode: Mode = Mode.RUN) -> RealtimeController:
-    made = scenario()
-    config = configure.controller_config(made, CLOCK, mode)
-    node = RealtimeController(config, lambda: lockstep.parent_controller(made))
-    node.hear(broadcasts(0)[0], at(0.6))
-    return node
-
-
-def desired(answer: tuple[Message, ...]) -> DesiredAbstractState:
-    (found,) = [m for m in answer if isinstance(m, DesiredAbstractState)]
-    return found
 
 
 def test_missed_states_of_the_plane_are_caught_up() -> None:

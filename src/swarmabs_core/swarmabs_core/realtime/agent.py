@@ -272,7 +272,7 @@ class RealtimeAgent:
 
     def _doubt(self, now: int) -> Messages:
         """Stop, and forget what was heard, since its age can no longer be told."""
-        self._inbox.forget()
+        self._inbox.forget(now)
         return self._stop(now, "the clock was set back")
 
     def _stop(self, now: int, problem: str) -> Messages:

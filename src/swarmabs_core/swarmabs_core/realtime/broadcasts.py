@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.messages import (
     BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
     TOPIC_OF,
     AbstractState,
     AuxiliaryState,
@@ -14,15 +15,19 @@ from swarmabs_core.messages import (
     Mode,
     Topic,
 )
+from swarmabs_core.realtime.heard import Heard
+from swarmabs_core.realtime.modes import ModeLatch
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.realtime.plausibility import Bounds
 
-MOST_STEPS = 16
-"""Steps whose sets may be incomplete at the same time; of more, the oldest is given up."""
-
-
+MOST_GUARD = 0.5
+"""Time by which a RESET must at most be newer than the last STOP, s: half of that for which RESET is said."""
+MOST_CHANGES = 2
+"""Steps within the age limit in which a parent controller may change its mode; more often, there are two of them."""
 _LONG_AGO = -(2**62)
 
 
@@ -55,8 +60,6 @@ class BroadcastInbox:
     ----------
     newest : BroadcastSet or None
         The newest complete set.
-    stopped : bool
-        Whether STOP was heard and no RESET since.
     """
 
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float, bounds: Bounds) -> None:
@@ -64,10 +67,15 @@ class BroadcastInbox:
         self._age = schedule.steps(age_limit)
         self._ahead = schedule.ahead(clock_tolerance)
         self._bounds = bounds
-        self._partial: dict[int, dict[Topic, Message]] = {}
-        self._contradicted = self._mode_step = _LONG_AGO
+        self._heard: Heard[tuple[Topic, int]] = Heard(self._age, self._ahead)
+        self._latch = ModeLatch(min(self._age + self._ahead, schedule.steps(MOST_GUARD)))
+        self._contradicted = _LONG_AGO
         self.newest: BroadcastSet | None = None
-        self.stopped = False
+
+    @property
+    def stopped(self) -> bool:
+        """Whether STOP was heard, and since then no RESET that opens the latch."""
+        return self._latch.stopped
 
     def add(self, message: Message, now: int) -> str:
         """Take a message; return why it is refused, empty if it is not. An older or repeated one changes nothing."""
@@ -77,50 +85,54 @@ class BroadcastInbox:
         step = self._schedule.step(now)
         if message.step > step + self._ahead:
             return f"{topic.name}: from the future; the clocks differ, or it is of another swarm"
-        if isinstance(message, DesiredAbstractState) and message.mode != Mode.RUN:
-            self._obey(message)
+        if isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP:
+            self._latch.stop(message.step)  # whatever else may be wrong with it
         if message.step < step - self._age:
             return f"{topic.name}: outdated"
-        problem = self._bounds.problem(message)
+        problem = self._bounds.problem(message) or self._contradiction(topic, message, step)
         if problem:
             return f"{topic.name}: {problem}"
-        return self._keep(topic, message, step)
+        if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET:
+            self._latch.reset(message.step)
+        self._complete(message.step)
+        return ""
 
-    def forget(self) -> None:
-        """Forget all but whether the swarm was stopped."""
-        self._partial.clear()
+    def forget(self, now: int) -> None:
+        """Forget all but whether the swarm was stopped, since the clock was set."""
+        self._heard.forget()
+        self._latch.forget(self._schedule.step(now))
         self.newest = None
-        self._contradicted = self._mode_step = _LONG_AGO
+        self._contradicted = _LONG_AGO
 
-    def _obey(self, desired: DesiredAbstractState) -> None:
-        """Take over STOP and RESET; one that was overtaken by a later one has no effect."""
-        if desired.step < self._mode_step:
-            return
-        if desired.mode == Mode.STOP:
-            self.stopped, self._mode_step = True, desired.step
-        elif desired.mode == Mode.RESET and (desired.step > self._mode_step or not self.stopped):
-            self.stopped, self._mode_step = False, desired.step
-
-    def _keep(self, topic: Topic, message: Message, step: int) -> str:
-        if self.newest is not None and message.step <= self.newest.step:
-            return self._check(self.newest[BROADCASTS.index(topic)], topic, message, step)
-        heard = self._partial.setdefault(message.step, {})
-        problem = self._check(heard.setdefault(topic, message), topic, message, step)
-        if len(heard) == len(BROADCASTS):
-            self.newest = BroadcastSet(*(heard[t] for t in BROADCASTS))  # type: ignore[arg-type]  # kept by topic
-            self._partial = {k: v for k, v in self._partial.items() if k > message.step}
-        while len(self._partial) > MOST_STEPS:
-            del self._partial[min(self._partial)]
+    def _contradiction(self, topic: Topic, message: Message, step: int) -> str:
+        """Keep a message; notice if another one claims to be the one of its step, or if there are two controllers."""
+        mode = 0
+        if isinstance(message, DesiredAbstractState):
+            mode = message.mode  # the parent controller may change its mind within a step
+            if mode != Mode.RUN:
+                message = message._replace(stamp=0)  # and says it once more when it is asked twice
+        problem = ""
+        if self._heard.add((topic, mode), message, step):
+            problem = "two different ones of a step; a second swarm, or an intruder"
+        elif _has_changed(self._heard.of(message.step)) and self._changes() > MOST_CHANGES:
+            problem = "its mode changes again and again; a second controller, or an intruder"
+        if problem:
+            self._contradicted = step
         return problem
 
-    def _check(self, known: Message, topic: Topic, message: Message, step: int) -> str:
-        """Notice that two different messages claim to be the one of a step."""
-        if message.step != known.step or message == known:
-            return ""
-        if isinstance(message, DesiredAbstractState) and message.mode != known.mode:  # type: ignore[union-attr]
-            return ""  # the parent controller has changed its mind within the step
-        self._contradicted = step
-        return f"{topic.name}: two different ones of a step; a second swarm, or an intruder"
+    def _changes(self) -> int:
+        """Return in how many steps there was more than one mode."""
+        return sum(map(_has_changed, self._heard.steps()))
+
+    def _complete(self, step: int) -> None:
+        """Make the broadcasts of a step the newest set, if it is complete."""
+        if self.newest is not None and step <= self.newest.step:
+            return
+        first: dict[Topic, Message] = {}
+        for (topic, _), message in self._heard.of(step).items():
+            first.setdefault(topic, message)
+        if len(first) == len(BROADCASTS):
+            self.newest = BroadcastSet(*(first[t] for t in BROADCASTS))  # type: ignore[arg-type]  # kept by topic
 
     def problem(self, now: int) -> str:
         """Return why the newest set must not be followed, empty if it may be."""
@@ -133,4 +145,11 @@ class BroadcastInbox:
             return "no complete broadcasts yet"
         if step - self.newest.step > self._age:
             return "the broadcasts are outdated"
-        return "" if self.newest.desired.mode == Mode.RUN else "reset commanded"
+        if self.newest.desired.mode != Mode.RUN or self.newest.step <= self._latch.reset_step:
+            return "reset commanded"
+        return ""
+
+
+def _has_changed(places: Iterable[tuple[Topic, int]]) -> bool:
+    """Tell whether there was more than one mode among what was heard of a step."""
+    return sum(topic is DESIRED_ABSTRACT_STATE for topic, _ in places) > 1
