@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 from tests.swarmabs_core.realtime.nodes import (
+    CLOCK,
     Body,
     at,
     broadcasts,
+    controller,
     kinds,
+    observer,
     robot,
+    scenario,
+    states,
 )
 
 from swarmabs_core.messages import (
+    DesiredAbstractState,
     EventKind,
+    PlaneState,
+    SwarmEvent,
 )
+from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.heard import Heard
+from swarmabs_core.realtime.observer import Role
+from swarmabs_core.realtime.plane import RealtimePlane
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import Message
 
 LEADS = [0, 1, 2]
 """Steps by which an intruder is ahead; the last is the clock tolerance."""
@@ -58,3 +74,57 @@ def test_what_was_heard_is_kept_for_a_bounded_time() -> None:
             heard.add(1, message, step)
         assert len(heard.steps()) <= 13
     assert not heard.add(1, broadcasts(985)[0], 999)  # of a step that is not kept
+
+
+@pytest.mark.parametrize("lead", LEADS)
+def test_a_second_plane_that_is_ahead_makes_the_controller_ask_for_nothing(lead: int) -> None:
+    node = controller()
+    asked: dict[int, int] = {}
+    answers: list[Message] = []
+    for step in range(100, 140):
+        intruder = [PlaneState(0, step + lead, -0.2, 0.0)] if step < 120 else []
+        for plane in (PlaneState(0, step, 0.05, 0.0), *intruder):
+            answer = node.hear(plane, at(step + 0.55))
+            asked[step] = asked.get(step, 0) + sum(isinstance(m, DesiredAbstractState) for m in answer)
+            answers += answer
+        answers += node.tick(at(step + 0.75))
+    quiet = 120 + lead + 10
+    assert not any(count for step, count in asked.items() if 100 + lead < step < quiet)
+    assert all(asked[step] for step in range(quiet + 1, 140))
+    details = [m.detail for m in answers if isinstance(m, SwarmEvent)]
+    assert any("a second plane, or an intruder" in detail for detail in details)
+    assert "the states of the plane contradict each other" in details
+
+
+@pytest.mark.parametrize("lead", LEADS)
+def test_a_second_robot_with_the_same_id_that_is_ahead_makes_neither_be_believed(lead: int) -> None:
+    node = observer()
+    answers: list[Message] = []
+    for step in range(100, 150):
+        honest = states(step)
+        for state in (*honest, honest[2]._replace(step=step + lead, position=-0.4)):
+            answers += node.hear(state, at(step + 0.2))
+        answers += node.tick(at(step + 0.5))
+        if step > 100 + lead + 12:
+            assert node.roles == {1: Role.ACTIVE, 2: Role.ACTIVE, 3: Role.SILENT, 4: Role.ACTIVE}
+    said = [m for m in answers if isinstance(m, SwarmEvent) and m.kind in (EventKind.REFUSED, EventKind.DEAD)]
+    assert [(m.detail, m.agent_id) for m in said] == [("robot 3: two different states of a step", 0), ("silent", 3)]
+    for step in range(150, 170):
+        for state in states(step):
+            node.hear(state, at(step + 0.2))
+        node.tick(at(step + 0.5))
+    assert node.roles[3] is Role.ACTIVE
+
+
+@pytest.mark.parametrize("lead", LEADS)
+def test_the_simulated_plane_does_not_follow_a_second_robot_with_the_same_id(lead: int) -> None:
+    node = RealtimePlane(configure.plane_config(scenario(), CLOCK))
+    answers: list[Message] = []
+    for step in range(100, 150):
+        honest = states(step, broadcast_step=step - 1)
+        second = honest[2]._replace(step=step + lead, position=-0.4 + 0.01 * (step - 100))
+        for state in (*honest, second):
+            answers += node.hear(state, at(step + 0.2))
+        answers += node.tick(at(step + 0.5))
+    assert node._robots()[3].step <= 100 + 2 * lead
+    assert kinds(tuple(answers)).count(EventKind.REFUSED) == 1

@@ -39,7 +39,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.agent import HELD, RealtimeAgent
 from swarmabs_core.realtime.base import Level, StepCounter
-from swarmabs_core.realtime.observer import Role
+from swarmabs_core.realtime.observer import RealtimeObserver, Role
 from swarmabs_core.realtime.plane import RealtimePlane
 from swarmabs_core.realtime.refusals import QUIET_NS, Refusals
 
@@ -218,6 +218,27 @@ def test_an_observer_with_too_few_robots_says_so_and_publishes_nothing() -> None
         node.hear(state, at(5.2))
     assert not [m for m in node.tick(at(5.5)) if isinstance(m, AbstractState)]
     assert "3 heard, 4 needed" in node.health(at(5.5)).text
+
+
+def test_outdated_states_do_not_start_the_swarm() -> None:
+    node = observer()
+    for state in states(5):
+        node.hear(state, at(100_000.2))
+    assert not [m for m in node.tick(at(100_000.5)) if isinstance(m, AbstractState)]
+    assert "0 heard, 4 needed" in node.health(at(100_000.5)).text
+    for state in states(100_001):
+        node.hear(state, at(100_001.2))
+    assert [m for m in node.tick(at(100_001.5)) if isinstance(m, AbstractState)]
+
+
+def test_a_robot_that_was_silent_before_the_observer_began_is_known_nevertheless() -> None:
+    dead = states(5)[3]
+    node = RealtimeObserver(configure.observer_config(scenario(), CLOCK), {4: dead})
+    for state in states(100)[:3]:
+        assert state.broadcast_step == NEVER
+        node.hear(state, at(100.2))
+    abstract, _ = sums(node.tick(at(100.5)))
+    assert abstract.agent_count == 4
 
 
 def test_missed_states_of_the_plane_are_caught_up() -> None:

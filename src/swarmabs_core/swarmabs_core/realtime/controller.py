@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.refusals import Refusals
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""
 MOST_STEPS = 100
 """Missed steps that law and filter catch up; beyond, they begin anew."""
+_LONG_AGO = -(2**62)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,8 @@ class RealtimeController:
         self._make_law = make_law
         self._age = config.schedule.steps(config.plane_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
+        self._heard: Heard[None] = Heard(self._age, self._ahead)
+        self._contradicted = _LONG_AGO
         self._refusals = Refusals()
         self._mode = config.start_mode
         self._why = "waits for a reset" if config.start_mode is Mode.STOP else ""
@@ -123,7 +127,7 @@ class RealtimeController:
         assert isinstance(message, PlaneState)  # noqa: S101 - `_problem` has checked it
         if self._plane is not None and message.step <= self._plane.step:
             return ()
-        self._plane, self._blind = message, False
+        self._plane = message
         return self._answer(message, now)
 
     def tick(self, now: int) -> Messages:
@@ -132,11 +136,14 @@ class RealtimeController:
         events = self._end_reset(now)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
             self._plane, self._last_published = None, -1
+            self._heard.forget()
+            self._contradicted = _LONG_AGO
         if self._mode is not Mode.RUN and self._last_published < step:
             return (*events, self._keep_still(now, step))
-        if self._plane is not None and not self._blind and step - self._plane.step > self._age:
-            self._blind = True
-            return (*events, self._event(now, EventKind.STALLED, 0.0, "no fresh state of the plane"))
+        doubt, was_blind = self._doubt(step), self._blind
+        self._blind = bool(doubt)
+        if doubt and not was_blind and self._plane is not None:
+            return (*events, self._event(now, EventKind.STALLED, 0.0, doubt))
         return events
 
     def stop(self, now: int, why: str = "stop commanded") -> Messages:
@@ -169,8 +176,9 @@ class RealtimeController:
         )
         if self._mode is not Mode.RUN:
             return Health(Level.WARN, f"{self._mode.name}: {self._why}", values)
-        if plane is None or self._config.schedule.step(now) - plane.step > self._age:
-            return Health(Level.ERROR, "no fresh state of the plane", values)
+        doubt = self._doubt(self._config.schedule.step(now))
+        if doubt:
+            return Health(Level.ERROR, doubt, values)
         if not self._swarm_heard:
             return Health(Level.WARN, "waits for the observer", values)
         return Health(Level.OK, "runs", values)
@@ -185,15 +193,23 @@ class RealtimeController:
         problem = self._config.bounds.problem(message)
         if problem:
             return f"plane/state: {problem}"
-        known = self._plane
-        if known is not None and message.step == known.step and message != known:
+        if self._heard.add(None, message, step):
+            self._contradicted = step
             return "plane/state: two different ones of a step; a second plane, or an intruder"
+        return ""
+
+    def _doubt(self, step: int) -> str:
+        """Return why nothing is asked for by what is known of the plane; empty if it may be."""
+        if step - self._contradicted <= self._age:
+            return "the states of the plane contradict each other"
+        if self._plane is None or step - self._plane.step > self._age:
+            return "no fresh state of the plane"
         return ""
 
     def _answer(self, plane: PlaneState, now: int) -> Messages:
         if self._mode is not Mode.RUN:
             return () if plane.step <= self._last_published else (self._keep_still(now, plane.step),)
-        if not self._swarm_heard:
+        if not self._swarm_heard or self._doubt(self._config.schedule.step(now)):
             return ()
         if self._first_step is not None and not 0 < plane.step - self._law_step <= MOST_STEPS:
             self._begin_anew()

@@ -22,6 +22,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
+from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 
@@ -157,10 +158,13 @@ class RealtimeObserver:
         self._sums = RealtimeSums(config)
         self._age = config.schedule.steps(config.state_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
+        self._heard: Heard[int] = Heard(self._age, self._ahead)
+        self._contradicted: dict[int, int] = {}
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
         self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
         # The steps that the states were of, also of those that are taken to be from long ago.
         self._steps = {i: state.step for i, state in self._memory.items()}
+        self._remembered = frozenset(self._steps) & frozenset(self.roles)
         self._refusals = Refusals()
         self._counter = StepCounter(config.schedule)
         self._started = False
@@ -172,7 +176,7 @@ class RealtimeObserver:
         if isinstance(message, SwarmEvent):
             self._learn(message, step)
             return ()
-        problem = self._problem(message, step)
+        problem = self._problem(message, step) or self._contradiction(message, step)
         if problem:
             return self._refusals.add(problem, step, now)
         assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
@@ -180,8 +184,6 @@ class RealtimeObserver:
         if known is None or message.step > known.step:
             self._states[message.agent_id] = message
             self._steps[message.agent_id] = message.step
-        elif message.step == known.step and message != known:
-            return self._refusals.add(f"robot {message.agent_id}: two different states of a step", step, now)
         return ()
 
     def tick(self, now: int) -> Messages:
@@ -201,6 +203,8 @@ class RealtimeObserver:
     def halt(self) -> None:
         """Take all robots to stand where they were heard last, until they are heard again."""
         self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
+        self._heard.forget()
+        self._contradicted.clear()
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
         """Return how many robots there are in each role."""
@@ -209,7 +213,7 @@ class RealtimeObserver:
         values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
         values = (*values, ("refused", str(self._refusals.total)), ("last refusal", self._refusals.latest))
         if not self._started:
-            heard = len(self._states)
+            heard = self._known()
             return Health(Level.WARN, f"waits for robots: {heard} heard, {self._config.needed} needed", values)
         if not count[Role.ACTIVE]:
             return Health(Level.ERROR, "no robot follows", values)
@@ -227,6 +231,19 @@ class RealtimeObserver:
             return f"{who}: a state from the future; the clocks differ, or it is of another swarm"
         problem = self._config.bounds.problem(message)
         return f"{who}: {problem}" if problem else ""
+
+    def _contradiction(self, message: Message, step: int) -> str:
+        """Notice that two different states claim to be that of a robot and step: then none of that robot is believed.
+
+        None, since nobody knows who was first: one who is ahead always is.
+        """
+        assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
+        if self._heard.add(message.agent_id, message, step):
+            self._contradicted[message.agent_id] = step
+        since = self._contradicted.get(message.agent_id)
+        if since is None or step - since > self._age:
+            return ""
+        return f"robot {message.agent_id}: two different states of a step"
 
     def _learn(self, event: SwarmEvent, step: int) -> None:
         """Learn that a robot has followed before, which late comers are told too, or that one was carried away."""
@@ -247,13 +264,21 @@ class RealtimeObserver:
 
     def _may_start(self, step: int) -> bool:
         """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
-        if len(self._states) >= self._config.needed:
+        if self._known() >= self._config.needed:
             return True
         if self._under_way_since is None:
             if any(state.broadcast_step != NEVER for state in self._states.values()):
                 self._under_way_since = step
             return False
         return step - self._under_way_since > self._age and len(self._states) >= FEWEST
+
+    def _known(self) -> int:
+        """Return of how many robots it is known where they are: heard of late, or silent since before this node began.
+
+        As of the last tick. A state that was outdated when it came says nothing of a swarm that is about to move.
+        """
+        absent = (Role.UNHEARD, Role.SILENT)
+        return sum(role not in absent or i in self._remembered for i, role in self.roles.items())
 
     def _update_roles(self, step: int, now: int) -> Messages:
         events = []

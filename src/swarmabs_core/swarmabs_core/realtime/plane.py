@@ -23,6 +23,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
 from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
+from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.sensing import Sensor
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 1000
 """Periods that the plane catches up after a pause of its process; beyond, it has been held."""
+DOUBT = 0.1
+"""Time for which states of a robot are compared, and none is taken over after two that contradict each other, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +182,9 @@ class RealtimePlane:
         self._newest: dict[int, AgentState] = {}
         self._before: dict[int, AgentState] = {}
         self._ahead = config.schedule.ahead(config.clock_tolerance)
+        self._doubt = config.schedule.steps(DOUBT)
+        self._heard: Heard[int] = Heard(self._doubt, self._ahead)
+        self._contradicted: dict[int, int] = {}
         self._members = frozenset(config.members)
         self._released: int | None = None
         self._counter = StepCounter(config.schedule)
@@ -193,6 +199,7 @@ class RealtimePlane:
         problem = self._config.bounds.problem(message)
         if message.step > step + self._ahead:
             problem = "a state from the future; the clocks differ, or it is of another swarm"
+        problem = problem or self._contradiction(message, step)
         if problem:
             return self._refusals.add(f"robot {message.agent_id}: {problem}", step, now)
         known = self._newest.get(message.agent_id)
@@ -203,12 +210,21 @@ class RealtimePlane:
             self._released = step
         return ()
 
+    def _contradiction(self, state: AgentState, step: int) -> str:
+        """Notice two different states of one robot and step: then none of that robot is believed."""
+        if self._heard.add(state.agent_id, state, step):
+            self._contradicted[state.agent_id] = step
+        since = self._contradicted.get(state.agent_id)
+        return "" if since is None or step - since > self._doubt else "two different states of a step"
+
     def tick(self, now: int) -> Messages:
         """Move the plane up to this step and tell its state."""
         step = self._counter.next(now)
         if step is None:
             if self._counter.last is None:
                 self._last_step = None
+                self._heard.forget()
+                self._contradicted.clear()
             return ()
         since, robots = self._last_step, self._robots()
         events: Messages = ()
