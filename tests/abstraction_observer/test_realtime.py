@@ -30,7 +30,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
     assert config(settings) == RealtimeObserverConfig(
         members=(3, 9, 11),
         schedule=Schedule(5_000_000, 77),
-        bounds=Bounds(1.62, 1.4, 5.0),
+        bounds=Bounds(1.62, 1.4, 5.0, 0.005),
         ksd=2.0,
         needed=3,
         state_age_limit=0.2,

@@ -49,7 +49,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
         mass=0.7,
         gains=SwarmGains((1.0, 2.0), (3.0, 4.0), (5.0, 6.0), 7.0),
         schedule=Schedule(5_000_000, 77),
-        bounds=Bounds(1.62, 1.4, 11.0),
+        bounds=Bounds(1.62, 1.4, 11.0, 0.005),
         lane_limit=found.lane_limit,
         damping=0.8,
         limits=Limits(8.0, 9.0),

@@ -37,7 +37,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
     assert config(settings) == RealtimePlaneConfig(
         members=(3, 9),
         schedule=Schedule(5_000_000, 77),
-        bounds=Bounds(1.62, 1.4),
+        bounds=Bounds(1.62, 1.4, period=0.005),
         inertia=0.4,
         friction=Friction(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
         substep=0.002,

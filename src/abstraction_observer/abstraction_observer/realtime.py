@@ -68,10 +68,11 @@ def config(settings: Settings) -> RealtimeObserverConfig:
         If parameters contradict each other.
     """
     mass = settings.number("swarm_mass") or inf
+    clock = schedule_of(settings)
     return RealtimeObserverConfig(
         members=settings.integers("members"),
-        schedule=schedule_of(settings),
-        bounds=Bounds(settings.number("gravity"), settings.number("plane_length"), mass),
+        schedule=clock,
+        bounds=Bounds(settings.number("gravity"), settings.number("plane_length"), mass, clock.period_ns / 1e9),
         ksd=settings.number("ksd"),
         needed=needed(settings),
         state_age_limit=settings.number("state_age_limit"),

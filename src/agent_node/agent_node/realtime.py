@@ -74,13 +74,15 @@ def config(settings: Settings) -> RealtimeAgentConfig:
     """
     length = settings.number("plane_length")
     law = settings.within("law.")
+    clock = schedule_of(settings)
+    mass = settings.number(SWARM_MASS.name) or inf
     return RealtimeAgentConfig(
         agent_id=settings.integer("agent_id"),
         kind=kind_of(settings),
         mass=settings.number("mass"),
         gains=gains_of(settings),
-        schedule=schedule_of(settings),
-        bounds=Bounds(settings.number("gravity"), length, settings.number(SWARM_MASS.name) or inf),
+        schedule=clock,
+        bounds=Bounds(settings.number("gravity"), length, mass, clock.period_ns / 1e9),
         lane_limit=max(0.0, 0.5 * length - settings.number("lane_margin")),
         damping=settings.number("damping"),
         limits=Limits(settings.number("limits.velocity") or inf, settings.number("limits.force") or inf),

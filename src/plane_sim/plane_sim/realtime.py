@@ -30,10 +30,11 @@ PARAMETERS = (
 
 def config(settings: Settings) -> RealtimePlaneConfig:
     """Return the behaviour's configuration."""
+    clock = schedule_of(settings)
     return RealtimePlaneConfig(
         members=settings.integers("members"),
-        schedule=schedule_of(settings),
-        bounds=Bounds(settings.number("gravity"), settings.number("length")),
+        schedule=clock,
+        bounds=Bounds(settings.number("gravity"), settings.number("length"), period=clock.period_ns / 1e9),
         inertia=settings.number("inertia"),
         friction=Friction(*settings.numbers("friction")),
         substep=settings.number("substep"),

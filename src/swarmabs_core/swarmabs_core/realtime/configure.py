@@ -48,7 +48,7 @@ def schedule(scenario: Scenario, epoch_ns: int) -> Schedule:
 def bounds(scenario: Scenario) -> Bounds:
     """Return what is known of the swarm and its plane beforehand."""
     mass = sum(agent.mass for agent in scenario.agents)
-    return Bounds(scenario.plane.gravity, scenario.plane.length, mass)
+    return Bounds(scenario.plane.gravity, scenario.plane.length, mass, scenario.period)
 
 
 def lane_limit(scenario: Scenario) -> float:

@@ -229,8 +229,18 @@ class RealtimeObserver:
         who = f"robot {message.agent_id}"
         if message.step > step + self._ahead:
             return f"{who}: a state from the future; the clocks differ, or it is of another swarm"
-        problem = self._config.bounds.problem(message)
+        problem = self._config.bounds.problem(message) or self._overweight(message)
         return f"{who}: {problem}" if problem else ""
+
+    def _overweight(self, state: AgentState) -> str:
+        """Return that there is not so much mass left beside that of the other robots on the plane."""
+        known = self._states.get(state.agent_id)
+        if known is not None and (known.mass, known.status) == (state.mass, state.status):
+            return ""
+        others = [s.mass for i, s in self._states.items() if i != state.agent_id and s.status != Status.LEFT]
+        if state.status != Status.LEFT and self._config.bounds.exceeds(sum(others) + state.mass):
+            return f"a mass of {state.mass:.4g} kg: with the others more than the swarm's"
+        return ""
 
     def _contradiction(self, message: Message, step: int) -> str:
         """Notice that two different states claim to be that of a robot and step: then none of that robot is believed.

@@ -20,6 +20,10 @@ from swarmabs_core.messages import (
 SLACK = 1.05
 """By how much a bound may be exceeded: a measured position is never exact."""
 _ROUNDING = 1e-6
+LEAST_DAMPING_TIME = 1e-3
+"""Shortest time constant of a robot's own damping that is credible, in periods."""
+FASTEST_TURN = 100.0
+"""Largest credible angular velocity of the plane, rad/s: from one end stop to the other within three periods."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +38,28 @@ class Bounds:
         m.
     swarm_mass : float
         Mass of all robots that ever take part, kg; infinite if unknown.
+    period : float
+        Shortest time in which a robot may cross the plane, s: the control period.
     """
 
     gravity: float
     plane_length: float
     swarm_mass: float = inf
+    period: float = 0.001
 
     @property
     def reach(self) -> float:
         """Largest credible distance of a robot from the axis, m."""
         return 0.5 * self.plane_length * SLACK
+
+    @property
+    def fastest(self) -> float:
+        """Largest credible speed of a robot, m/s."""
+        return self.plane_length / self.period * SLACK
+
+    def exceeds(self, mass: float) -> bool:
+        """Tell whether a mass (kg) is more than that of the whole swarm."""
+        return mass > self.swarm_mass * (1.0 + _ROUNDING)
 
     def problem(self, message: Message) -> str:
         """Return why a message cannot be true; empty if it can."""
@@ -58,15 +74,26 @@ class Bounds:
         if isinstance(message, AgentState):
             return self._robot(message)
         if isinstance(message, PlaneState):
-            return "" if abs(message.angle) <= 3.2 else f"an angle of {message.angle:.4g} rad"
+            return self._plane(message)
+        return ""
+
+    def _plane(self, state: PlaneState) -> str:
+        if abs(state.angle) > 3.2:
+            return f"an angle of {state.angle:.4g} rad"
+        if abs(state.angular_velocity) > FASTEST_TURN:
+            return f"an angular velocity of {state.angular_velocity:.4g} rad/s, at most {FASTEST_TURN:g} is credible"
         return ""
 
     def _abstract(self, state: AbstractState) -> str:
-        weight, arm = self.gravity * self.swarm_mass, self.reach
+        mass, arm = self.swarm_mass * (1.0 + 2.0 * _ROUNDING), self.reach
+        weight = self.gravity * mass
         if abs(state.torque) > weight * arm:
             return f"a torque of {state.torque:.4g} N m, more than the swarm can exert"
-        if not 0.0 <= state.inertia <= self.swarm_mass * arm * arm:
+        if not 0.0 <= state.inertia <= mass * arm * arm:
             return f"an inertia of {state.inertia:.4g} kg m^2, which the swarm cannot have"
+        rate, inertia_rate = abs(state.torque_rate), abs(state.inertia_rate)
+        if rate > weight * self.fastest or inertia_rate > 2.0 * mass * arm * self.fastest:
+            return f"rates of {state.torque_rate:.4g} N m/s and {state.inertia_rate:.4g} kg m^2/s: robots too fast"
         return ""
 
     def _sums(self, sums: AuxiliaryState) -> str:
@@ -89,4 +116,10 @@ class Bounds:
             return f"a mass of {state.mass:.4g} kg and a damping of {state.damping:.4g} N s/m"
         if abs(state.position) > self.reach:
             return f"a position of {state.position:.4g} m, which is off the plane"
+        if self.exceeds(state.mass):
+            return f"a mass of {state.mass:.4g} kg, more than the swarm's {self.swarm_mass:.4g} kg"
+        if abs(state.velocity) > self.fastest:
+            return f"a velocity of {state.velocity:.4g} m/s, at most {self.fastest:.4g} is credible"
+        if state.damping * self.period * LEAST_DAMPING_TIME > state.mass:
+            return f"a damping of {state.damping:.4g} N s/m, too much for a mass of {state.mass:.4g} kg"
         return ""
