@@ -278,3 +278,38 @@ def test_settings_that_make_no_sense_are_refused(kind: Kind, settings: dict[str,
 def test_without_a_node_there_is_nothing_to_connect_to() -> None:
     with pytest.raises(InputError, match="no ROS node"):
         make_drive("topic", {}, Body(1, SI, Schedule(MS), 0.5))
+
+
+def test_a_body_does_not_turn_round_by_one_reading() -> None:
+    drive, wire = made(SI)
+    heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
+    for time in (10, 20):
+        now = EPOCH + time * MS
+        measured = heard(drive, wire, odometry(now, 0.1, 0.0, facing=-1.0), now=now)
+        assert measured == pytest.approx((EPOCH, 0.1, 0.0))
+        drive.write(0.2, now)
+        assert wire.sent[-1] == 0.2
+    assert drive.refused.counts == {"heading": 2}
+    assert "turned round 0.020 s after" in drive.refused.last
+    heard(drive, wire, odometry(EPOCH + 30 * MS, 0.1, 0.0), now=EPOCH + 30 * MS)
+    assert drive.refused.counts == {"heading": 2}
+
+
+def test_a_body_that_was_turned_round_is_believed_after_a_while() -> None:
+    drive, wire = made(SI)
+    heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
+    for time in range(10, 510, 10):
+        now = EPOCH + time * MS
+        measured = heard(drive, wire, odometry(now, 0.1, 0.0, facing=-1.0), now=now)
+        assert measured is not None
+        assert (measured.stamp == now) == (time == 500)
+    drive.write(0.2, now)
+    assert wire.sent[-1] == -0.2
+
+
+def test_which_way_a_body_looks_is_learnt_anew_when_the_clock_was_set_back() -> None:
+    drive, wire = made(SI)
+    heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
+    earlier = EPOCH - SECOND
+    measured = heard(drive, wire, odometry(earlier, 0.1, 0.0, facing=-1.0), now=earlier)
+    assert measured == pytest.approx((earlier, 0.1, 0.0))

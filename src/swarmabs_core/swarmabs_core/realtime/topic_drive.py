@@ -78,6 +78,10 @@ SETTINGS = (
 """Settings of the drive, ``drive.*`` of a robot's node."""
 
 
+TURN_ROUND = 500_000_000
+"""Shortest time in which a body turns round, ns; meanwhile it stands across the lane, of which nothing is taken."""
+
+
 class Wiring(NamedTuple):
     """What the drive wants to be connected to; an empty topic means none.
 
@@ -173,6 +177,7 @@ class TopicDrive:
         self._to_joint = wiring.command == "joint"
         self._single = single
         self._facing = -1.0 if settings["reversed"] else 1.0
+        self._faced: int | None = None
         self._weighs = bool(wiring.imu_topic)
         self._tilt = Track(Plausible(number("imu.max_rate"), number("imu.max_jump"), tolerance), bandwidth)
         self._imu_frame, self._imu_offset = text("imu.frame"), number("imu.offset")
@@ -262,9 +267,18 @@ class TopicDrive:
         cosine = lane.sign * row[0]
         if abs(cosine) < lane.least_cosine:
             raise RefusedReadingError("heading", f"the body's x axis and the lane have a cosine of {cosine:.3f}")
+        facing = copysign(1.0, cosine)
+        self._check_facing(facing, reading.stamp)
         velocity = lane.sign * sum(a * b for a, b in zip(row, reading.velocity, strict=True))
         self._track.offer(reading.stamp, lane.offset + lane.sign * reading.position[lane.axis], velocity, now)
-        self._facing = copysign(1.0, cosine)
+        self._facing, self._faced = facing, reading.stamp
+
+    def _check_facing(self, facing: float, stamp: int) -> None:
+        """Refuse that a body has turned round at once: it would be driven the wrong way by one wrong reading."""
+        if facing == self._facing or self._faced is None or not 0 <= stamp - self._faced < TURN_ROUND:
+            return
+        passed = (stamp - self._faced) / 1e9
+        raise RefusedReadingError("heading", f"turned round {passed:.3f} s after the last good reading")
 
     def _hear_joints(self, reading: Joints, now: int) -> None:
         lane = self._lane
