@@ -343,6 +343,49 @@ def test_a_second_controller_stops_the_swarm_for_as_long_as_it_speaks() -> None:
     assert all_follow(fleet)
 
 
+@pytest.mark.parametrize("lead", [0, 1, 2])
+def test_a_second_controller_that_is_ahead_leads_nobody(lead: int) -> None:
+    fleet = VirtualFleet(scenario("arise_het_4"))
+    fleet.run(5.0)
+    for _ in range(50):
+        step = max(m.step for _, _, m in fleet.published if isinstance(m, DesiredAbstractState)) + lead
+        fleet.inject(DesiredAbstractState(0, step, Mode.RUN, -3.0, 0.05, *(0.0,) * 6), ROBOTS)
+        fleet.run(PERIOD)
+    stopped = states(fleet, 5.0 + (lead + 2) * PERIOD, 5.5)
+    assert all((s.status, s.broadcast_step) == (Status.SAFE_STOP, NEVER) for s in stopped)
+    assert {e.agent_id for e in events(fleet, 5.0) if e.kind == EventKind.REFUSED} == {1, 2, 3, 4}
+    fleet.run(2.0)
+    assert all_follow(fleet)
+
+
+def test_nobody_opens_the_latch_while_the_controller_says_stop() -> None:
+    fleet = VirtualFleet(scenario("arise_het_4"))
+    fleet.run(5.0)
+    fleet.call(CONTROLLER, stop)
+    fleet.run(0.5)
+    for _ in range(150):
+        step = max(m.step for _, _, m in fleet.published if isinstance(m, DesiredAbstractState)) + 2
+        fleet.inject(DesiredAbstractState(0, step, Mode.RESET, 0.0, 0.05, *(0.0,) * 6), ROBOTS)
+        fleet.run(PERIOD)
+    assert {s.status for s in states(fleet, 5.5)} == {Status.SAFE_STOP}
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.004, 0.05, 0.5])
+def test_an_operator_who_stops_and_resets_is_heard_over_a_bad_network(pause: float) -> None:
+    fleet = VirtualFleet(scenario(), network=Network(jitter=0.04, loss=0.1, duplication=0.3))
+    fleet.run(4.0)
+    fleet.call(CONTROLLER, stop)
+    fleet.run(pause)
+    fleet.call(CONTROLLER, reset)
+    fleet.run(0.9)
+    assert fastest(fleet, fleet.time - 0.1) < AT_REST
+    fleet.run(1.1)
+    newest = {state.agent_id: state for state in states(fleet, fleet.time - 2 * PERIOD)}
+    assert all(state.status == Status.ACTIVE for state in newest.values())
+    accused = [e for e in events(fleet, 4.0) if e.kind == EventKind.REFUSED and "outdated" not in e.detail]
+    assert not accused
+
+
 def forged(step: int) -> list[Message]:
     """Return broadcasts that nobody may believe, each alone."""
     good = AuxiliaryState(0, step, 1.0, 0.0, 0.02, 0.02, 0.1, 0.0, 0.1, 0.0)
