@@ -151,7 +151,7 @@ def test_env_of_a_simulated_run_is_refused(capfd: pytest.CaptureFixture[str]) ->
     main(["simulate", "--duration", "0.1", "-o", "out"])
     capfd.readouterr()
     assert main(["env", "out"]) == 2
-    assert "not the folder of a run (" in capfd.readouterr().err
+    assert "not the folder of a run with processes (" in capfd.readouterr().err
 
 
 def test_doctor_finds_this_machine_fit(capfd: pytest.CaptureFixture[str]) -> None:

@@ -22,6 +22,7 @@ from swarmabs_bringup.fleet.participants import DISCOVERY, DISCOVERY_SERVER, Nod
 from swarmabs_bringup.fleet.permissions import Rights, host_enclaves, node_rights
 from swarmabs_bringup.operate.board import Board
 from swarmabs_bringup.operate.link import Link
+from swarmabs_bringup.operate.target import Target
 from swarmabs_bringup.orchestration.domain import claimed_domain
 from swarmabs_ros import diagnostics
 
@@ -132,7 +133,7 @@ class Recording:
 
 def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
     rights = host_enclaves(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base")["operator_base"]
-    link = Link(Recording(), "one")  # type: ignore[arg-type]
+    link = Link(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
     actions: list[Callable[[], object]] = [
         lambda: link.announce(2, "gone", 1.0),
         lambda: link.listen(Board({}), 1.0, lambda: False),

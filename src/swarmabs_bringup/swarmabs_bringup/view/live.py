@@ -14,7 +14,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 
 from swarmabs_bringup.view.picture import Picture
 from swarmabs_bringup.view.protocol import Curves, Events, Frame, Hello, Message, Sets, State
@@ -32,6 +31,7 @@ from swarmabs_core.messages import (
 from swarmabs_ros.endpoints import receiver
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import SwarmNode
+from swarmabs_ros.start import initialise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,7 +69,7 @@ class Listener:
 
     def __init__(self, namespace: str, robots: int) -> None:
         arguments = ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"]
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        initialise("view", arguments)
         self._node: Node = SwarmNode(f"view_{os.getpid()}")
         self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
         self._most |= {AGENT_STATE: max(ROBOT_DEPTH, 2 * robots), EVENTS: 1000}
