@@ -34,6 +34,13 @@ def environment_of(unit: Path) -> dict[str, str]:
     return dict(line.split("=", 1) for line in lines)
 
 
+def write_below(bundle: Path, folder: Path) -> None:
+    """Let the nodes of a bundle write below a folder what they would write below /var/lib."""
+    for file in (bundle / "nodes").glob("*.yaml"):
+        text = file.read_text()
+        file.write_text(re.sub(r"/var/lib/swarmabs-[a-z0-9_-]+", str(folder), text))
+
+
 @dataclass(slots=True)
 class Unit:
     """A running node, and the socket on which it speaks to its service manager."""

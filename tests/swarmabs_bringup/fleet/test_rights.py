@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from tests.swarmabs_bringup.fleet import endpoints_probe
-from tests.swarmabs_bringup.fleet.bundle_processes import ended, running
+from tests.swarmabs_bringup.fleet.bundle_processes import ended, running, write_below
 from tests.swarmabs_bringup.fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_bringup.fleet import permissions
@@ -37,7 +37,6 @@ def fleet_of(plane: str, domain: int, folder: Path) -> LoadedFleet:
     changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{folder}/etc")]
     changes.append(("scenario:", "namespace: /hall\nscenario:"))
     if plane != "simulated":
-        # The bundle's recorder writes below /var/lib.
         changes.append((", recorder: {host: base}", ""))
         changes.append(("plane: {host", f"plane: {{type: driver, {plane}, host"))
         changes.append(("type: simulated, position: 0.1", "type: topic, topic: /odom, command_topic: cmd_vel"))
@@ -49,7 +48,7 @@ def used_by_nodes(loaded: LoadedFleet, folder: Path) -> dict[str, Endpoints]:
     """Start all nodes of the fleet's one host, and a discovery server, and return their endpoints."""
     (folder / "etc").mkdir()
     bundle = (deployed(loaded, folder / "out") / "base").rename(folder / "etc" / "one")
-    make_recorder_private(bundle, folder)
+    write_below(bundle, folder)
     add_server(bundle)
     names = [node.name for node in node_plans(loaded.fleet)] + [DISCOVERY]
     with running(bundle, folder) as units:
@@ -67,12 +66,6 @@ def used_by_nodes(loaded: LoadedFleet, folder: Path) -> dict[str, Endpoints]:
     found: dict[str, Endpoints] = json.loads(done.stdout)
     assert set(found) == set(names)
     return found
-
-
-def make_recorder_private(bundle: Path, folder: Path) -> None:
-    """Let what is written below /var/lib be written below a folder."""
-    for file in (bundle / "nodes").glob("*.yaml"):
-        file.write_text(file.read_text().replace("/var/lib/swarmabs-one", str(folder)))
 
 
 def add_server(bundle: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from tests.processes import until
-from tests.swarmabs_bringup.fleet.bundle_processes import ended, running
+from tests.swarmabs_bringup.fleet.bundle_processes import ended, running, write_below
 from tests.swarmabs_bringup.fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_bringup.cli import main
@@ -62,6 +62,7 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
         output = deployed(load_fleet(file), tmp_path / "out")
         prefix.mkdir()
         bundle = (output / "base").rename(prefix / "one")
+        write_below(bundle, tmp_path)
         robots = ("agent_001", "agent_002", "agent_003")
         with running(bundle, tmp_path) as units:
             for unit in units.values():

@@ -37,7 +37,7 @@ _PARAMETER_EVENTS, _LOG = "rt/parameter_events", "rt/rosout"
 _DRIVERS_DIAGNOSTICS = "rt/diagnostics"
 """Where nodes that are not the swarm's say how they are."""
 _PLAIN = (RECORDER, DISCOVERY)
-"""Nodes without a life cycle, diagnostics and a log by topic."""
+"""Nodes without a life cycle and a log by topic."""
 _COMMAND_LINE = "_ros2cli"
 """With what the names of nodes of ROS's command line begin."""
 _MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
@@ -168,8 +168,10 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     managed = node.name not in _PLAIN
     publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS]
     subscribe = [_DISCOVERY_INFO]
-    if managed:  # it has a log, diagnostics, and a life cycle, whose topic is its own
-        publish += [_LOG, _topic(ns, DIAGNOSTICS), f"rt{own}/*"]
+    if managed:  # it has a log, and a life cycle, whose topic is its own
+        publish += [_LOG, f"rt{own}/*"]
+    if node.name != DISCOVERY:
+        publish.append(_topic(ns, DIAGNOSTICS))
     publish += [_topic(ns, topic.name) for topic in _published(node)]
     subscribe += [_topic(ns, topic.name) for topic in _heard(node)]
     if node.name != RECORDER:  # services: those of its parameters and its life cycle among them
