@@ -128,7 +128,7 @@ def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
     rights = host_enclaves(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base")["operator_base"]
     link = Link(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
     actions: list[Callable[[], object]] = [
-        lambda: link.announce(2, "gone", 1.0),
+        lambda: link.announced(2, "gone", 1.0).__enter__(),
         lambda: link.listen(Board({}), 1.0, lambda: False),
         *(lambda name=name: link.call(name, 1.0) for name in ("swarm/stop", "swarm/reset", "agent_001/leave")),  # type: ignore[misc]
     ]

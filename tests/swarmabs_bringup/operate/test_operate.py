@@ -80,7 +80,7 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             until_all_say(file, "follows", *robots[:2])
             assert operate("join", file, 3).returncode == 0
             until_all_say(file, "follows", *robots)
-            alive = operate("remove", file, 3, "--timeout", 3)
+            alive = operate("remove", file, 3)
             assert alive.returncode == 1
             assert "does so only with one that is silent, another can leave by itself: drain" in alive.stderr
             units["agent_003"].process.kill()

@@ -127,8 +127,7 @@ def remove(swarm: Path, robot: int, patience: float) -> int:
         def gone() -> bool:
             return str(robot) in board.value(OBSERVER, "left").split()
 
-        with linked(found) as link:
-            link.announce(robot, CARRIED_AWAY, patience)
+        with linked(found) as link, link.announced(robot, CARRIED_AWAY, patience):
             link.listen(board, patience, gone)
     if not gone():
         raise RunError(

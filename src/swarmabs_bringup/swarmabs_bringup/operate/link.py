@@ -77,16 +77,15 @@ class Link:
         if not self._target.goes_on():
             raise RunError(f"{self._swarm}: the run has ended meanwhile")
 
-    def announce(self, agent_id: int, detail: str, patience: float) -> None:
-        """Publish the event that a robot has left, and wait until whoever listens has it.
+    @contextmanager
+    def announced(self, agent_id: int, detail: str, patience: float) -> Iterator[None]:
+        """Publish the event that a robot has left; it is there for whoever hears it during the block.
 
         Raises
         ------
         RunError
-            If nobody listens in time (s), it does not arrive, or the run has ended meanwhile.
+            If nobody listens in time (s), or the run has ended meanwhile.
         """
-        from rclpy.duration import Duration  # noqa: PLC0415 - as above
-
         from swarmabs_core.cdr import encode  # noqa: PLC0415 - as above
         from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent  # noqa: PLC0415
         from swarmabs_ros.endpoints import advertise  # noqa: PLC0415
@@ -100,16 +99,18 @@ class Link:
                 time.sleep(SLICE)
             self._check()
             publisher.publish(encode(SwarmEvent(time.time_ns(), 0, agent_id, EventKind.LEFT, 0.0, detail)))
-            deadline = time.monotonic() + patience
-            while not publisher.wait_for_all_acked(Duration(seconds=SLICE)):
-                if time.monotonic() > deadline:
-                    raise RunError(f"{self._swarm}: the observer has not confirmed within {patience:g} s")
-                self._check()
+            yield
         finally:
             self._node.destroy_publisher(publisher)
 
     def listen(self, board: Board, patience: float, enough: Callable[[], bool]) -> None:
-        """Let a board hear the diagnostics until it is enough, or the time (s) is over."""
+        """Let a board hear the diagnostics until it is enough, or the time (s) is over.
+
+        Raises
+        ------
+        RunError
+            If the run has ended meanwhile.
+        """
         import rclpy  # noqa: PLC0415 - as above
         from diagnostic_msgs.msg import DiagnosticArray  # noqa: PLC0415
 
@@ -122,6 +123,7 @@ class Link:
         try:
             deadline = time.monotonic() + patience
             while not enough() and time.monotonic() < deadline:
+                self._check()
                 rclpy.spin_once(self._node, timeout_sec=SLICE)
         finally:
             self._node.destroy_subscription(subscription)
