@@ -32,7 +32,7 @@ from swarmabs_core.steering import REFERENCE
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from swarmabs_bringup.attendance import Members
+    from swarmabs_bringup.attendance import Members, Out
     from swarmabs_core.steering import OffsetReference
 
 MOST_EVENTS = 1000
@@ -52,7 +52,7 @@ STALE = 1000
 CLOCK = 10**17
 """Stamps beyond, ns, are those of a clock and not of steps: three years."""
 
-STATUS: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
+_STATUS: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
 
 
 class Seen(NamedTuple):
@@ -64,12 +64,37 @@ class Seen(NamedTuple):
     status: RobotStatus | None = None
 
 
-GONE = Seen(status="left")
+def seen(out: Out | None, said: Seen, status: int | None, *, silent: bool) -> Seen:
+    """Return what is shown of a robot: what it has said, unless it is out.
+
+    Parameters
+    ----------
+    out : Out, optional
+        How it is out: a dead one stands still at its place, whatever its process goes on saying.
+    said : Seen
+        What it has said last.
+    status : int, optional
+        Its status then, as in `AgentState`; None if it was never heard.
+    silent : bool
+        Whether that was too long ago.
+    """
+    if out is not None and out.status == "dead":
+        return Seen(finite(out.place), 0.0, None, "dead")
+    if (out is not None and out.status == "left") or status == Status.LEFT:
+        return Seen(status="left")
+    if status is None:
+        return said
+    return said._replace(status="silent" if silent else _STATUS.get(status))
 
 
-def standing(place: float) -> Seen:
-    """Return what is shown of a dead robot: it stands still (m), whatever its process goes on saying."""
-    return Seen(finite(place), 0.0, None, "dead")
+def robot_states(robots: Sequence[Seen]) -> RobotStates:
+    """Return what is shown of all robots, in their order."""
+    return RobotStates(
+        position=[robot.position for robot in robots],
+        velocity=[robot.velocity for robot in robots],
+        command=[robot.command for robot in robots],
+        status=[robot.status for robot in robots],
+    )
 
 
 def event_of(event: SwarmEvent, time: float) -> Event:
@@ -207,12 +232,7 @@ class Picture:
             reference=self._wanted(plane),
             abstract=_pair(abstract),
             desired=_pair(desired),
-            robots=RobotStates(
-                position=[seen.position for seen in robots],
-                velocity=[seen.velocity for seen in robots],
-                command=[seen.command for seen in robots],
-                status=[seen.status for seen in robots],
-            ),
+            robots=robot_states(robots),
             step_rate=step_rate,
         )
 
@@ -266,15 +286,10 @@ class Picture:
     def _seen(self, robot: int, step: int) -> Seen:
         """Return what is shown of a robot: what it has said, unless it is out."""
         out, state = self._attendance.out(robot, step), self._state(robot, step)
-        if out is not None and out.status == "dead":
-            return standing(out.place)
-        if (out is not None and out.status == "left") or (state is not None and state.status == Status.LEFT):
-            return GONE
         if state is None:
-            return Seen()
-        silent = state.step + SILENT_STEPS < step
-        status: RobotStatus | None = "silent" if silent else STATUS.get(state.status)
-        return Seen(finite(state.position), finite(state.velocity), finite(state.command), status)
+            return seen(out, Seen(), None, silent=False)
+        said = Seen(finite(state.position), finite(state.velocity), finite(state.command))
+        return seen(out, said, state.status, silent=state.step + SILENT_STEPS < step)
 
     def _pending(self, step: int) -> _Step:
         found = self._steps.get(step)

@@ -14,7 +14,7 @@ from swarmabs_bringup.report.record import read_recorded
 from swarmabs_bringup.report.thinning import column_points
 from swarmabs_bringup.view.curves import Point, curves
 from swarmabs_bringup.view.facts import finite, scenario_facts
-from swarmabs_bringup.view.picture import GONE, MOST_EVENTS, STATUS, Seen, event_of, standing
+from swarmabs_bringup.view.picture import MOST_EVENTS, Seen, event_of, robot_states, seen
 from swarmabs_bringup.view.protocol import (
     Abstract,
     Control,
@@ -25,14 +25,12 @@ from swarmabs_bringup.view.protocol import (
     Message,
     Pause,
     Play,
-    RobotStates,
     Seek,
     Sets,
     Speed,
     State,
 )
 from swarmabs_bringup.view.shading import Shading
-from swarmabs_core.messages import Status
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -147,12 +145,7 @@ class Recording:
             reference=finite(float(recorded.reference[row])),
             abstract=_pair(arrays.abstract.torque[row], arrays.abstract.inertia[row]),
             desired=_pair(arrays.desired.torque[row], arrays.desired.inertia[row]),
-            robots=RobotStates(
-                position=[seen.position for seen in robots],
-                velocity=[seen.velocity for seen in robots],
-                command=[seen.command for seen in robots],
-                status=[seen.status for seen in robots],
-            ),
+            robots=robot_states(robots),
             step_rate=step_rate,
         )
 
@@ -172,14 +165,8 @@ class Recording:
 
     def _seen(self, robot: int, said: Seen, status: float | None, age: int, step: int) -> Seen:
         """Return what is shown of a robot: what it has said so many rows ago, unless it is out."""
-        out = self._attendance.out(robot, step)
-        if out is not None and out.status == "dead":
-            return standing(out.place)
-        if (out is not None and out.status == "left") or status == Status.LEFT:
-            return GONE
-        if status is None:
-            return said
-        return said._replace(status="silent" if age > 0 else STATUS.get(int(status)))
+        known = None if status is None else int(status)
+        return seen(self._attendance.out(robot, step), said, known, silent=age > 0)
 
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
