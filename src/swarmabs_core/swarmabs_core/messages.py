@@ -79,6 +79,11 @@ class Action(IntEnum):
     ADD = 6
 
 
+def said(value: IntEnum) -> str:
+    """Return a constant of a message in words, such as "double integrator"."""
+    return value.name.lower().replace("_", " ")
+
+
 class PlaneState(NamedTuple):
     """Angle (rad) and angular velocity (rad/s) of the plane."""
 

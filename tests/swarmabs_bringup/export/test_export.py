@@ -181,6 +181,19 @@ def test_columns_are_described_beside_the_tables(bag: Path, tmp_path: Path) -> N
     ]
 
 
+def test_every_constant_of_a_definition_is_in_the_meaning_of_its_column() -> None:
+    """By name and number, and no other: a mode that is not explained is one that readers misjudge."""
+    owners = {"AgentState": {"kind": range(2), "status": range(2, 5)}}
+    for table in TABLES:
+        definition = DEFINITIONS[table.topic.message.__name__]
+        constants = [f"{c.value}: {c.name.lower().replace('_', ' ')}" for c in definition.constants]
+        for name in {"kind", "status", "mode"} & {column.name for column in table.columns}:
+            (meaning,) = (column.meaning for column in table.columns if column.name == name)
+            places = owners.get(definition.name, {}).get(name, range(len(constants)))
+            assert meaning == ", ".join(constants[place] for place in places)
+    assert any(column.meaning == "1: run, 2: stop, 3: reset" for table in TABLES for column in table.columns)
+
+
 @pytest.mark.parametrize("file_format", ["csv", "parquet", "numpy"])
 def test_nothing_is_overwritten_and_nothing_left_of_a_damaged_bag(
     bag: Path, tmp_path: Path, file_format: str, capfd: pytest.CaptureFixture[str]

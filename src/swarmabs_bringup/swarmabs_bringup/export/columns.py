@@ -12,10 +12,17 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     PLANE_STATE,
+    EventKind,
+    Kind,
+    Mode,
+    Status,
     Topic,
+    said,
 )
 
 if TYPE_CHECKING:
+    from enum import IntEnum
+
     from swarmabs_core.messages import Message
 
 TableFormat = Literal["csv", "parquet"]
@@ -50,6 +57,10 @@ def _float(name: str, unit: str, meaning: str = "") -> Column:
     return Column(name, "float64", unit, meaning)
 
 
+def _constant(name: str, constants: type[IntEnum]) -> Column:
+    return Column(name, "uint8", "1", ", ".join(f"{value.value}: {said(value)}" for value in constants))
+
+
 TABLES = (
     BagTable(
         "agents",
@@ -59,8 +70,8 @@ TABLES = (
             _TIME,
             _AGENT,
             Column("broadcast_step", "uint64", "1", "step of the broadcasts used; 18446744073709551615: none"),
-            Column("kind", "uint8", "1", "1: single integrator, 2: double integrator"),
-            Column("status", "uint8", "1", "1: active, 2: safe stop, 3: left"),
+            _constant("kind", Kind),
+            _constant("status", Status),
             _float("mass", "kg"),
             _float("damping", "N s/m"),
             _float("position", "m"),
@@ -107,7 +118,7 @@ TABLES = (
         (
             _STEP,
             _TIME,
-            Column("mode", "uint8", "1", "1: run, 2: stop"),
+            _constant("mode", Mode),
             _float("torque", "N m"),
             _float("inertia", "kg m^2"),
             _float("torque_rate", "N m/s"),
@@ -126,7 +137,7 @@ TABLES = (
             _STEP,
             _TIME,
             _AGENT,
-            Column("kind", "uint8", "1", "what happened, by the numbers in SwarmEvent.msg"),
+            _constant("kind", EventKind),
             _float("value", "by kind"),
             Column("detail", "string", "", "for people"),
             _STAMP,

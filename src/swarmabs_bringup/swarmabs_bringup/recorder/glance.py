@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bringup.attendance import Attendance
 from swarmabs_core.cdr import decode
-from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status, SwarmEvent
+from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status, SwarmEvent, said
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -170,7 +170,7 @@ class RealtimeOnlooker(Onlooker):
 def describe_event(event: SwarmEvent) -> str:
     """Say in a line what happened."""
     try:
-        kind = EventKind(event.kind).name.lower().replace("_", " ")
+        kind = said(EventKind(event.kind))
     except ValueError:
         kind = f"event {event.kind}"
     who = f"robot {event.agent_id} " if event.agent_id else ""

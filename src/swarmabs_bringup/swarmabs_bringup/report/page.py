@@ -11,7 +11,7 @@ from swarmabs_bringup.report.html import Child, document, element, facts, number
 from swarmabs_bringup.report.pictures import page_picture
 from swarmabs_bringup.report.stylesheet import STYLESHEET
 from swarmabs_bringup.report.words import counted, shown
-from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_core.messages import EventKind, SwarmEvent, said
 from swarmabs_core.scenario import dump_scenario
 from swarmabs_core.theory.check import check_scenario
 from swarmabs_core.theory.report import Verdict
@@ -246,7 +246,7 @@ def _grouped(events: Iterable[SwarmEvent], key: Any) -> dict[tuple[str, int], li
 
 def _kind(event: SwarmEvent) -> str:
     try:
-        return EventKind(event.kind).name.lower().replace("_", " ")
+        return said(EventKind(event.kind))
     except ValueError:
         return f"kind {event.kind}"
 
