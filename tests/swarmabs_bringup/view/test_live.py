@@ -20,7 +20,7 @@ from tests.swarmabs_bringup.sample_run import make_run, make_step
 
 from swarmabs_bringup.view.facts import regions
 from swarmabs_bringup.view.health import ProcessWatch
-from swarmabs_bringup.view.live import SILENCE, Listener, LiveSession, LiveView, StepRate
+from swarmabs_bringup.view.live import RATE_WINDOW, SILENCE, Listener, LiveSession, LiveView, StepRate
 from swarmabs_bringup.view.picture import Picture
 from swarmabs_bringup.view.protocol import (
     Curves,
@@ -37,7 +37,7 @@ from swarmabs_bringup.view.protocol import (
 )
 from swarmabs_bringup.view.shading import Shading
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import TOPIC_OF, EventKind, SwarmEvent
+from swarmabs_core.messages import TOPIC_OF, EventKind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import StateClass, classify
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.runner import SwarmNode
@@ -180,6 +180,15 @@ def test_step_rate_is_that_of_the_last_seconds() -> None:
     for tenth in range(100):
         rate.take(10 + tenth / 10, 500 + tenth * 50)
     assert rate.at(19.9) == pytest.approx(500.0, rel=0.06)
+
+
+def test_while_no_page_is_open_only_the_window_of_the_step_rate_is_kept() -> None:
+    live = view_of()
+    for look in range(3000):
+        live.picture.add(PlaneState(look * 10**7, look, 0.0, 0.0))
+        live.look(look / 100)
+    assert len(live.rate) <= RATE_WINDOW * 100 + 2
+    assert live.rate.at(29.99) == pytest.approx(100.0)
 
 
 def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:

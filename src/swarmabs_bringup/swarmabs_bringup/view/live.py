@@ -104,15 +104,18 @@ class StepRate:
     def __init__(self) -> None:
         self._seen: deque[tuple[float, int]] = deque()
 
+    def __len__(self) -> int:
+        return len(self._seen)
+
     def take(self, now: float, step: int | None) -> None:
         """Note the step at a time (s)."""
         if step is not None and (not self._seen or step != self._seen[-1][1]):
             self._seen.append((now, step))
+            self._forget(now)
 
     def at(self, now: float) -> float | None:
         """Return the rate at a time (s), None if it is not known yet."""
-        while len(self._seen) > 2 and self._seen[0][0] < now - RATE_WINDOW:
-            self._seen.popleft()
+        self._forget(now)
         if len(self._seen) < 2:
             return None
         (begin, first), last = self._seen[0], self._seen[-1][1]
@@ -121,6 +124,11 @@ class StepRate:
     def silent_for(self, now: float) -> float | None:
         """Return for how long (s) there has been no new step, None before the first."""
         return now - self._seen[-1][0] if self._seen else None
+
+    def _forget(self, now: float) -> None:
+        """Drop what lies before the window, also while no page asks for the rate."""
+        while len(self._seen) > 2 and self._seen[0][0] < now - RATE_WINDOW:
+            self._seen.popleft()
 
 
 class LiveView:
