@@ -14,6 +14,15 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import SwarmEvent
 
 
+SILENT_STEPS = 50
+"""A robot is silent in a step if its latest state is older than that by more steps than these."""
+
+
+def is_silent(heard: int, step: int) -> bool:
+    """Return whether a robot whose latest state is of step `heard` is silent in a step."""
+    return step - heard > SILENT_STEPS
+
+
 class Out(NamedTuple):
     """How a robot is out; `place` (m) is where the weight of a dead one stands."""
 

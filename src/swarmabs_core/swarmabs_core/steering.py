@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import Action
+from swarmabs_core.messages import Action, EventKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from swarmabs_core.messages import Steering
+    from swarmabs_core.messages import Steering, SwarmEvent
 
 REFERENCE = "reference"
 """`SwarmEvent.detail` where the offset (rad) of the plane's reference changes."""
@@ -127,3 +127,8 @@ class OffsetReference:
     def shift(self, step: int, offset: float) -> None:
         """Let an offset (rad) hold from a step on."""
         self._offsets.set(step, offset)
+
+    def hear(self, event: SwarmEvent) -> None:
+        """Let an offset hold that an event announces; other events change nothing."""
+        if event.kind == EventKind.STEERING and event.detail == REFERENCE:
+            self.shift(event.step, event.value)

@@ -7,12 +7,11 @@ import json
 import pytest
 from tests.swarmabs_bringup.sample_run import AGENTS, make_step
 
+from swarmabs_bringup.attendance import SILENT_STEPS
 from swarmabs_bringup.recorder.glance import (
     EVENT_CHARACTERS,
-    SILENT_STEPS,
     Glance,
     Onlooker,
-    RealtimeOnlooker,
     describe_event,
 )
 from swarmabs_bringup.scenarios import find_scenario
@@ -50,19 +49,21 @@ def test_a_robot_that_falls_silent_stays_where_it_was_seen() -> None:
     onlooker = Onlooker((1, 2), length=1.0)
     onlooker.take(robots(0, {1: (Status.ACTIVE, 0.25), 2: (Status.ACTIVE, -0.25)}))
     onlooker.glance()
-    onlooker.take(robots(1, {1: (Status.ACTIVE, 0.1)}))
+    onlooker.take(robots(SILENT_STEPS, {1: (Status.ACTIVE, 0.1)}))
+    assert onlooker.glance() == Glance({"A": 2}, "AA", [200, -500], [])
+    onlooker.take(robots(SILENT_STEPS + 1, {1: (Status.ACTIVE, 0.1)}))
     assert onlooker.glance() == Glance({"-": 1, "A": 1}, "A-", [200, -500], [])
 
 
 def test_in_real_time_messages_come_one_by_one() -> None:
-    onlooker = RealtimeOnlooker((1, 2, 3), length=2.0)
+    onlooker = Onlooker((1, 2, 3), length=2.0)
     assert onlooker.glance() is None
     said = {state.agent_id: state for state in make_step(0, (1, 2, 3)) if isinstance(state, AgentState)}
     onlooker.hear(said[1]._replace(position=0.5))
     onlooker.hear(said[2]._replace(position=-0.5, status=Status.LEFT))
     assert onlooker.glance() == Glance({"?": 1, "A": 1, "L": 1}, "AL?", [500, -500, 0], [])
     onlooker.hear(SwarmEvent(0, 7, 1, EventKind.HELD, 0.0, ""))
-    onlooker.hear(said[3]._replace(step=SILENT_STEPS, position=1.0))
+    onlooker.hear(said[3]._replace(step=SILENT_STEPS + 1, position=1.0))
     seen = onlooker.glance()
     assert seen == Glance({"-": 1, "A": 1, "L": 1}, "-LA", [500, -500, 1000], ["step 7: robot 1 held"])
 
@@ -86,7 +87,7 @@ def test_who_is_dead_or_has_left_is_called_so_and_who_waits_to_join_is_not_silen
 
 
 def test_in_real_time_a_dead_robot_may_come_back() -> None:
-    onlooker = RealtimeOnlooker((1, 2), length=1.0)
+    onlooker = Onlooker((1, 2), length=1.0)
     said = {state.agent_id: state for state in make_step(9, (1, 2)) if isinstance(state, AgentState)}
     for state in said.values():
         onlooker.hear(state._replace(position=0.1))

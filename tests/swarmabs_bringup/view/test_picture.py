@@ -7,9 +7,9 @@ import random
 import pytest
 from tests.swarmabs_bringup.sample_run import PERIOD, make_run, make_step
 
-from swarmabs_bringup.attendance import Members
+from swarmabs_bringup.attendance import SILENT_STEPS, Members
 from swarmabs_bringup.view import picture as module
-from swarmabs_bringup.view.picture import MOST_EVENTS, SILENT_STEPS, STALE, Picture
+from swarmabs_bringup.view.picture import MOST_EVENTS, STALE, Picture
 from swarmabs_bringup.view.protocol import Robot
 from swarmabs_core.messages import (
     AgentState,
@@ -137,9 +137,15 @@ def test_who_joins_again_is_in() -> None:
 
 
 def test_a_robot_that_says_nothing_is_silent_and_stays_where_it_was() -> None:
-    messages = [m for m in make_run(SILENT_STEPS + 10) if not (isinstance(m, AgentState) and m.agent_id == 7)]
+    messages = [m for m in make_run(SILENT_STEPS + 2) if not (isinstance(m, AgentState) and m.agent_id == 7)]
     (old,) = (m for m in make_step(2) if isinstance(m, AgentState) and m.agent_id == 7)
-    frame = picture_of([*messages, old]).frame(None)
+    made = picture_of([*messages, old])
+    frame = made.frame(None)
+    assert frame is not None
+    assert frame.robots.status == ["active"] * 3
+    for message in make_step(SILENT_STEPS + 3, agents=(1, 2)):
+        made.add(message)
+    frame = made.frame(None)
     assert frame is not None
     assert frame.robots.status == ["active", "active", "silent"]
     assert frame.robots.position[2] == old.position

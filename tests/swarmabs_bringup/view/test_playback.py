@@ -11,10 +11,12 @@ from tests.swarmabs_bringup.figures.conftest import ReadBag, record
 from tests.swarmabs_bringup.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bringup.sample_run import write_bag
 
+from swarmabs_bringup.attendance import SILENT_STEPS
 from swarmabs_bringup.view.facts import regions
 from swarmabs_bringup.view.playback import COLUMNS, PlaybackSession, Recording, open_recording
 from swarmabs_bringup.view.protocol import Frame, Message, Pause, Play, Seek, Sets, Speed, State
 from swarmabs_bringup.view.shading import Shading
+from swarmabs_core.messages import AgentState
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +57,13 @@ def test_every_frame_is_what_the_bag_holds(run: Path, recording: Recording) -> N
         if left:
             assert (frame.robots.velocity[1], frame.robots.command[1]) == (None, None)
         assert None not in (*frame.robots.velocity[2:], *frame.robots.command[2:])
+
+
+def test_a_robot_is_silent_as_it_is_live_and_in_the_terminal(tmp_path: Path) -> None:
+    said = [m for m in messages(2 * SILENT_STEPS) if not (isinstance(m, AgentState) and m.agent_id == 7 and m.step > 9)]
+    recording = open_recording(write(tmp_path / "bag", said))
+    for step, status in ((9, "active"), (9 + SILENT_STEPS, "active"), (10 + SILENT_STEPS, "silent")):
+        assert recording.frame(recording.row_at(step)).robots.status == ["active", "active", status]
 
 
 def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:

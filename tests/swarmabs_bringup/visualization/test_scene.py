@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from swarmabs_bringup.attendance import SILENT_STEPS
 from swarmabs_bringup.scenarios import find_scenario
 from swarmabs_bringup.visualization.geometry import Layout, Vector, tilt, tilted
-from swarmabs_bringup.visualization.scene import GREY, HISTORY, KINDS, SAFE_STOP, SILENT_STEPS, Frame, Scene, Shape
+from swarmabs_bringup.visualization.scene import GREY, HISTORY, KINDS, SAFE_STOP, Frame, Scene, Shape
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
@@ -26,6 +27,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Staircase
 
 LAYOUT = Layout.of(2.0, [(3, Kind.DOUBLE_INTEGRATOR, 0.5), (1, Kind.SINGLE_INTEGRATOR, 4.0)])
 PERIOD = 10_000_000
@@ -49,8 +51,12 @@ def desired(step: int, torque: float) -> DesiredAbstractState:
     return DesiredAbstractState(step * PERIOD, step, Mode.RUN, torque, *([0.0] * 7))
 
 
+def by_time() -> OffsetReference:
+    return OffsetReference(lambda time: time, Staircase(), PERIOD)
+
+
 def drawn(*messages: object, scene: Scene | None = None) -> tuple[Frame, dict[tuple[str, int], Shape]]:
-    scene = scene or Scene(LAYOUT, torque_max=5.0, reference=lambda time: time)
+    scene = scene or Scene(LAYOUT, torque_max=5.0, reference=by_time())
     for message in messages:
         scene.hear(message)  # type: ignore[arg-type]
     frame = scene.frame()
@@ -134,6 +140,35 @@ def test_who_leaves_the_plane_is_taken_away_once() -> None:
     assert frame.gone == ()
 
 
+def test_who_was_removed_is_taken_away_and_one_that_is_dead_stands_where_its_event_says() -> None:
+    """A robot that is removed says nothing of it: the observer does."""
+    scene = Scene(LAYOUT, torque_max=5.0)
+    drawn(plane(0, 0.0), robot(0, 1, 0.1), robot(0, 3, 0.2), scene=scene)
+    removed = SwarmEvent(0, 1, 3, EventKind.LEFT, 0.0, "remove")
+    frame, shapes = drawn(removed, plane(1, 0.0), robot(1, 1, 0.1), scene=scene)
+    assert ("robots", 3) not in shapes and 3 not in frame.places
+    assert frame.gone == (("labels", 3), ("robots", 3))
+    dead = SwarmEvent(0, 2, 1, EventKind.DEAD, -0.3, "kill")
+    frame, shapes = drawn(dead, plane(2, 0.0), robot(2, 1, 0.1), scene=scene)
+    assert frame.places[1].x == -0.3
+    assert shapes["robots", 1].colour == GREY
+
+
+def test_the_reference_has_its_offsets() -> None:
+    scene = Scene(LAYOUT, torque_max=5.0, reference=by_time())
+    offset = SwarmEvent(0, 30, 0, EventKind.STEERING, 0.25, REFERENCE)
+    _, shapes = drawn(offset, offset._replace(value=9.0, detail=DISTURBANCE), plane(29, 0.0), scene=scene)
+    assert shapes["reference", 0].pose.orientation == tilt(0.29)
+    _, shapes = drawn(plane(30, 0.0), scene=scene)
+    assert shapes["reference", 0].pose.orientation == pytest.approx(tilt(0.3 + 0.25))
+
+
+def test_a_scenario_with_offsets_is_drawn_with_them() -> None:
+    scenario = find_scenario("pd_het_4", ["faults=[{kind: reference, at: 1.0, offset: 0.1}]"]).resolved()
+    _, shapes = drawn(plane(100, 0.0), scene=Scene.of(scenario))
+    assert shapes["reference", 0].pose.orientation == tilt(0.1)
+
+
 def test_what_does_not_belong_here_is_left_out() -> None:
     scene = Scene(LAYOUT, torque_max=5.0)
     assert scene.frame() is None
@@ -175,7 +210,7 @@ def test_what_is_kept_is_bounded() -> None:
 
 
 def test_by_a_clock_the_reference_begins_with_the_law() -> None:
-    scene = Scene(LAYOUT, 5.0, lambda time: time, PERIOD)
+    scene = Scene(LAYOUT, 5.0, by_time(), PERIOD)
     begin = 1_700_000_000 * 10**9
     _, shapes = drawn(plane(30, 0.0)._replace(stamp=begin), scene=scene)
     assert ("reference", 0) not in shapes

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_bringup.attendance import Attendance
+from swarmabs_bringup.attendance import Attendance, is_silent
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, Status, SwarmEvent, said
 
@@ -30,10 +30,9 @@ DEAD, LEFT = "D", "L"
 _LETTERS: dict[int, str] = {Status.ACTIVE: "A", Status.SAFE_STOP: "S", Status.LEFT: LEFT}
 _OUT = {"dead": DEAD, "left": LEFT}
 SILENT = "-"
-"""Letter of a robot that has said nothing in the latest step, in real time in the latest `SILENT_STEPS`."""
+"""Letter of a robot that has said nothing for `SILENT_STEPS`."""
 UNHEARD = "?"
 """Letter of a robot that was not heard yet, such as one that waits to join."""
-SILENT_STEPS = 50
 
 
 class Glance(NamedTuple):
@@ -81,33 +80,38 @@ class Onlooker:
     def __init__(self, members: Sequence[int], length: float) -> None:
         self._members = tuple(members)
         self._half = length / 2.0
-        self._places: dict[int, int] = {}
+        self._said: dict[int, AgentState] = {}
+        self._newest = -1
         self._events: deque[str] = deque(maxlen=SHOWN_EVENTS)
         self._attendance = Attendance(members, most=MOST_CHANGES)
-        self._latest: Step | None = None
+        self._unread: Step | None = None
 
     def take(self, step: Step) -> None:
-        """Take a complete step; what is shown of it is only found out when it is asked for."""
+        """Take a complete step; what the robots have said in it is only read when it is asked for."""
         for event in step.events:
             self._happened(event)
         if step.plane is not None:
-            self._latest = step
+            self._unread = step
+
+    def hear(self, message: Message) -> None:
+        """Take a message by itself, as they come in real time."""
+        if isinstance(message, AgentState):
+            self._said[message.agent_id] = message
+            self._newest = max(self._newest, message.step)
+        elif isinstance(message, SwarmEvent):
+            self._happened(message)
 
     def glance(self) -> Glance | None:
         """Return what is to be seen now, None before the first step."""
-        states = self._states()
-        if states is None:
+        self._read()
+        if self._newest < 0:
             return None
-        found = {}
-        for state in states:
-            found[state.agent_id] = _LETTERS.get(state.status, SILENT)
-            self._places[state.agent_id] = self._place(state.position)
-        statuses = [self._out(member) or found.get(member) or self._unheard(member) for member in self._members]
-        few = len(statuses) <= SHOWN_ROBOTS
+        seen = [self._seen(member) for member in self._members]
+        few = len(seen) <= SHOWN_ROBOTS
         return Glance(
-            dict(sorted(Counter(statuses).items())),
-            "".join(statuses) if few else "",
-            [self._places.get(member, 0) for member in self._members] if few else [],
+            dict(sorted(Counter(letter for letter, _ in seen).items())),
+            "".join(letter for letter, _ in seen) if few else "",
+            [place for _, place in seen] if few else [],
             list(self._events),
         )
 
@@ -116,55 +120,31 @@ class Onlooker:
         if event.agent_id in self._members:
             self._attendance.take(event)
 
-    def _step(self) -> int:
-        """Return the latest step, -1 before the first."""
-        return -1 if self._latest is None else self._latest.step
+    def _read(self) -> None:
+        """Read what the robots have said in the latest step, if it is new."""
+        step, self._unread = self._unread, None
+        if step is None:
+            return
+        self._newest = step.step
+        for topic, _, payload in step.stored():
+            if topic is AGENT_STATE:
+                self.hear(decode(AgentState, payload))
 
-    def _out(self, member: int) -> str | None:
-        """Return the letter of a robot that is out, None if it is in; a dead one stands where its event says."""
-        out = self._attendance.out(member, self._step())
-        if out is not None and out.status == "dead":
-            self._places[member] = self._place(out.place)
-        return None if out is None else _OUT[out.status]
-
-    def _unheard(self, member: int) -> str:
-        return SILENT if member in self._places else UNHEARD
-
-    def _states(self) -> list[AgentState] | None:
-        """Return what the robots have said in the latest step, None before the first."""
-        if self._latest is None:
-            return None
-        states = (decode(AgentState, payload) for topic, _, payload in self._latest.stored() if topic is AGENT_STATE)
-        return [state for state in states if isinstance(state, AgentState)]
+    def _seen(self, member: int) -> tuple[str, int]:
+        """Return letter and place of a robot; a dead one stands where its event says."""
+        out, state = self._attendance.out(member, self._newest), self._said.get(member)
+        place = 0 if state is None else self._place(state.position)
+        if out is not None:
+            return _OUT[out.status], self._place(out.place) if out.status == "dead" else place
+        if state is None:
+            return UNHEARD, place
+        if state.status != Status.LEFT and is_silent(state.step, self._newest):
+            return SILENT, place
+        return _LETTERS.get(state.status, SILENT), place
 
     def _place(self, position: float) -> int:
         part = THOUSAND * position / self._half
         return round(max(-THOUSAND, min(part, THOUSAND))) if part == part else 0  # noqa: PLR0124 - NaN is nowhere
-
-
-class RealtimeOnlooker(Onlooker):
-    """The same for runs in real time, where messages come one by one; parameters as of `Onlooker`."""
-
-    def __init__(self, members: Sequence[int], length: float) -> None:
-        super().__init__(members, length)
-        self._said: dict[int, AgentState] = {}
-        self._newest = -1
-
-    def hear(self, message: Message) -> None:
-        """Take a message."""
-        if isinstance(message, AgentState):
-            self._said[message.agent_id] = message
-            self._newest = max(self._newest, message.step)
-        elif isinstance(message, SwarmEvent):
-            self._happened(message)
-
-    def _step(self) -> int:
-        return self._newest
-
-    def _states(self) -> list[AgentState] | None:
-        # Who has left says nothing any more, and is still known to have left.
-        heard = (s for s in self._said.values() if s.status == Status.LEFT or s.step + SILENT_STEPS > self._newest)
-        return list(heard) if self._said else None
 
 
 def describe_event(event: SwarmEvent) -> str:

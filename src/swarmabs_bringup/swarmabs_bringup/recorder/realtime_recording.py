@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_bringup.bag import BagWriter
 from swarmabs_bringup.bag.realtime import DRIVER, RealtimeWorld
 from swarmabs_bringup.provenance import provenance_json
-from swarmabs_bringup.recorder.glance import RealtimeOnlooker
+from swarmabs_bringup.recorder.glance import Onlooker
 from swarmabs_bringup.splitting import ONE_FILE, Split
 from swarmabs_core import configure
 from swarmabs_core.cdr import encode
@@ -76,7 +76,7 @@ class RealtimeRecording:
         members = configure.members(scenario)
         self._collector = RealtimeCollector(members, schedule)
         self._figures = RealtimeFigures(configure.parent_controller(scenario).reference, schedule)
-        self._onlooker = RealtimeOnlooker(members, scenario.plane.length)
+        self._onlooker = Onlooker(members, scenario.plane.length)
         self._received = 0
         self._heard = self._heard_before = 0
         self._last_step = last_step

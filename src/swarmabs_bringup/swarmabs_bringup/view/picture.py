@@ -10,7 +10,7 @@ from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_bringup.attendance import Attendance
+from swarmabs_bringup.attendance import Attendance, is_silent
 from swarmabs_bringup.view.curves import CurveBuffer, Point
 from swarmabs_bringup.view.facts import finite
 from swarmabs_bringup.view.protocol import Abstract, Event, Frame, Robot, RobotStates, RobotStatus
@@ -27,7 +27,6 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.steering import REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,8 +38,6 @@ MOST_EVENTS = 1000
 """Events that are kept, the latest."""
 MOST_ROBOTS = 4096
 """Robots that are shown; a stranger in the network cannot fill the memory."""
-SILENT_STEPS = 100
-"""A robot whose last state is older than the plane's by more has fallen silent."""
 PENDING = 256
 """Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
 
@@ -278,9 +275,9 @@ class Picture:
         self.events.append(event_of(event, self._time(event)))
         self.event_count += 1
         del self.events[:-MOST_EVENTS]
-        if event.kind == EventKind.STEERING and event.detail == REFERENCE and self._reference is not None:
-            self._reference.shift(event.step, event.value)
-        elif event.agent_id in self._known or len(self._attendance) < MOST_ROBOTS:
+        if self._reference is not None:
+            self._reference.hear(event)
+        if event.agent_id in self._known or len(self._attendance) < MOST_ROBOTS:
             self._attendance.take(event)
 
     def _seen(self, robot: int, step: int) -> Seen:
@@ -289,7 +286,7 @@ class Picture:
         if state is None:
             return seen(out, Seen(), None, silent=False)
         said = Seen(finite(state.position), finite(state.velocity), finite(state.command))
-        return seen(out, said, state.status, silent=state.step + SILENT_STEPS < step)
+        return seen(out, said, state.status, silent=is_silent(state.step, step))
 
     def _pending(self, step: int) -> _Step:
         found = self._steps.get(step)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bringup.attendance import Attendance
+from swarmabs_bringup.attendance import Attendance, is_silent
 from swarmabs_bringup.report.record import read_recorded
 from swarmabs_bringup.report.thinning import column_points
 from swarmabs_bringup.view.curves import Point, curves
@@ -132,9 +132,9 @@ class Recording:
             for values in (agents.position, agents.velocity, agents.command, agents.status)
         )
         robots = [
-            self._seen(agent.id, Seen(position, velocity, command), status, row - last, step)
-            for agent, position, velocity, command, status, last in zip(
-                recorded.scenario.agents, *said, latest.tolist(), strict=True
+            self._seen(agent.id, Seen(position, velocity, command), status, heard, step)
+            for agent, position, velocity, command, status, heard in zip(
+                recorded.scenario.agents, *said, arrays.step[latest].tolist(), strict=True
             )
         ]
         return Frame(
@@ -163,10 +163,10 @@ class Recording:
         """Return the sets of those who take part at a row, None as long as they are not computed."""
         return self.shading.of(self._attendance.members(int(self.recorded.arrays.step[row])))
 
-    def _seen(self, robot: int, said: Seen, status: float | None, age: int, step: int) -> Seen:
-        """Return what is shown of a robot: what it has said so many rows ago, unless it is out."""
+    def _seen(self, robot: int, said: Seen, status: float | None, heard: int, step: int) -> Seen:
+        """Return what is shown of a robot at a step: what it has said last, in step `heard`, unless it is out."""
         known = None if status is None else int(status)
-        return seen(self._attendance.out(robot, step), said, known, silent=age > 0)
+        return seen(self._attendance.out(robot, step), said, known, silent=is_silent(heard, step))
 
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:

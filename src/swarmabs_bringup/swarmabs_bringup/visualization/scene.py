@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import cos, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from swarmabs_bringup.attendance import Attendance, is_silent
 from swarmabs_bringup.visualization.geometry import Layout, Pose, Quaternion, Robot, Vector, tilt, tilted
 from swarmabs_core import configure
 from swarmabs_core.messages import (
@@ -13,7 +14,6 @@ from swarmabs_core.messages import (
     AgentState,
     Basis,
     DesiredAbstractState,
-    EventKind,
     Kind,
     PlaneState,
     Source,
@@ -22,17 +22,18 @@ from swarmabs_core.messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from swarmabs_core.messages import Message
     from swarmabs_core.scenario import Scenario
+    from swarmabs_core.steering import OffsetReference
 
-SILENT_STEPS = 50
-"""A robot whose latest state is older than so many steps is drawn as silent."""
 HISTORY = 512
 """Steps that are kept, so that what is drawn together is of one step even if a queue is read later than another."""
 CLOCK = 10**17
 """Stamps beyond, ns, are those of a clock and not of steps: three years."""
+MOST_CHANGES = 16
+"""How often a robot is in and out that is remembered, the latest times."""
 LABELLED = 50
 """More robots than these have no labels."""
 
@@ -132,8 +133,8 @@ class Scene:
         What is where.
     torque_max : float
         Torque, N m, at which an arrow is as long as half the plane.
-    reference : callable, optional
-        Angle, rad, that the plane should have at a time, s.
+    reference : OffsetReference, optional
+        Angle, rad, that the plane should have at a time, s; it gets the offsets that are announced.
     period_ns : int
         The control period, ns.
     """
@@ -142,7 +143,7 @@ class Scene:
         self,
         layout: Layout,
         torque_max: float,
-        reference: Callable[[float], float] | None = None,
+        reference: OffsetReference | None = None,
         period_ns: int = 10_000_000,
     ) -> None:
         self.layout = layout
@@ -154,7 +155,7 @@ class Scene:
         self._abstract: dict[int, AbstractState] = {}
         self._desired: dict[int, DesiredAbstractState] = {}
         self._robots: dict[int, dict[int, AgentState]] = {agent_id: {} for agent_id in layout.robots}
-        self._dead: set[int] = set()
+        self._attendance = Attendance(layout.robots, most=MOST_CHANGES)
         self._drawn: set[tuple[str, int]] = set()
 
     @classmethod
@@ -162,8 +163,7 @@ class Scene:
         """Return the scene of a scenario whose robots are listed."""
         robots = [(agent.id, int(Kind[agent.kind.upper()]), agent.mass) for agent in scenario.agents]
         layout = Layout.of(scenario.plane.length, robots)
-        reference = configure.parent_controller(scenario).reference
-        return cls(layout, scenario.manifold.torque_max, reference, scenario.step_ns)
+        return cls(layout, scenario.manifold.torque_max, configure.reference(scenario), scenario.step_ns)
 
     def hear(self, message: Message) -> None:
         """Take a message; robots that do not belong here are left out."""
@@ -181,10 +181,10 @@ class Scene:
             if message.source == Source.CONTROLLER and (known is None or message.step > known.step):
                 self._begun = message
         elif isinstance(message, SwarmEvent):
-            if message.kind == EventKind.DEAD:
-                self._dead.add(message.agent_id)
-            elif message.kind == EventKind.JOINED:
-                self._dead.discard(message.agent_id)
+            if self._reference is not None:
+                self._reference.hear(message)
+            if message.agent_id in self._robots:
+                self._attendance.take(message)
 
     def frame(self) -> Frame | None:
         """Return what to draw now, None before the first state of the plane."""
@@ -212,17 +212,22 @@ class Scene:
         if newest is None:
             return None
         kept: list[Mapping[int, Any]] = [self._abstract, self._desired]
-        kept += [states for agent_id, states in self._robots.items() if agent_id not in self._dead]
-        speaking = [said for said in kept if said and newest - SILENT_STEPS <= max(said)]
+        kept += [states for agent_id, states in self._robots.items() if self._attendance.out(agent_id, newest) is None]
+        speaking = [said for said in kept if said and not is_silent(max(said), newest)]
         # A robot that has left has said so with its last words.
         speaking = [said for said in speaking if getattr(said[max(said)], "status", None) != Status.LEFT]
         complete = (step for step in sorted(self._planes, reverse=True) if all(step in said for said in speaking))
         return next(complete, newest)
 
     def _states(self, step: int) -> dict[int, AgentState]:
-        """Return the robots' states of a step, or the latest ones before."""
-        found = {agent_id: _at(kept, step) for agent_id, kept in self._robots.items()}
-        return {agent_id: state for agent_id, state in found.items() if state is not None}
+        """Return the robots' states of a step, or the latest ones before; of those who are out, where they stand."""
+        found = {}
+        for agent_id, kept in self._robots.items():
+            state, out = _at(kept, step), self._attendance.out(agent_id, step)
+            if state is None or (out is not None and out.status == "left"):
+                continue
+            found[agent_id] = state._replace(position=out.place) if out is not None else state
+        return found
 
     def _places(self, states: dict[int, AgentState]) -> dict[int, Vector]:
         """Return where the robots are that are on the plane."""
@@ -275,7 +280,7 @@ class Scene:
         return shapes
 
     def _colour(self, robot: Robot, state: AgentState, step: int) -> Colour:
-        if state.agent_id in self._dead or state.step + SILENT_STEPS < step:
+        if self._attendance.out(state.agent_id, step) is not None or is_silent(state.step, step):
             return GREY
         if state.status == Status.SAFE_STOP:
             return SAFE_STOP
