@@ -257,6 +257,87 @@ def test_metadata_alone_is_made_anew(copy: Path, tmp_path: Path) -> None:
         assert (to / "bag_0.mcap").read_bytes() == (copy / "bag_0.mcap").read_bytes()
 
 
+def foreign_metadata(file: str, counts: dict[str, int]) -> str:
+    """Return a ``metadata.yaml`` as rosbag2 writes it for one file of texts."""
+    entries = [
+        {
+            "topic_metadata": {
+                "name": topic,
+                "type": "std_msgs/msg/String",
+                "serialization_format": "cdr",
+                "offered_qos_profiles": [],
+                "type_description_hash": "RIHS01_ab",
+            },
+            "message_count": count,
+        }
+        for topic, count in counts.items()
+    ]
+    described = {"relative_file_paths": [file], "message_count": sum(counts.values()), "files": []}
+    return yaml.safe_dump({"rosbag2_bagfile_information": {**described, "topics_with_message_count": entries}})
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """Return the folder of a bag as rosbag2 writes it: a topic without messages is in the summary section only."""
+    folder = tmp_path / "foreign"
+    folder.mkdir()
+    with (folder / "foreign_0.mcap").open("wb") as stream:
+        writer = Writer(stream, chunk_size=1000)
+        writer.start(profile="ros2", library="libmcap 1.4.0")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        chatter = writer.register_channel("/chatter", "cdr", schema, {"topic_type_hash": "RIHS01_ab"})
+        for number in range(100):
+            writer.add_message(chatter, 10 * number, b"\0\1\0\0%04d" % number, 10 * number, number)
+        writer.flush()  # what is defined from here on is in no chunk
+        other = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
+        writer.register_channel("/silent", "cdr", other, {"topic_type_hash": "RIHS01_cd"})
+        writer.finish()
+    (folder / "metadata.yaml").write_text(foreign_metadata("foreign_0.mcap", {"/chatter": 100, "/silent": 0}))
+    return folder
+
+
+def topics_in(folder: Path) -> dict[str, int]:
+    """Return the topics that ``metadata.yaml`` lists, with their numbers of messages."""
+    text = (folder / "metadata.yaml").read_text()
+    listed = yaml.safe_load(text)["rosbag2_bagfile_information"]["topics_with_message_count"]
+    return {entry["topic_metadata"]["name"]: entry["message_count"] for entry in listed}
+
+
+def test_a_whole_bag_of_rosbag2_with_a_topic_without_messages_is_left_alone(foreign: Path, tmp_path: Path) -> None:
+    before = {path.name: path.read_bytes() for path in foreign.iterdir()}
+    for in_place in (False, True):
+        report = repair_bag(foreign, in_place=in_place)
+        assert (report.output, report.problems, report.files[0].problems) == (None, (), ())
+    assert [path.name for path in tmp_path.iterdir()] == ["foreign"]
+    assert {path.name: path.read_bytes() for path in foreign.iterdir()} == before
+    assert [(topic.name, topic.messages) for topic in report.topics] == [("/chatter", 100), ("/silent", 0)]
+    repair_bag(foreign, tmp_path / "copy")
+    assert topics_in(tmp_path / "copy") == {"/chatter": 100, "/silent": 0}
+
+
+@pytest.mark.parametrize("listed", [{"/chatter": 100}, {"/chatter": 100, "/silent": 0, "/nowhere": 0}])
+def test_which_topics_without_messages_the_metadata_lists_is_no_damage(listed: dict[str, int], foreign: Path) -> None:
+    """A writer may leave such topics out of the file, or of the list: nothing of the recording differs."""
+    (foreign / "metadata.yaml").write_text(foreign_metadata("foreign_0.mcap", listed))
+    assert repair_bag(foreign).output is None
+
+
+def test_a_repaired_bag_keeps_its_topics_without_messages(foreign: Path, tmp_path: Path) -> None:
+    file = foreign / "foreign_0.mcap"
+    chunk = open_bag(foreign).index.chunks[0]
+    overwrite(file, chunk.chunk_start_offset + chunk.chunk_length - 5, b"\xff\xff\xff")
+    report = repair_bag(foreign, tmp_path / "new")
+    assert 0 < report.messages < 100
+    assert topics_in(tmp_path / "new") == {"/chatter": report.messages, "/silent": 0}
+    reader = open_bag(tmp_path / "new")
+    reader.check()
+    (silent,) = (channel for channel in reader.channels if channel.name == "/silent")
+    assert (silent.ros_type, silent.type_hash) == ("std_msgs/msg/Empty", "RIHS01_cd")
+    lost = {topic.name: topic.lost for topic in report.topics}
+    assert lost == {"/chatter": 100 - report.messages, "/silent": 0}
+    assert repair_bag(tmp_path / "new").output is None
+
+
 def test_messages_outside_of_chunks_of_another_writer_get_indexes(tmp_path: Path) -> None:
     stream = BytesIO()
     writer = Writer(stream, use_chunking=False)

@@ -185,14 +185,17 @@ def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
         return f"{METADATA_FILE} is not rosbag2's"
     counts = {topic.name: count for topic, count in topics_of(parts)}
     listed = stated.get("topics_with_message_count")
+    said: dict[str, int] | None
     try:
-        said = {entry["topic_metadata"]["name"]: entry["message_count"] for entry in listed or ()}
+        said = {
+            entry["topic_metadata"]["name"]: entry["message_count"] for entry in listed or () if entry["message_count"]
+        }
     except (TypeError, KeyError):
-        said = {}
+        said = None
     right = (
         stated.get("relative_file_paths") == [part.name for part in parts]
         and stated.get("message_count") == sum(counts.values())
-        and said == counts
+        and said == {name: count for name, count in counts.items() if count}
     )
     return None if right else f"{METADATA_FILE} does not agree with the files"
 

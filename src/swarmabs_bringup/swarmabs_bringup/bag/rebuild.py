@@ -160,8 +160,7 @@ class _Rebuilder:
         """Write the end of the file."""
         self._begin(Header(profile=_PROFILE, library=""))
         self._flush()
-        if not self.result.index.channels and self._definitions is not None:
-            self._define()
+        self._define()  # also topics without messages, which other writers describe in the summary section alone
         text = describe(self.result)
         self._output.write(self.result.index.add_metadata(Metadata(name=RECORD_NAME, metadata={RECORD_KEY: text})))
         for piece in tail(self.result.index):
