@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import struct
 from pathlib import Path
@@ -129,6 +130,34 @@ def test_who_hangs_to_the_end_is_named_and_a_coordinator_fails_the_run(folder: P
     assert f"(process {pid}" not in done.err
     assert done.summary()["realtime"]["died"] == {"agent_002": "did not end (it is stopped)"}
     assert verdict(folder)["ok"]
+
+
+FALLING = ("--set", "plane.disturbance.amplitude=20")
+
+
+def test_a_run_whose_plane_falls_fails_and_says_when(folder: Path) -> None:
+    with started_swarm("run", "--realtime", *FALLING, "--duration", 60, "-o", folder, "--json") as command:
+        done = command.wait()
+    assert done.code == 1, done.err
+    summary = done.summary()
+    assert summary["status"] == "failed"
+    found = re.match(r"recorder: t = ([\d.]+) s, step (\d+): the plane's angle is -1\.5 rad and", summary["reason"])
+    assert found, summary["reason"]
+    assert "plane.end_stop" in summary["reason"]
+    states = [m for m in bag_messages(folder) if m.topic == "plane/state"]
+    angles = {m.step: struct.unpack_from("<d", m.payload, -16)[0] for m in states}
+    fallen = min(step for step, angle in angles.items() if abs(angle) >= 1.5)
+    assert (int(found[2]), float(found[1])) == (fallen, fallen / 100)
+    assert max(angles) < 6000
+    assert verdict(folder)["ok"]
+
+
+def test_a_plane_that_may_rest_at_its_end_stop_has_not_fallen(folder: Path) -> None:
+    words = (*FALLING, "--set", "plane.end_stop=1.2")
+    with started_swarm("run", "--realtime", *words, "--duration", 5, "-o", folder, "--json") as command:
+        done = command.wait()
+    assert done.code == 0, done.err
+    assert done.summary()["status"] == "ok"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -16,8 +16,20 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.5
 """Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
+FALLEN = (
+    "the swarm cannot hold the plane in this scenario; start it flatter, disturb it less, raise manifold.torque_max, "
+    "or give it a plane.end_stop below that"
+)
+"""Why a run ends at `STEEPEST`, and what helps."""
 TORQUE_LIMITED = "torque limited to torque_max"
 """What the controller says of a torque that it limits."""
+
+
+def fallen(plane: PlaneState) -> str:
+    """Return why a run cannot go on with the plane in this state; empty if it can."""
+    if abs(plane.angle) < STEEPEST:
+        return ""
+    return f"step {plane.step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: {FALLEN}"
 
 
 class DesiredStateGenerator:
@@ -69,11 +81,8 @@ class DesiredStateGenerator:
             If there is an offset, and the law knows none.
         """
         manifold, period, step = self._manifold, self._period, plane.step
-        if not abs(plane.angle) < STEEPEST:
-            raise RunError(
-                f"step {step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: "
-                "the swarm cannot hold the plane in this scenario"
-            )
+        if problem := fallen(plane):
+            raise RunError(problem)
         raw = self._torque(time_ns / 1e9, plane, offset)
         if not isfinite(raw):
             raise RunError(

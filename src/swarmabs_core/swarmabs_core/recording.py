@@ -346,11 +346,11 @@ class RunCollector:
 
 
 class Latest(NamedTuple):
-    """What people watch while a run goes on."""
+    """What people watch of a running simulation: the angle and its error, rad; None where nothing is asked for."""
 
     step: int
     angle: float
-    error: float
+    error: float | None
 
 
 class Metrics:

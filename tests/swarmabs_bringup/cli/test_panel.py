@@ -19,7 +19,7 @@ SEEN = Glance({"-": 1, "A": 2, "S": 1}, "A-AS", [-1000, 0, 500, 1000], [f"step {
 ONE_LINE = "pd_het_4: step 400 of 1000; in one line that is longer than some terminals are wide"
 
 
-def progress(step: int, error: float = -0.25, seen: Glance | None = SEEN) -> Progress:
+def progress(step: int, error: float | None = -0.25, seen: Glance | None = SEEN) -> Progress:
     return Progress("running", 8, 8, step, 1000, 250.0, 0.5, error, seen)
 
 
@@ -55,6 +55,10 @@ def test_numbers() -> None:
     assert line(lines, "robots") == "2 active, 1 in safe stop, 1 silent"
     assert line(lines, "events") == "step 1: robot 2 dead"
     assert "step 3: robot 2 dead" in lines[-2]
+
+
+def test_the_angle_of_a_plane_for_which_nothing_is_asked() -> None:
+    assert line(drawn(progress(400, None)), "angle") == "+0.5000 rad"
 
 
 def test_every_robot_stands_at_its_place_in_its_lane() -> None:

@@ -130,6 +130,31 @@ def test_the_error_counts_in_the_time_of_the_law() -> None:
     assert summary["messages"] == 24
 
 
+def test_the_first_state_of_a_fallen_plane_is_named() -> None:
+    found = figures()
+    for step, angle in ((311, 1.49), (312, -1.5), (313, -1.5)):
+        found.add(PLANE._replace(step=step, angle=angle))
+    assert found.fallen.startswith("t = 3.12 s, step 312: the plane's angle is -1.5 rad and a run ends at 1.5 rad: ")
+    assert "plane.end_stop" in found.fallen
+
+
+def test_a_plane_at_an_end_stop_before_that_has_not_fallen() -> None:
+    found = figures()
+    for step in range(100):
+        found.add(PLANE._replace(step=step, angle=-1.4999))
+    assert not found.fallen
+
+
+def test_the_angle_is_told_without_an_error_once_the_controller_does_not_answer_any_more() -> None:
+    found = figures()
+    found.add(BASIS._replace(step=7, begun=7))
+    for step in (7, 17):
+        found.add(PLANE._replace(step=step, angle=-0.5))
+    assert found.latest == (7, -0.5, 0.5)
+    found.add(PLANE._replace(step=18, angle=1.5))
+    assert found.latest == (18, 1.5, None)
+
+
 def test_it_does_not_matter_which_of_the_two_comes_first() -> None:
     one, other = figures(), figures()
     one.add(PLANE)

@@ -38,8 +38,9 @@ def describe(progress: Progress, scenario: Scenario) -> str:
         parts.append("completing the bag")
     elif progress.step_rate:
         parts.append(f"{progress.step_rate:.0f} steps/s, {progress.step_rate * scenario.period:.1f} x real time")
-    if progress.angle is not None and progress.error is not None:
-        parts.append(f"angle {progress.angle:+.4f} rad, error {progress.error:+.4f} rad")
+    if progress.angle is not None:
+        error = "" if progress.error is None else f", error {progress.error:+.4f} rad"
+        parts.append(f"angle {progress.angle:+.4f} rad{error}")
     return "; ".join(parts)
 
 

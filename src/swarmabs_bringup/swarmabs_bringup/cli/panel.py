@@ -110,8 +110,10 @@ class RunPanel:
         return Text.assemble((done * full, "green"), (open_ * (room - full), "dim"), f" {100 * part:4.0f}%")
 
     def _angle(self, progress: Progress) -> Text:
-        if progress.angle is None or progress.error is None:
+        if progress.angle is None:
             return Text("not known yet")
+        if progress.error is None:
+            return Text(f"{progress.angle:+.4f} rad")
         reference = progress.angle + progress.error
         return Text(f"{progress.angle:+.4f} rad, wanted {reference:+.4f} rad, error {progress.error:+.4f} rad")
 

@@ -27,8 +27,7 @@ LEAD, LEAD_PER_PROCESS = 1.0, 0.02
 OVERTIME = 10.0
 """Time, s, by which the recorder may be late at the end before the run is taken to hang."""
 GRACE = 1.0
-"""Time, s, beyond the age limits for which a run without one of its coordinators goes on: its bag shall show how the
-robots stop."""
+"""Time, s, beyond the age limits for which a run that has failed goes on: its bag shall show how the robots stop."""
 ENDING_SECONDS = 10.0
 """Time, s, that the nodes have to end in order, and to report their timing."""
 
@@ -37,7 +36,8 @@ class RealtimeRun(ProcessRun):
     """Starts a scenario's processes, tells them all when step 0 begins, and ends them when the last step is over.
 
     A robot's process that dies is not started again: the swarm goes on without it, as a fleet does. Without one of its
-    coordinators the swarm stops, and the run fails a little later. Without its recorder it fails at once.
+    coordinators, or if it loses the plane, the swarm stops, and the run fails a little later. Without its recorder it
+    fails at once.
 
     Parameters
     ----------
@@ -102,8 +102,9 @@ class RealtimeRun(ProcessRun):
         return None
 
     def _failure(self, now: float) -> Failure | None:
-        failure, limits = self._supervision.failure, self._scenario.realtime
-        if failure is None or not self._supervision.started or RECORDER in failure.culprits:
+        state, limits = self._supervision, self._scenario.realtime
+        failure = state.failure
+        if failure is None or not state.started or state.done is not None or RECORDER in failure.culprits:
             return failure
         if self._failed_at is None:
             self._failed_at = now

@@ -77,6 +77,7 @@ class RealtimeRecorder:
         self._diagnosed = 0.0
         self._status = status
         self._reported = 0.0
+        self._told_fallen = False
         self._interval, self._due = watchdog_interval(), 0
         self._stopped = False
         self.interrupted = False
@@ -133,6 +134,9 @@ class RealtimeRecorder:
         if now - self._reported < REPORT_SECONDS or recording.newest < 0:
             return
         self._reported = now
+        if recording.fallen and not self._told_fallen:
+            self._told_fallen = True
+            self._status.send("failed", reason=recording.fallen)
         latest = recording.latest
         angle, error = (None, None) if latest is None else (latest.angle, latest.error)
         seen = recording.glance()
@@ -184,7 +188,9 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     over = False
     try:
         over = recorder.run(recording, NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9))
-        problem = INTERRUPTED if recorder.interrupted else None
+        # A run has a last step, and fails with its plane. Without one it is a fleet that is recorded, whatever happens.
+        lost = recording.fallen if last is not None else None
+        problem = lost or (INTERRUPTED if recorder.interrupted else None)
     except RunError as error:
         problem = str(error)
         raise

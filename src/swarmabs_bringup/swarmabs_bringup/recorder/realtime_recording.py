@@ -110,6 +110,11 @@ class RealtimeRecording:
         """The newest step recorded, -1 if there is none."""
         return self._figures.newest
 
+    @property
+    def fallen(self) -> str:
+        """When and why the swarm has lost the plane, and what helps; empty if it has not."""
+        return self._figures.fallen
+
     def add(self, message: Message, now: int) -> None:
         """Take a message that was received at a time (ns since 1970).
 

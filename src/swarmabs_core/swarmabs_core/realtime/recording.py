@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from swarmabs_core.cdr import agent_id_of, encode
+from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
     AGENT_STATE,
     BASIS,
@@ -25,13 +26,13 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.realtime.refusals import Refusals
-from swarmabs_core.recording import Metrics
+from swarmabs_core.recording import Latest, Metrics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from swarmabs_core.realtime.base import Schedule
-    from swarmabs_core.recording import Latest, Reference
+    from swarmabs_core.recording import Reference
 
 RECORDED = (*MAIN_TOPICS, EVENTS, BASIS)
 """Topics of a recording in real time."""
@@ -41,6 +42,8 @@ DIFFERENT = "two different messages of this step on "
 """How the detail of an event begins that says of which topic only the first message is recorded."""
 _PENDING = 100
 """Steps for which a state of the plane waits for the answer of the parent controller, or the other way round."""
+_ANSWERED = 10
+"""Steps of the plane without such an answer after which its angle is shown without an error."""
 
 
 def conflict(event: SwarmEvent) -> str | None:
@@ -160,6 +163,13 @@ class RealtimeFigures:
         Angle (rad) that the plane should have at a time (s) of the law.
     schedule : Schedule
         How time becomes steps.
+
+    Attributes
+    ----------
+    newest : int
+        The newest step of a message, -1 before the first.
+    fallen : str
+        When and why the swarm has lost the plane, and what helps; empty if it has not.
     """
 
     def __init__(self, reference: Reference, schedule: Schedule) -> None:
@@ -170,12 +180,17 @@ class RealtimeFigures:
         self._begun: dict[int, int] = {}
         self._ages: Counter[int] = Counter()
         self._safe_stops = 0
+        self._plane: PlaneState | None = None
         self.newest = -1
+        self.fallen = ""
 
     @property
     def latest(self) -> Latest | None:
-        """What the run looks like now."""
-        return self._metrics.latest
+        """What the run looks like now: without an error where the parent controller no longer answers the plane."""
+        plane, compared = self._plane, self._metrics.latest
+        if plane is None or compared is None or abs(plane.step - compared.step) <= _ANSWERED:
+            return compared
+        return Latest(plane.step, plane.angle, None)
 
     def add(self, message: Message) -> None:
         """Take a recorded message."""
@@ -198,6 +213,13 @@ class RealtimeFigures:
         elif isinstance(message, PlaneState):
             self._angles[message.step] = message.angle
             self._follow(message.step)
+            self._watch(message)
+
+    def _watch(self, plane: PlaneState) -> None:
+        """Keep the plane's state, and notice the first in which the swarm has lost it."""
+        self._plane = plane
+        if not self.fallen and (problem := fallen(plane)):
+            self.fallen = f"t = {plane.step * self._schedule.period_ns / 1e9:g} s, {problem}"
 
     def _follow(self, step: int) -> None:
         """Compare the plane's angle with the reference once angle and time of the law are known."""
