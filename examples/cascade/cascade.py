@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING
 from layers import FOLDER, CascadeSimulation, Coupling, load_cascade
 from processes import CascadeRun
 
+from swarmabs_bringup.orchestration.progress import Outcome
 from swarmabs_bringup.recorder.recording import Recording
 from swarmabs_bringup.run_folder import RunFolder, new_run_folder, next_run_folder
-from swarmabs_bringup.summary import summarise
+from swarmabs_bringup.summary import Times, summarise
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -59,11 +60,8 @@ class Layers:
         summaries = {
             name: summarise(
                 scenario,
-                figures.get(name, {}),
-                status="failed" if reason else "ok",
-                reason=reason,
-                wall_time=time.monotonic() - begun,
-                stepping_seconds=None,
+                Outcome("failed" if reason else "ok", reason, dict(figures.get(name, {}))),
+                Times(time.monotonic() - begun),
             )
             for name, scenario in self._cascade.layers.items()
         }

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.docs.pages import NAMES, ROOT, read, rows, section
 
+from swarmabs_bringup.orchestration.progress import Outcome
 from swarmabs_bringup.recorder.recording import Recording
 from swarmabs_bringup.scenarios import builtin_scenarios, find_scenario
-from swarmabs_bringup.summary import summarise
+from swarmabs_bringup.summary import Times, summarise
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import TOPICS
 
@@ -64,7 +65,7 @@ def test_topics_are_those_of_the_code() -> None:
 def test_fields_of_the_summary() -> None:
     scenario = find_scenario("pd_het_4")
     figures = Recording(scenario, None, driver="test").figures()
-    summary = summarise(scenario, figures, status="ok", reason=None, wall_time=1.0, stepping_seconds=1.0)
+    summary = summarise(scenario, Outcome("ok", None, figures), Times(1.0))
     text = section(read("docs/design.md"), "Results")
     described = [name for row in rows(text) for name in re.findall(r"`([a-z_]+)`", row[0])]
     assert sorted(set(described) & set(summary)) == sorted(summary)

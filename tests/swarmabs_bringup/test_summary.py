@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from swarmabs_bringup.orchestration.progress import Outcome
 from swarmabs_bringup.run_folder import RunFolder
 from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.summary import summarise, summary_table
+from swarmabs_bringup.summary import Times, summarise, summary_table
 
 FIGURES = {
     "settled_at": 4.5,
@@ -21,15 +23,17 @@ FIGURES = {
     "messages": 24008,
     "digest": "ab" * 32,
 }
+TIMES = Times(6.54321)
 KEYS = {
     *("scenario", "steps", "duration", "wall_time", "real_time_factor", "agents", "settled_at", "final_error"),
-    *("rms_error", "max_abs_position", "messages", "digest", "status"),
+    *("rms_error", "max_abs_position", "messages", "digest", "status", "setup_time", "startup_time", "run_time"),
 }
 
 
-def summary(figures: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
-    options: dict[str, Any] = {"status": "ok", "reason": None, "wall_time": 6.54321, "stepping_seconds": 5.0}
-    return summarise(find_scenario("pd_het_4"), FIGURES if figures is None else figures, **options | changes)
+def summary(figures: dict[str, Any] | None = None, times: Times = TIMES, **changes: Any) -> dict[str, Any]:
+    options: dict[str, Any] = {"status": "ok", "reason": None, "start_seconds": 1.0, "stepping_seconds": 5.0}
+    outcome = Outcome(figures=FIGURES if figures is None else figures, **options | changes)
+    return summarise(find_scenario("pd_het_4"), outcome, times)
 
 
 def test_a_complete_run() -> None:
@@ -60,12 +64,39 @@ def test_what_is_not_known_is_null(changes: dict[str, Any]) -> None:
         assert all(found[name] is None for name in FIGURES)
 
 
+def shown(found: dict[str, Any], folder: Path) -> str:
+    console = Console(width=200, record=True, file=(folder / "out").open("w"), force_terminal=False)
+    with console.file:
+        console.print(summary_table(found, RunFolder(folder)))
+        return console.export_text()
+
+
+def test_set_up_start_and_run_are_told_apart(tmp_path: Path) -> None:
+    found = summary(times=Times(94.21, setup=85.06, startup=2.34))
+    assert [found[name] for name in ("wall_time", "setup_time", "startup_time", "run_time")] == [
+        94.21,
+        85.06,
+        2.34,
+        5.0,
+    ]
+    assert "94.2 s: set-up 85.1 s, start 2.3 s, run 5.0 s, 6.0 x real time" in shown(found, tmp_path)
+
+
+def test_a_set_up_that_was_there_is_not_shown(tmp_path: Path) -> None:
+    text = shown(summary(times=Times(7.5, setup=0.02, startup=2.34)), tmp_path)
+    assert "7.5 s: start 2.3 s, run 5.0 s" in text
+    assert "set-up" not in text
+
+
+def test_of_a_run_that_never_stepped_the_whole_time_is_shown(tmp_path: Path) -> None:
+    found = summary({}, times=Times(3.21), status="failed", reason="no", stepping_seconds=None)
+    assert (found["startup_time"], found["run_time"]) == (None, None)
+    assert "wall time       3.2 s\n" in re.sub(r" +\n", "\n", shown(found, tmp_path))
+
+
 @pytest.mark.parametrize("figures", [FIGURES, {}, {**FIGURES, "settled_at": None}, {**FIGURES, "settled_at": 0.0}])
 def test_the_table_shows_it_all(figures: dict[str, Any], tmp_path: Path) -> None:
-    console = Console(width=200, record=True, file=(tmp_path / "out").open("w"), force_terminal=False)
-    with console.file:
-        console.print(summary_table(summary(figures), RunFolder(tmp_path)))
-        text = console.export_text()
+    text = shown(summary(figures), tmp_path)
     assert "pd_het_4, 4 robots, 3000 steps" in text
     assert str(tmp_path) in text
     assert "None" not in text

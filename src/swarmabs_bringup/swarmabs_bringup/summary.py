@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -9,21 +10,36 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from swarmabs_bringup.orchestration.progress import Outcome
     from swarmabs_bringup.run_folder import RunFolder
     from swarmabs_core.scenario import Scenario
 
+_SHOWN_FROM = 0.05
+"""Shortest set-up that the table shows, s: of a checkout that is set up, the look whether it is takes less."""
 FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
 
 
+@dataclass(frozen=True, slots=True)
+class Times:
+    """What took how long.
+
+    Parameters
+    ----------
+    wall : float
+        The whole command, s.
+    setup : float
+        Of this, the set-up of the checkout, s.
+    startup : float, optional
+        From the end of the set-up to the first step, s.
+    """
+
+    wall: float
+    setup: float = 0.0
+    startup: float | None = None
+
+
 def summarise(
-    scenario: Scenario,
-    figures: Mapping[str, Any],
-    *,
-    status: str,
-    reason: str | None,
-    wall_time: float,
-    stepping_seconds: float | None,
-    rerun_of: Mapping[str, Any] | None = None,
+    scenario: Scenario, outcome: Outcome, times: Times, *, rerun_of: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return the content of ``summary.json``.
 
@@ -31,32 +47,28 @@ def summarise(
     ----------
     scenario : Scenario
         What was run.
-    figures : mapping
-        Digest and figures, as far as they were recorded.
-    status : str
-        ``ok``, ``failed`` or ``interrupted``.
-    reason : str, optional
-        What went wrong.
-    wall_time : float
-        Time of the whole command, s.
-    stepping_seconds : float, optional
-        Time from the first step to the last, s.
+    outcome : Outcome
+        How it ended.
+    times : Times
+        What took how long.
     rerun_of : mapping, optional
         What came of running a bag again, see `swarmabs_bringup.rerun`.
     """
-    complete = status == "ok" and stepping_seconds
+    figures, run = outcome.figures, outcome.stepping_seconds
+    complete = outcome.status == "ok" and run
     return {
         "scenario": scenario.name,
         "steps": scenario.steps,
         "duration": scenario.duration_ns / 1e9,
-        "wall_time": round(wall_time, 3),
-        "real_time_factor": round(scenario.duration_ns / 1e9 / stepping_seconds, 3)
-        if complete and stepping_seconds
-        else None,
+        "wall_time": round(times.wall, 3),
+        "setup_time": round(times.setup, 3),
+        "startup_time": None if times.startup is None else round(times.startup, 3),
+        "run_time": None if run is None else round(run, 3),
+        "real_time_factor": round(scenario.duration_ns / 1e9 / run, 3) if complete and run else None,
         "agents": len(scenario.agents),
         **{name: figures.get(name) for name in FIGURES},
-        "status": status,
-        "reason": reason,
+        "status": outcome.status,
+        "reason": outcome.reason,
         "rerun_of": dict(rerun_of) if rerun_of is not None else None,
         **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
     }
@@ -78,8 +90,7 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
     rows = {
         "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",
         "status": summary["status"],
-        "wall time": f"{summary['wall_time']:.1f} s"
-        + (f", {summary['real_time_factor']:.1f} x real time" if summary["real_time_factor"] else ""),
+        "wall time": _wall_time(summary),
         "settled": "not within 0.01 rad" if settled is None else f"within 0.01 rad from t = {settled:g} s",
         "final error": number("final_error", "rad"),
         "rms error": number("rms_error", "rad"),
@@ -98,6 +109,17 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
     for name, value in rows.items():
         table.add_row(name, Text(str(value)))
     return table
+
+
+def _wall_time(summary: Mapping[str, Any]) -> str:
+    """Return the time of the whole command and of its parts, as far as there were any."""
+    parts = {"set-up": summary["setup_time"], "start": summary["startup_time"], "run": summary["run_time"]}
+    if parts["set-up"] < _SHOWN_FROM:
+        del parts["set-up"]
+    known = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
+    if summary["real_time_factor"]:
+        known.append(f"{summary['real_time_factor']:.1f} x real time")
+    return f"{summary['wall_time']:.1f} s" + (f": {', '.join(known)}" if known else "")
 
 
 def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:

@@ -98,6 +98,10 @@ def test_timing_of_another_run_is_not_taken(tmp_path: Path) -> None:
     assert page.rows["Wall time"][1] == 3.5
     assert page.rows["Stepping"][1] == pytest.approx(2.0)
     assert page.rows["Speed"][1] == pytest.approx(20.0)
+    assert page.rows["Rest"][1] == pytest.approx(1.5)
+    (tmp_path / "summary.json").write_text(json.dumps(summary | {"setup_time": 0.5, "startup_time": 0.7}))
+    page = Page(make_report(tmp_path).html)
+    assert [page.rows[name][1] for name in ("Set-up", "Start", "Rest")] == pytest.approx([0.5, 0.7, 0.3])
 
 
 def test_other_processes_and_places_give_the_same_bytes(report: Report, run: Path, tmp_path: Path) -> None:

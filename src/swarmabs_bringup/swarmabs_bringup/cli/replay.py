@@ -9,10 +9,11 @@ from typing import Any
 import click
 
 from swarmabs_bringup.cli.display import shown_progress
+from swarmabs_bringup.cli.elapsed import setup_seconds, since_start, startup_seconds
 from swarmabs_bringup.cli.interrupts import no_more_interrupts
 from swarmabs_bringup.cli.namespace import namespace_option
 from swarmabs_bringup.cli.output import json_option, print_json, print_tables
-from swarmabs_bringup.cli.run import RUNS, since_start
+from swarmabs_bringup.cli.run import RUNS
 from swarmabs_core.errors import InputError, RunError
 
 _POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
@@ -77,7 +78,7 @@ def _replay(
     from swarmabs_bringup.replay.run import ReplayRun  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.replay.source import open_source  # noqa: PLC0415
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
-    from swarmabs_bringup.summary import summarise, summary_table  # noqa: PLC0415
+    from swarmabs_bringup.summary import Times, summarise, summary_table  # noqa: PLC0415
     from swarmabs_core.behaviours.player import NodeName  # noqa: PLC0415
 
     nodes = tuple(dict.fromkeys(NodeName.parse(name) for name in names))
@@ -88,16 +89,14 @@ def _replay(
     scenario = made.scenario
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, f"{scenario.name}-replay")
     try:
+        loading = since_start()
         with shown_progress(scenario) as show:
             outcome = (made.in_process if in_process else made.live)(folder, show)
             no_more_interrupts()
         summary = summarise(
             scenario,
-            outcome.figures,
-            status=outcome.status,
-            reason=outcome.reason,
-            wall_time=since_start(),
-            stepping_seconds=outcome.stepping_seconds,
+            outcome,
+            Times(since_start(), setup_seconds(), startup_seconds(loading, outcome)),
         )
         result = made.result(folder, summary["digest"]) if outcome.status == "ok" else None
         summary["replay"] = result

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sys
-import time
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmabs_bringup.cli.display import shown_progress
+from swarmabs_bringup.cli.elapsed import setup_seconds, since_start, startup_seconds
 from swarmabs_bringup.cli.interrupts import interrupt_once, no_more_interrupts
 from swarmabs_bringup.cli.markers import shown_beside, shown_options
 from swarmabs_bringup.cli.output import json_option, print_json
@@ -245,7 +244,7 @@ def _carry_out(
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.scenarios import find_scenario, names_bag  # noqa: PLC0415
     from swarmabs_bringup.splitting import Split  # noqa: PLC0415
-    from swarmabs_bringup.summary import summarise, summary_table  # noqa: PLC0415
+    from swarmabs_bringup.summary import Times, summarise, summary_table  # noqa: PLC0415
     from swarmabs_core.theory.check import check_scenario  # noqa: PLC0415
     from swarmabs_core.theory.warnings import theory_warnings  # noqa: PLC0415
 
@@ -264,16 +263,14 @@ def _carry_out(
     if steered:
         click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
     try:
+        loading = since_start()
         with shown_progress(loaded) as show:
             outcome = execute(loaded, folder, not no_bag, Split(max_bag_size, max_bag_duration * 10**9), show)
             no_more_interrupts()
         summary = summarise(
             loaded,
-            outcome.figures,
-            status=outcome.status,
-            reason=outcome.reason,
-            wall_time=since_start(),
-            stepping_seconds=outcome.stepping_seconds,
+            outcome,
+            Times(since_start(), setup_seconds(), startup_seconds(loading, outcome)),
             rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)
             if recorded is not None
             else None,
@@ -315,14 +312,3 @@ def _check_realtime(scenario: Scenario, recorded: RecordedRun | None) -> None:
             "time give the scenario.yaml of its folder"
         )
     check_realtime(scenario.resolved())
-
-
-def since_start() -> float:
-    """Return the wall time since this process was started, which is when the user's command was.
-
-    Of the fields of ``/proc/self/stat`` behind the name, which may itself hold blanks, the twentieth is the start in
-    clock ticks since the machine was.
-    """
-    stat = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace")
-    ticks = int(stat.rpartition(")")[2].split()[19])
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")

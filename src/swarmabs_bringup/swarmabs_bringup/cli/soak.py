@@ -41,7 +41,7 @@ def soak(
 
     The folder gets soak.md and soak.json, and of each run in which something does not hold its scenario and its bag.
     """
-    from swarmabs_bringup.cli.run import since_start  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bringup.cli.elapsed import since_start  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bringup.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
     from swarmabs_bringup.soak.engine import LockstepEngine  # noqa: PLC0415
     from swarmabs_bringup.soak.fleet_engine import FleetEngine  # noqa: PLC0415

@@ -12,7 +12,7 @@ from swarmabs_bringup.bag import NotABagError, find_bag, load_arrays, open_bag
 from swarmabs_bringup.bag.attached import attached_scenario
 from swarmabs_bringup.run_folder import new_run_folder
 from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.summary import summarise
+from swarmabs_bringup.summary import Times, summarise
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
@@ -148,11 +148,8 @@ def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
             raise RunError(f"{resolved.name}: {outcome.reason}")
         summary = summarise(
             resolved,
-            outcome.figures,
-            status=outcome.status,
-            reason=outcome.reason,
-            wall_time=time.monotonic() - begun,
-            stepping_seconds=outcome.stepping_seconds,
+            outcome,
+            Times(time.monotonic() - begun, startup=outcome.start_seconds),
         )
         made.write_summary(summary)
         made.path.rename(target)

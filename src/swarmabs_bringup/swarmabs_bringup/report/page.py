@@ -259,15 +259,17 @@ def _timing(recorded: Recorded) -> Iterator[ET.Element]:
         return
     wall, factor = _float(summary.get("wall_time")), _float(summary.get("real_time_factor"))
     rows: list[tuple[str, Child, str]] = [("Wall time", number(wall, "s"), "of the whole command")]
+    setup, startup = _float(summary.get("setup_time")), _float(summary.get("startup_time"))
+    if setup:
+        rows.append(("Set-up", number(setup, "s"), "of the checkout, before anything else"))
+    if startup is not None:
+        rows.append(("Start", number(startup, "s"), "from there to the first step: scenario, processes"))
     if factor and wall is not None:
         stepping = recorded.scenario.duration_ns / 1e9 / factor
+        rest = max(wall - (setup or 0.0) - (startup or 0.0) - stepping, 0.0)
         rows += [
             ("Stepping", number(stepping, "s"), "from the first step to the last"),
-            (
-                "Start and end",
-                number(max(wall - stepping, 0.0), "s"),
-                "the rest: start of the processes, closing the bag",
-            ),
+            ("Rest", number(rest, "s"), "closing the bag" if startup is not None else "start and closing the bag"),
             ("Speed", number(recorded.scenario.steps / stepping, "steps/s"), "without start and end"),
             ("Real-time factor", number(factor, ""), "simulated time per time of stepping"),
         ]
