@@ -7,7 +7,7 @@ import os
 from typing import Dict, List, Mapping
 
 # Which other ROS installation was sourced, and how its middleware is configured.
-FOREIGN_PREFIXES = ("AMENT_", "COLCON_", "CYCLONEDDS_", "FASTDDS_", "FASTRTPS_", "RMW_", "ROS_")
+FOREIGN_PREFIXES = ("AMENT_", "COLCON_", "CYCLONEDDS_", "FASTDDS_", "FASTRTPS_", "RMW_", "ROS_", "SWARMABS_SOURCED_")
 FOREIGN = (
     "CMAKE_PREFIX_PATH",
     "PIP_PREFIX",
@@ -20,6 +20,9 @@ FOREIGN = (
 KEPT = ("ROS_DOMAIN_ID", "ROS_LOG_DIR")
 SYSTEM_FOLDERS = ("", "/usr", "/usr/local")  # a ROS may live there, but so does everything else
 SEARCH_PATHS = ("PATH", "LD_LIBRARY_PATH")
+SOURCED = (
+    "SWARMABS_SOURCED_"  # before the names of variables with which a ROS that was sourced finds this workspace too
+)
 
 
 def foreign_folders(environ: Mapping[str, str]) -> List[str]:
@@ -83,3 +86,23 @@ def run_environment(environ: Mapping[str, str], venv: str, install: str, series:
         RMW_IMPLEMENTATION="rmw_fastrtps_cpp",
     )
     return running
+
+
+def sourced_environment(environ: Mapping[str, str], venv: str, install: str, series: str) -> Dict[str, str]:
+    """Variables, named after `SOURCED`, with which a shell's own ROS installation finds the packages in install too.
+
+    They are for tools that look into a run. That installation stays first and the venv out of it, for its libraries
+    are not to be mixed with those of the wheels. None if no ROS was sourced.
+    """
+    if not set(environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)) - {"", install, venv}:
+        return {}
+    added = {
+        "AMENT_PREFIX_PATH": install,
+        "LD_LIBRARY_PATH": os.path.join(install, "lib"),
+        "PYTHONPATH": site_packages(install, series),
+    }
+    sourced = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+    for name, folder in added.items():
+        folders = [*filter(None, environ.get(name, "").split(os.pathsep)), folder]
+        sourced[name] = os.pathsep.join(dict.fromkeys(folders))
+    return {SOURCED + name: value for name, value in sourced.items()}

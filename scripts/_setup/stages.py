@@ -46,9 +46,7 @@ PIP_INSTALL = (
 NOT_COMPILED = r"/(tests?|testing|colcon_[a-z_]+|docutils|pip)/"
 
 
-def make_environment(
-    checkout: Checkout, python: machine.Interpreter, environ: Mapping[str, str], lock: int
-) -> None:
+def make_environment(checkout: Checkout, python: machine.Interpreter, environ: Mapping[str, str], lock: int) -> None:
     """Make .venv anew and install the locked packages of the run and the build into it."""
     free = shutil.disk_usage(checkout.root).free
     if free < NEEDED_BYTES:
@@ -96,22 +94,32 @@ def current_environment(checkout: Checkout, wanted: Optional[machine.Interpreter
     return stamp if stamp.get("key") == key else {}
 
 
-def install_extra(
-    checkout: Checkout, command: str, stamp: Mapping[str, str], environ: Mapping[str, str], lock: int
-) -> None:
-    """Add the locked packages of a command to a virtual environment that is complete without them."""
+def install_extra(checkout: Checkout, command: str, environ: Mapping[str, str], lock: int) -> None:
+    """Add the locked packages of a command to a virtual environment that is complete without them.
+
+    Nothing that is installed is touched, so swarms may run meanwhile, and what is interrupted is done again.
+    """
     extra = EXTRA_LOCKS[command]
     key = state.file_key(checkout.lock(extra))
     if state.read_stamp(checkout.extra_stamp(extra)).get("key") == key:
         return
     stage = Stage(f"packages of swarm {command}")
-    # Half installed packages cannot be mended, so until this is complete the environment is not valid.
-    state.remove_stamp(checkout.environment_stamp)
+    forget_unfinished(checkout)
     clean = environment.clean(environ, checkout.venv)
     install_locked(checkout, (extra,), checkout.log(f"setup-{command}.log"), clean, lock, stage)
     state.write_stamp(checkout.extra_stamp(extra), key=key)
-    state.write_stamp(checkout.environment_stamp, **stamp)
     stage.done()
+
+
+def forget_unfinished(checkout: Checkout) -> None:
+    """Make pip install again, over the files that are there, what an interrupted pip has left unfinished.
+
+    That is what has no RECORD, which pip writes last.
+    """
+    packages = os.path.join(glob.escape(checkout.venv), "lib", "python3.*", "site-packages", "*.dist-info")
+    for described in glob.glob(packages):
+        if not os.path.exists(os.path.join(described, "RECORD")):
+            remove_tree(described)
 
 
 def install_setuptools(checkout: Checkout, log: str, environ: Mapping[str, str], lock: int) -> None:
@@ -155,12 +163,8 @@ def pip_progress(text: str) -> str:
 
 def point_cmake_files(checkout: Checkout, environ: Mapping[str, str]) -> None:
     """Replace the Python and numpy include folders of the machine that built the wheels by this machine's."""
-    asked = (
-        "import json, numpy, sysconfig as s; print(json.dumps([s.get_path('include'), numpy.get_include()]))"
-    )
-    answer = subprocess.run(
-        [checkout.python, "-c", asked], env=dict(environ), stdout=subprocess.PIPE, check=True
-    )
+    asked = "import json, numpy, sysconfig as s; print(json.dumps([s.get_path('include'), numpy.get_include()]))"
+    answer = subprocess.run([checkout.python, "-c", asked], env=dict(environ), stdout=subprocess.PIPE, check=True)
     python_include, numpy_include = json.loads(answer.stdout)
     for path in glob.glob(os.path.join(checkout.venv, "share", "*", "cmake", "*.cmake")):
         with open(path, encoding="utf-8") as file:
@@ -184,11 +188,7 @@ def changed_packages(checkout: Checkout, owner: str) -> Dict[str, str]:
         name: state.content_key(os.path.join(checkout.source, name), STAGE_VERSION, owner)
         for name in state.packages_in(checkout.source)
     }
-    return {
-        name: key
-        for name, key in keys.items()
-        if state.read_stamp(checkout.package_stamp(name)).get("key") != key
-    }
+    return {name: key for name, key in keys.items() if state.read_stamp(checkout.package_stamp(name)).get("key") != key}
 
 
 def install_changed(

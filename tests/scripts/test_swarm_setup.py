@@ -173,6 +173,32 @@ class TestEnvironment:
         once = environment.run_environment({"PATH": "/usr/bin"}, "/co/.venv", "/co/install", "3.12")
         assert environment.run_environment(once, "/co/.venv", "/co/install", "3.12") == once
 
+    def test_a_sourced_ros_is_told_where_the_workspace_is(self) -> None:
+        environ = {
+            "AMENT_PREFIX_PATH": "/home/me/overlay:/opt/ros/jazzy",
+            "LD_LIBRARY_PATH": "/opt/ros/jazzy/lib",
+            "PATH": "/opt/ros/jazzy/bin:/usr/bin",
+            "PYTHONPATH": "/opt/ros/jazzy/lib/python3.12/site-packages",
+        }
+        sourced = environment.sourced_environment(environ, "/co/.venv", "/co/install", "3.12")
+        assert sourced == {
+            "SWARMABS_SOURCED_AMENT_PREFIX_PATH": "/home/me/overlay:/opt/ros/jazzy:/co/install",
+            "SWARMABS_SOURCED_LD_LIBRARY_PATH": "/opt/ros/jazzy/lib:/co/install/lib",
+            "SWARMABS_SOURCED_PYTHONPATH": (
+                "/opt/ros/jazzy/lib/python3.12/site-packages:/co/install/lib/python3.12/site-packages"
+            ),
+            "SWARMABS_SOURCED_RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        }
+        again = environ | {name[len(environment.SOURCED) :]: value for name, value in sourced.items()}
+        assert environment.sourced_environment(again, "/co/.venv", "/co/install", "3.12") == sourced
+        nested = environment.run_environment(environ | sourced, "/co/.venv", "/co/install", "3.12")
+        assert not any(name.startswith(environment.SOURCED) for name in nested)
+
+    def test_without_a_sourced_ros_there_is_nobody_to_tell(self) -> None:
+        own = environment.run_environment({"PATH": "/usr/bin"}, "/co/.venv", "/co/install", "3.12")
+        for environ in ({"PATH": "/usr/bin"}, own):
+            assert environment.sourced_environment(environ, "/co/.venv", "/co/install", "3.12") == {}
+
     def test_a_ros_in_usr_does_not_hide_usr(self) -> None:
         made = environment.clean({"AMENT_PREFIX_PATH": "/usr", "PATH": "/usr/bin"}, "/co/.venv")
         assert made["PATH"] == "/co/.venv/bin:/usr/bin"
@@ -429,27 +455,39 @@ class TestVirtualEnvironment:
         assert stages.current_environment(checkout, None) == {}
 
     @pytest.mark.parametrize("command", stages.EXTRA_LOCKS)
-    def test_interrupted_addition_of_extra_packages_spoils_it(
+    def test_interrupted_addition_of_extra_packages_is_repeated_and_costs_nothing_else(
         self, checkout: Checkout, monkeypatch: pytest.MonkeyPatch, command: str
     ) -> None:
         stamp = self.make(checkout)
+        packages = Path(checkout.venv, "lib", "python3.12", "site-packages")
+        for name in ("there-1.0.dist-info", "broken-1.0.dist-info", "also_broken-1.0.dist-info"):
+            (packages / name).mkdir(parents=True)
+        (packages / "there-1.0.dist-info" / "RECORD").write_text("")
+        found: list[list[str]] = []
 
         def interrupted(*_: object) -> None:
+            assert stages.current_environment(checkout, None) == stamp
+            found.append(sorted(path.name for path in packages.iterdir()))
+            (packages / "broken-1.0.dist-info").mkdir()
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
             patch.setattr(stages, "install_locked", interrupted)
-            with pytest.raises(KeyboardInterrupt):
-                stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
-        assert stages.current_environment(checkout, None) == {}
-        stages.install_extra(checkout, command, self.make(checkout), os.environ, NO_LOCK)
+            for _ in range(2):
+                with pytest.raises(KeyboardInterrupt):
+                    stages.install_extra(checkout, command, os.environ, NO_LOCK)
+                assert stages.current_environment(checkout, None) == stamp
+        assert found == [["there-1.0.dist-info"]] * 2
+        assert not Path(checkout.extra_stamp(stages.EXTRA_LOCKS[command])).exists()
+        stages.install_extra(checkout, command, os.environ, NO_LOCK)
         assert stages.current_environment(checkout, None) == stamp
+        assert Path(checkout.extra_stamp(stages.EXTRA_LOCKS[command])).exists()
 
     @pytest.mark.parametrize("name", [*stages.LOCKS, *stages.EXTRA_LOCKS.values()])
     def test_changed_lock_spoils_it(self, checkout: Checkout, name: str) -> None:
-        stamp = self.make(checkout)
+        self.make(checkout)
         for command in stages.EXTRA_LOCKS:
-            stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
+            stages.install_extra(checkout, command, os.environ, NO_LOCK)
         assert stages.current_environment(checkout, None)
         Path(checkout.lock(name)).write_text("more==1.0\n")
         assert stages.current_environment(checkout, None) == {}
@@ -464,11 +502,11 @@ class TestVirtualEnvironment:
     def test_only_the_lock_of_the_command_is_installed(
         self, checkout: Checkout, monkeypatch: pytest.MonkeyPatch, command: str
     ) -> None:
-        stamp = self.make(checkout)
+        self.make(checkout)
         installed: list[Sequence[str]] = []
         monkeypatch.setattr(stages, "install_locked", lambda _checkout, locks, *_others: installed.append(locks))
         for _ in range(2):  # the second time there is nothing left to do
-            stages.install_extra(checkout, command, stamp, os.environ, NO_LOCK)
+            stages.install_extra(checkout, command, os.environ, NO_LOCK)
         assert installed == [(stages.EXTRA_LOCKS[command],)]
 
     def test_moved_checkout_spoils_it(self, checkout: Checkout, tmp_path: Path) -> None:
@@ -561,6 +599,16 @@ class TestScript:
         site_packages = prepared / "install" / "lib" / "python3.12" / "site-packages"
         assert ended.stdout.splitlines() == ["-m swarmabs_bringup.cli run a b", str(site_packages)]
         assert ended.returncode == 0
+
+    def test_says_which_process_was_set_up_and_for_how_long(
+        self, prepared: Path, swarm: ModuleType, monkeypatch: pytest.MonkeyPatch, checkout: Checkout
+    ) -> None:
+        started: list[Mapping[str, str]] = []
+        now = iter([100.0, 185.25])
+        monkeypatch.setattr(swarm.os, "execve", lambda _program, _words, environ: started.append(environ))
+        monkeypatch.setattr(swarm.time, "monotonic", lambda: next(now))
+        swarm.start(checkout, {"PATH": "/usr/bin"}, ["run"])
+        assert started[0]["SWARMABS_SETUP"] == f"{os.getpid()}:85.250"
 
     @pytest.mark.parametrize(
         "change",

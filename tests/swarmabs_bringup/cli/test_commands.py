@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from swarmabs_bringup.cli import main
+from swarmabs_bringup.orchestration.looking_in import write_network
 from swarmabs_bringup.scenarios import builtin_scenarios
 from swarmabs_core.scenario import dump_scenario, json_schema, load_scenario, parse_scenario
 
@@ -145,6 +146,22 @@ def test_env_prints_what_a_shell_needs(capfd: pytest.CaptureFixture[str], monkey
     assert shown.stdout == "/a b/$HOME'x:/c"
     assert document(capfd, "env")["AMENT_PREFIX_PATH"] == "/a b/$HOME'x:/c"
     assert all(shlex.split(line)[0] == "export" for line in text.splitlines())
+
+
+def test_env_of_a_run_leaves_a_sourced_ros_usable(
+    capfd: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "logs").mkdir()
+    write_network(here / "logs", 7, 3)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/co/install:/co/.venv")
+    without = document(capfd, "env", ".")
+    assert (without["AMENT_PREFIX_PATH"], without["ROS_DOMAIN_ID"]) == ("/co/install:/co/.venv", "7")
+    assert "PATH" in without
+    monkeypatch.setenv("SWARMABS_SOURCED_AMENT_PREFIX_PATH", "/opt/ros/jazzy:/co/install")
+    sourced = document(capfd, "env", ".")
+    assert (sourced["AMENT_PREFIX_PATH"], sourced["ROS_DOMAIN_ID"]) == ("/opt/ros/jazzy:/co/install", "7")
+    assert not {"PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "ROS_DISTRO"} & sourced.keys()
+    assert document(capfd, "env")["AMENT_PREFIX_PATH"] == "/co/install:/co/.venv"
 
 
 def test_env_of_a_simulated_run_is_refused(capfd: pytest.CaptureFixture[str]) -> None:

@@ -23,6 +23,8 @@ WORKSPACE = (
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
 )
 """What makes a shell find this workspace."""
+SOURCED = "SWARMABS_SOURCED_"
+"""Before the names of variables by which ``scripts/swarm`` says what lets a ROS that was sourced find it too."""
 
 
 @click.command()
@@ -31,7 +33,8 @@ WORKSPACE = (
 def env(run: Path | None, *, as_json: bool) -> None:
     """Print what a shell needs to find the nodes and messages.
 
-    With RUN, the folder of a run that is going on, also what ROS tools need to see that run.
+    With RUN, the folder of a run that is going on, also what ROS tools need to see that run. Those of a ROS that is
+    sourced stay usable: the workspace is then only added to it.
 
     Use it as: eval "$(./scripts/swarm env RUN)"
     """
@@ -39,7 +42,8 @@ def env(run: Path | None, *, as_json: bool) -> None:
 
     variables = {name: os.environ[name] for name in WORKSPACE if name in os.environ}
     if run is not None:
-        variables |= environment_of_run(run)
+        sourced = {name[len(SOURCED) :]: value for name, value in os.environ.items() if name.startswith(SOURCED)}
+        variables = (sourced or variables) | environment_of_run(run)
     if as_json:
         print_json(variables)
         return
