@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import fields
+import pickle
 from functools import cache
 
 import numpy as np
@@ -54,7 +54,7 @@ def test_plane() -> None:
 )
 def test_broadcasts(part: str, kind: type[Message]) -> None:
     found = getattr(arrays(), part)
-    assert [field.name for field in fields(found)] == list(kind._fields[2:])
+    assert [name for name, _ in found.items()] == list(kind._fields[2:])
     for name in kind._fields[2:]:
         np.testing.assert_array_equal(getattr(found, name), run().column(kind, name))
 
@@ -90,3 +90,13 @@ def test_scenario_may_be_given_as_a_file() -> None:
     assert abs(from_file.angle[-1]) < 5e-4
     with pytest.raises(ScenarioError, match="no such file"):
         simulate("missing.yaml")
+
+
+def test_a_misspelt_field_is_named_with_those_there_are() -> None:
+    with pytest.raises(AttributeError, match="no field 'torqe'; there are agent_count, torque, inertia, "):
+        _ = arrays().abstract.torqe
+
+
+def test_arrays_can_be_copied_between_processes() -> None:
+    again = pickle.loads(pickle.dumps(arrays()))
+    np.testing.assert_array_equal(again.agents.position, arrays().agents.position)

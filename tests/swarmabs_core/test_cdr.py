@@ -9,7 +9,7 @@ from math import copysign
 import pytest
 from hypothesis import given, strategies as st
 
-from swarmabs_core.cdr import agent_id_of, decode, encode
+from swarmabs_core.cdr import agent_id_of, canonical, decode, encode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     NEVER,
@@ -152,6 +152,7 @@ def test_padding_is_ignored(case: Case) -> None:
     found = decode(type(case.message), bytes(data))
     assert found == case.message
     assert encode(found) == HEAD + case.body
+    assert canonical(type(case.message), bytes(data)) == HEAD + case.body
 
 
 @given(messages)
@@ -159,6 +160,7 @@ def test_round_trip(message: Message) -> None:
     data = encode(message)
     assert decode(type(message), data) == message
     assert encode(decode(type(message), data)) == data
+    assert canonical(type(message), data) == data
 
 
 def test_round_trip_keeps_the_sign_of_zero_and_nan() -> None:
@@ -231,7 +233,7 @@ def test_a_basis_without_robots_ends_with_their_number() -> None:
         (b"\xff\xff\xff\xff" + b"\x00" * 8, "4294967295 robots"),
         (
             b"\x01\x00\x00\x00" + b"\x00" * 8 + b"\x02\x00\x00\x00" + b"\x00" * 4 + b"\x01\x00\x00\x00\x00",
-            "1 steps, but 2 robots and 1 marks",
+            "1 in `state_steps`, 2 in `agent_ids`, 1 in `standing`",
         ),
     ],
 )
@@ -241,7 +243,7 @@ def test_wrong_numbers_of_robots_are_refused(tail: bytes, problem: str) -> None:
 
 
 def test_a_basis_whose_lists_differ_in_length_cannot_be_sent() -> None:
-    with pytest.raises(MalformedMessageError, match="1 robots, but 2 steps and 1 marks"):
+    with pytest.raises(MalformedMessageError, match="2 in `state_steps`, 1 in `agent_ids`, 1 in `standing`"):
         encode(Basis(STAMP, STEP, 1, 2, 3, (1, 2), (3,), (0,)))
 
 

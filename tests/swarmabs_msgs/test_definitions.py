@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
-from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field
+from tests.swarmabs_msgs.definitions import DEFINITIONS, FILES, FOLDER, Definition, Field as Entry
 
-from swarmabs_core.messages import NEVER, TOPICS, Action, EventKind, Kind, Mode, Source, Status
+from swarmabs_core.messages import NEVER, TOPICS, Action, EventKind, Field, Kind, Mode, Source, Status, fields_of
 
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
@@ -46,7 +46,7 @@ definitions = pytest.mark.parametrize("definition", DEFINITIONS.values(), ids=DE
 fields = pytest.mark.parametrize(
     ("message", "field"),
     [(d.name, f) for d in DEFINITIONS.values() for f in (*d.fields, *d.constants)],
-    ids=lambda value: value.name if isinstance(value, Field) else value,
+    ids=lambda value: value.name if isinstance(value, Entry) else value,
 )
 
 
@@ -75,6 +75,26 @@ def test_fields_and_their_order_are_those_of_the_core(definition: Definition) ->
 
 
 @definitions
+def test_what_is_declared_of_a_field_is_what_the_definition_says(definition: Definition) -> None:
+    """Its type, its unit, with which its comment begins, and the values that it may have."""
+    declared = fields_of(MESSAGES[definition.name])
+    constants = {c.name: c.value for c in definition.constants if c.name not in {"NO_BROADCAST", "NO_STEP"}}
+    explained = {}
+    for field in definition.fields[1:]:
+        found = declared[field.name]
+        if not isinstance(found, Field):
+            assert found is MESSAGES[field.type]
+            continue
+        assert found.ros_type == field.type
+        if field.type == "float64" and field.name not in {"command", "value"}:
+            assert re.match(rf"{re.escape(found.unit)}(,| along|$)", field.comment)
+        elif field.type == "string":
+            assert not found.unit
+        explained |= {value.name: value.value for value in found.constants or ()}
+    assert explained == constants
+
+
+@definitions
 def test_constants_are_those_of_the_core(definition: Definition) -> None:
     expected = {member.name: int(member) for enum in CONSTANTS.get(definition.name, ()) for member in enum}
     if definition.name == "AgentState":
@@ -85,7 +105,7 @@ def test_constants_are_those_of_the_core(definition: Definition) -> None:
 
 
 @fields
-def test_everything_is_explained_and_has_a_unit(message: str, field: Field) -> None:
+def test_everything_is_explained_and_has_a_unit(message: str, field: Entry) -> None:
     assert field.comment, f"{message}.{field.name} has no comment"
     if field.type == "float64":
         assert UNIT.search(field.comment), f"{message}.{field.name} has no unit: {field.comment}"

@@ -1,63 +1,136 @@
 """Canonical little-endian CDR of the swarm's messages, every padding byte zero.
 
-A message is encapsulation header, ``std_msgs/Header``, ``uint64 step`` and the message's own fields; since
-the frame id is always ``plane``, all but `SwarmEvent` and `Basis` have a fixed layout, and one `struct.Struct` each
-says it all; a `Broadcast` is three of them in a row. That these layouts are what ROS 2 itself writes for
-``swarmabs_msgs`` is a test.
+A message is encapsulation header, ``std_msgs/Header``, ``uint64 step`` and the message's own fields. Since the frame id
+is always ``plane``, all but texts and lists have a fixed place, which follows from the declarations in
+`swarmabs_core.messages`; one `struct.Struct` per message says it all. That these layouts are what ROS 2 itself writes
+for ``swarmabs_msgs`` is a test.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import (
-    FRAME_ID,
-    TOPICS,
-    AbstractState,
-    AgentState,
-    AuxiliaryState,
-    Basis,
-    Broadcast,
-    DesiredAbstractState,
-    SwarmEvent,
-)
+from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, SwarmEvent, fields_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from swarmabs_core.messages import Message
 
-_ENCAPSULATION = b"\x00\x01\x00\x00"
-_FRAME = struct.pack(f"<I{len(FRAME_ID) + 1}s", len(FRAME_ID) + 1, FRAME_ID.encode())
+ENCAPSULATION = b"\x00\x01"
+"""Little-endian CDR; two bytes of options follow, which are padding to a reader."""
+FRAME = struct.pack(f"<I{len(FRAME_ID) + 1}s", len(FRAME_ID) + 1, FRAME_ID.encode())
 """The frame id as it stands in a message: length, characters, zero."""
 _SECOND = 1_000_000_000
 _MOST_ROBOTS = 65535
 _TRANSPORT_PADDING = 4
 """Fast DDS pads a serialised payload to a multiple of this."""
-
-# sec, nanosec | frame id, padding to 8 | step
-_HEAD = f"iI{len(_FRAME)}s6xQ"
-_PREFIX = f"<4s{_HEAD}"
-_FIELDS = {
-    "PlaneState": "2d",
-    "AgentState": "QHBB4x5d",
-    "AbstractState": "H6x4d",
-    "AuxiliaryState": "8d",
-    "DesiredAbstractState": "B7x8d",
-    "SwarmEvent": "HB5xdI",  # then the characters of `detail` with their terminating zero
-    "RecordingProgress": "Q",
-    "Basis": "QQB3xI",  # then so many steps, which are aligned, and as many robots and marks
-    "Steering": "QBxH4xd",
-}
-_PARTS = ("AbstractState", "AuxiliaryState", "DesiredAbstractState")
-_FIELDS["Broadcast"] = "".join(_HEAD + _FIELDS[part] for part in _PARTS)
-_LAYOUT: dict[type[Message], struct.Struct] = {
-    topic.message: struct.Struct(_PREFIX + _FIELDS[topic.message.__name__]) for topic in TOPICS
-}
-_EVENT = _LAYOUT[SwarmEvent]
-_BROADCAST = _LAYOUT[Broadcast]
-_BASIS = _LAYOUT[Basis]
+_BEGIN = 4
+"""Alignment counts from behind the encapsulation header."""
+_CODES = {"uint8": "B", "uint16": "H", "uint64": "Q", "float64": "d"}
 _new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` and `_make` are Python functions around it
+
+
+class Place(NamedTuple):
+    """What stands at a place of a message: its name, empty for padding; its format as of `struct`; its size."""
+
+    name: str
+    code: str
+    size: int
+
+
+def places(message_type: type[Message]) -> tuple[Place, ...]:
+    """Return what stands in the fixed part of a message, byte by byte.
+
+    Names are those of the fields, `encapsulation`, `sec`, `nanosec` and `frame`, and `count` for the length of the text
+    or the first list behind the fixed part.
+    """
+    found = [Place("encapsulation", "2s", 2), Place("", "2x", 2)]
+    for name, code, alignment in _numbers(message_type):
+        size = struct.calcsize(f"<{code}")
+        gap = -(sum(place.size for place in found) - _BEGIN) % alignment
+        if gap:
+            found.append(Place("", f"{gap}x", gap))
+        found.append(Place(name, code, size))
+    return tuple(found)
+
+
+def _numbers(message_type: type[Message]) -> Iterator[tuple[str, str, int]]:
+    """Yield name, format and alignment of what stands in a message, without the encapsulation."""
+    yield from (("sec", "i", 4), ("nanosec", "I", 4), ("frame", f"{len(FRAME)}s", 4))
+    for name, field in fields_of(message_type).items():
+        if not isinstance(field, Field):
+            yield from _numbers(field)
+        elif field.ros_type in _CODES:
+            code = _CODES[field.ros_type]
+            yield name, code, struct.calcsize(code)
+        elif field.ros_type != "time":
+            yield "count", "I", 4
+            return
+
+
+class _Layout:
+    """Bytes of a message class.
+
+    Attributes
+    ----------
+    fixed : Struct
+        Of all that has a fixed place.
+    content : Struct
+        The same, what stands between padding as one piece.
+    parts : tuple of (type of Message, int)
+        The messages of which it consists, each with the number of its values in `fixed`; empty if of none.
+    lists : tuple of str
+        Formats of the elements of its lists.
+    text : str
+        Name of its text, empty if it has none.
+    """
+
+    __slots__ = ("content", "fixed", "lists", "parts", "plain", "size", "text")
+
+    def __init__(self, message_type: type[Message]) -> None:
+        stand = places(message_type)
+        self.fixed = struct.Struct("<" + "".join(place.code for place in stand))
+        self.size = self.fixed.size
+        self.content = struct.Struct("<" + "".join(_pieces(stand)))
+        fields = fields_of(message_type)
+        parts = [field for field in fields.values() if not isinstance(field, Field)]
+        # Seconds, nanoseconds and frame id stand for the stamp.
+        self.parts = tuple((part, len(fields_of(part)) + 2) for part in parts)
+        own = {name: field.ros_type for name, field in fields.items() if isinstance(field, Field)}
+        self.lists = tuple(_CODES[kind.removesuffix("[]")] for kind in own.values() if kind.endswith("[]"))
+        self.text = next((name for name, kind in own.items() if kind == "string"), "")
+        self.plain = not (self.parts or self.lists or self.text)
+
+
+@lru_cache(maxsize=64)
+def _behind(layout: _Layout, number: int) -> struct.Struct:
+    """Return the layout of the lists of so many elements each; before all but the first stands their number."""
+    form, size = "<", layout.size - _BEGIN
+    for place, code in enumerate(layout.lists):
+        for piece, alignment, count in (("I", 4, int(place > 0)), (code, struct.calcsize(code), number)):
+            if count:
+                gap = -size % alignment
+                form += f"{gap}x{count}{piece}"
+                size += gap + count * alignment
+    return struct.Struct(form)
+
+
+def _pieces(stand: tuple[Place, ...]) -> Iterator[str]:
+    size = 0
+    for place in stand:
+        if place.name:
+            size += place.size
+        else:
+            yield f"{size}s{place.code}"
+            size = 0
+    yield f"{size}s"
+
+
+_LAYOUTS = {topic.message: _Layout(topic.message) for topic in TOPICS}
 
 
 def encode(message: Message) -> bytes:
@@ -78,35 +151,49 @@ def encode(message: Message) -> bytes:
     MalformedMessageError
         If a field does not fit its type.
     """
-    if isinstance(message, (SwarmEvent, Broadcast, Basis)):
-        if isinstance(message, Basis):
-            return _encode_basis(message)
-        return _encode_event(message) if isinstance(message, SwarmEvent) else _encode_broadcast(message)
+    layout = _LAYOUTS[type(message)]
     seconds, nanoseconds = divmod(message[0], _SECOND)
     try:
-        return _LAYOUT[type(message)].pack(_ENCAPSULATION, seconds, nanoseconds, _FRAME, *message[1:])
-    except struct.error as error:
+        if layout.plain:
+            return layout.fixed.pack(ENCAPSULATION, seconds, nanoseconds, FRAME, *message[1:])
+        return _encode_parts(layout, message) if layout.parts else _encode_behind(layout, message)
+    except (struct.error, UnicodeEncodeError) as error:
         raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
 
 
-def _encode_event(event: SwarmEvent) -> bytes:
-    seconds, nanoseconds = divmod(event.stamp, _SECOND)
-    try:
-        detail = event.detail.encode() + b"\x00"
-        fixed = _EVENT.pack(
-            _ENCAPSULATION,
-            seconds,
-            nanoseconds,
-            _FRAME,
-            event.step,
-            event.agent_id,
-            event.kind,
-            event.value,
-            len(detail),
-        )
-    except (struct.error, UnicodeEncodeError) as error:
-        raise MalformedMessageError("SwarmEvent", f"{error} in {event}") from error
-    return fixed + detail
+def _encode_parts(layout: _Layout, message: Any) -> bytes:
+    """Serialise a message that consists of others."""
+    values = [ENCAPSULATION, *_values(message[:2])]
+    for part in message[2:]:
+        values += _values(part)
+    return layout.fixed.pack(*values)
+
+
+def _values(part: Any) -> tuple[Any, ...]:
+    """Return what stands for a message, or a part of one."""
+    return (*divmod(part[0], _SECOND), FRAME, *part[1:])
+
+
+def _encode_behind(layout: _Layout, message: Any) -> bytes:
+    """Serialise a message that ends with a text or with lists."""
+    if layout.text:
+        text: bytes = message[-1].encode() + b"\x00"
+        return layout.fixed.pack(ENCAPSULATION, *_values(message[:-1]), len(text)) + text
+    lists = message[-len(layout.lists) :]
+    _check_lengths(type(message), [len(values) for values in lists])
+    number = len(lists[0])
+    behind = [value for values in lists for value in (number, *values)][1:]
+    return layout.fixed.pack(ENCAPSULATION, *_values(message[: -len(layout.lists)]), number) + _behind(
+        layout, number
+    ).pack(*behind)
+
+
+def _check_lengths(message_type: type[Message], lengths: list[int]) -> None:
+    """Refuse lists that do not belong together."""
+    if len(set(lengths)) > 1:
+        names = message_type._fields[-len(lengths) :]
+        said = ", ".join(f"{length} in `{name}`" for name, length in zip(names, lengths, strict=True))
+        raise MalformedMessageError(message_type.__name__, f"lists of different lengths: {said}")
 
 
 def decode(message_type: type[Message], data: bytes) -> Message:
@@ -124,105 +211,95 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     MalformedMessageError
         If the length, the encapsulation or the frame id is not that of a message of this swarm.
     """
-    if message_type is SwarmEvent or message_type is Broadcast or message_type is Basis:
-        if message_type is Basis:
-            return _decode_basis(data)
-        return _decode_event(data) if message_type is SwarmEvent else _decode_broadcast(data)
-    layout = _LAYOUT[message_type]
+    layout = _LAYOUTS[message_type]
     size = layout.size
+    if layout.lists or layout.text:
+        return _decode_behind(layout, message_type, data)
     if not size <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
-    values = layout.unpack_from(data)
-    if values[0] != _ENCAPSULATION or values[3] != _FRAME:
-        _check_head(message_type, values[0], values[3])
-    return _new(message_type, (values[1] * _SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
+    values = layout.fixed.unpack_from(data)
+    if values[0] != ENCAPSULATION or values[3] != FRAME:
+        _refuse_head(message_type, values[0])
+    if layout.plain:
+        return _new(message_type, (values[1] * _SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
+    first = place = 5
+    parts = []
+    for part, count in layout.parts:
+        seconds, nanoseconds, frame, *own = values[place : place + count]
+        if frame != FRAME:
+            _refuse_head(message_type, values[0])
+        parts.append(_new(part, (seconds * _SECOND + nanoseconds, *own)))
+        place += count
+    return _new(message_type, (values[1] * _SECOND + values[2], *values[4:first], *parts))  # type: ignore[no-any-return]
 
 
-def _encode_broadcast(broadcast: Broadcast) -> bytes:
-    values: list[object] = [_ENCAPSULATION, *divmod(broadcast.stamp, _SECOND), _FRAME, broadcast.step]
-    for part in broadcast[2:]:
-        values += (*divmod(part[0], _SECOND), _FRAME, *part[1:])
-    try:
-        return _BROADCAST.pack(*values)
-    except struct.error as error:
-        raise MalformedMessageError("Broadcast", f"{error} in {broadcast}") from error
+def _decode_behind(layout: _Layout, message_type: type[Message], data: bytes) -> Message:
+    """Read a message that ends with a text or with lists."""
+    name, size = message_type.__name__, layout.size
+    if len(data) < size:
+        raise MalformedMessageError(name, f"{len(data)} bytes, expected at least {size}")
+    values = layout.fixed.unpack_from(data)
+    if values[0] != ENCAPSULATION or values[3] != FRAME:
+        _refuse_head(message_type, values[0])
+    own = (values[1] * _SECOND + values[2], *values[4:-1])
+    read = _text if layout.text else _lists
+    behind = read(layout, message_type, data, values[-1])
+    return _new(message_type, (*own, *behind))  # type: ignore[no-any-return]
 
 
-def _decode_broadcast(data: bytes) -> Broadcast:
-    if not _BROADCAST.size <= len(data) < _BROADCAST.size + _TRANSPORT_PADDING:
-        raise MalformedMessageError("Broadcast", f"{len(data)} bytes, expected {_BROADCAST.size}")
-    values = _BROADCAST.unpack_from(data)
-    for frame in (values[3], values[7], values[16], values[28]):
-        if values[0] != _ENCAPSULATION or frame != _FRAME:
-            _check_head(Broadcast, values[0], frame)
-    return Broadcast(
-        values[1] * _SECOND + values[2],
-        values[4],
-        _new(AbstractState, (values[5] * _SECOND + values[6], *values[8:14])),
-        _new(AuxiliaryState, (values[14] * _SECOND + values[15], *values[17:26])),
-        _new(DesiredAbstractState, (values[26] * _SECOND + values[27], *values[29:])),
-    )
-
-
-def _decode_event(data: bytes) -> SwarmEvent:
-    if len(data) < _EVENT.size:
-        raise MalformedMessageError("SwarmEvent", f"{len(data)} bytes, expected at least {_EVENT.size}")
-    encapsulation, seconds, nanoseconds, frame, step, agent_id, kind, value, count = _EVENT.unpack_from(data)
-    _check_head(SwarmEvent, encapsulation, frame)
-    text = data[_EVENT.size : _EVENT.size + count]
+def _text(layout: _Layout, message_type: type[Message], data: bytes, count: int) -> list[Any]:
+    name, end = message_type.__name__, layout.size + count
+    text = data[layout.size : end]
     if count < 1 or len(text) != count or text[-1:] != b"\x00":
-        raise MalformedMessageError("SwarmEvent", "`detail` is cut off or not terminated")
-    if len(data) >= _EVENT.size + count + _TRANSPORT_PADDING:
-        raise MalformedMessageError("SwarmEvent", f"{len(data)} bytes, expected {_EVENT.size + count}")
+        raise MalformedMessageError(name, f"`{layout.text}` is cut off or not terminated")
+    if len(data) >= end + _TRANSPORT_PADDING:
+        raise MalformedMessageError(name, f"{len(data)} bytes, expected {end}")
     try:
-        detail = text[:-1].decode()
+        return [text[:-1].decode()]
     except UnicodeDecodeError as error:
-        raise MalformedMessageError("SwarmEvent", "`detail` is not UTF-8") from error
-    return SwarmEvent(seconds * _SECOND + nanoseconds, step, agent_id, kind, value, detail)
+        raise MalformedMessageError(name, f"`{layout.text}` is not UTF-8") from error
 
 
-def _basis_lists(number: int) -> struct.Struct:
-    """Return the layout of a basis behind the first number: steps, robots, marks, the number before each list."""
-    return struct.Struct(f"<{number}QI{number}H{'2x' if number % 2 else ''}I{number}B")
-
-
-def _encode_basis(basis: Basis) -> bytes:
-    number = len(basis.agent_ids)
-    if not len(basis.state_steps) == len(basis.standing) == number:
-        lengths = f"{number} robots, but {len(basis.state_steps)} steps and {len(basis.standing)} marks"
-        raise MalformedMessageError("Basis", lengths)
-    head = (*divmod(basis.stamp, _SECOND), _FRAME, basis.step, basis.since, basis.begun, basis.source, number)
-    lists = (*basis.state_steps, number, *basis.agent_ids, number, *basis.standing)
-    try:
-        return _BASIS.pack(_ENCAPSULATION, *head) + _basis_lists(number).pack(*lists)
-    except struct.error as error:
-        raise MalformedMessageError("Basis", f"{error} in {basis}") from error
-
-
-def _decode_basis(data: bytes) -> Basis:
-    if len(data) < _BASIS.size:
-        raise MalformedMessageError("Basis", f"{len(data)} bytes, expected at least {_BASIS.size}")
-    encapsulation, seconds, nanoseconds, frame, step, since, begun, source, number = _BASIS.unpack_from(data)
-    _check_head(Basis, encapsulation, frame)
+def _lists(layout: _Layout, message_type: type[Message], data: bytes, number: int) -> list[Any]:
+    name = message_type.__name__
     if number > _MOST_ROBOTS:
-        raise MalformedMessageError("Basis", f"{number} robots")
-    lists = _basis_lists(number)
-    size = _BASIS.size + lists.size
+        raise MalformedMessageError(name, f"{number} robots")
+    lists = _behind(layout, number)
+    size = layout.size + lists.size
     if not size <= len(data) < size + _TRANSPORT_PADDING:
-        raise MalformedMessageError("Basis", f"{len(data)} bytes, expected {size} for {number} robots")
-    values = lists.unpack_from(data, _BASIS.size)
-    steps, robots, marks = values[:number], values[number + 1 : 2 * number + 1], values[2 * number + 2 :]
-    if not values[number] == values[2 * number + 1] == number:
-        lengths = f"{number} steps, but {values[number]} robots and {values[2 * number + 1]} marks"
-        raise MalformedMessageError("Basis", lengths)
-    return Basis(seconds * _SECOND + nanoseconds, step, since, begun, source, steps, robots, marks)
+        raise MalformedMessageError(name, f"{len(data)} bytes, expected {size} for {number} robots")
+    values = (number, *lists.unpack_from(data, layout.size))
+    begins = range(0, len(values), number + 1)
+    _check_lengths(message_type, [values[begin] for begin in begins])
+    return [values[begin + 1 : begin + 1 + number] for begin in begins]
 
 
-def _check_head(message_type: type[Message], encapsulation: bytes, frame: bytes) -> None:
-    if encapsulation[:2] != _ENCAPSULATION[:2]:
+def _refuse_head(message_type: type[Message], encapsulation: bytes) -> None:
+    if encapsulation != ENCAPSULATION:
         raise MalformedMessageError(message_type.__name__, "not little-endian CDR")
-    if frame != _FRAME:
-        raise MalformedMessageError(message_type.__name__, f"frame_id is not {FRAME_ID!r}")
+    raise MalformedMessageError(message_type.__name__, f"frame_id is not {FRAME_ID!r}")
+
+
+def canonical(message_type: type[Message], data: bytes) -> bytes:
+    """Return the canonical form of bytes that are a message: padding is zero, and nothing follows.
+
+    Parameters
+    ----------
+    message_type : type
+        The class of the message.
+    data : bytes
+        What `decode` has read.
+    """
+    layout = _LAYOUTS[message_type]
+    content, size = layout.content, layout.size
+    fixed: bytes = content.pack(*content.unpack_from(data))
+    if layout.plain or layout.parts:
+        return fixed
+    number = int.from_bytes(fixed[-4:], "little")
+    if layout.text:
+        return fixed + data[size : size + number]
+    lists = _behind(layout, number)
+    return fixed + lists.pack(*lists.unpack_from(data, size))
 
 
 def agent_id_of(message: Message) -> int:

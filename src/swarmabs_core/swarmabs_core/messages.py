@@ -1,16 +1,16 @@
 """The messages of the swarm as immutable values, with their topics.
 
 These are the ROS-free twins of the definitions in ``swarmabs_msgs``: the node behaviours exchange them,
-`swarmabs_core.cdr` turns them into the bytes that travel over DDS and that stand in a bag. All quantities are
-in SI units. ``stamp`` is the header's time stamp in nanoseconds; in lockstep it is exactly ``step`` times the
-control period.
+`swarmabs_core.cdr` turns them into the bytes that travel over DDS and that stand in a bag. A field is declared here and
+nowhere else in Python: name, type, unit, meaning. ``stamp`` is the header's time stamp in nanoseconds; in lockstep it
+is exactly ``step`` times the control period.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_type_hints
 
 NEVER = 2**64 - 1
 """A step field that refers to no step (``AgentState.broadcast_step``, ``RecordingProgress.written_step``)."""
@@ -84,108 +84,134 @@ def said(value: IntEnum) -> str:
     return value.name.lower().replace("_", " ")
 
 
-class PlaneState(NamedTuple):
-    """Angle (rad) and angular velocity (rad/s) of the plane."""
+FieldType = Literal["time", "uint8", "uint16", "uint64", "float64", "string", "uint8[]", "uint16[]", "uint64[]"]
 
-    stamp: int
-    step: int
-    angle: float
-    angular_velocity: float
+
+class Field(NamedTuple):
+    """How a field is declared; CDR, arrays and tables follow from it, and a test holds it to the definition.
+
+    Parameters
+    ----------
+    ros_type : str
+        As in the definition; ``time`` for the stamp, which is in the header.
+    unit : str
+        SI unit, 1 for numbers without one, empty for texts.
+    meaning : str
+        What the name does not say.
+    constants : type of IntEnum, optional
+        The values that it may have.
+    """
+
+    ros_type: FieldType
+    unit: str = "1"
+    meaning: str = ""
+    constants: type[IntEnum] | None = None
+
+
+Stamp: TypeAlias = Annotated[int, Field("time", "ns", "when it was made, by the clock of who made it")]
+StepNumber: TypeAlias = Annotated[int, Field("uint64", meaning="number of the control period")]
+EarlierStep: TypeAlias = Annotated[int, Field("uint64", meaning="a step, or `NEVER`")]
+Robot: TypeAlias = Annotated[int, Field("uint16", meaning="robot")]
+
+
+class PlaneState(NamedTuple):
+    """Angle and angular velocity of the plane."""
+
+    stamp: Stamp
+    step: StepNumber
+    angle: Annotated[float, Field("float64", "rad")]
+    angular_velocity: Annotated[float, Field("float64", "rad/s")]
 
 
 class AgentState(NamedTuple):
-    """State of one robot: mass (kg), damping (N s/m), position (m), velocity (m/s), command that led here.
+    """State of one robot, and the command that led here.
 
     ``command`` is in m/s for a single integrator and in N for a double integrator. It was held over the
     period that ends at ``step`` and was computed from the broadcasts of ``broadcast_step``.
     """
 
-    stamp: int
-    step: int
-    broadcast_step: int
-    agent_id: int
-    kind: int
-    status: int
-    mass: float
-    damping: float
-    position: float
-    velocity: float
-    command: float
+    stamp: Stamp
+    step: StepNumber
+    broadcast_step: Annotated[int, Field("uint64", "1", f"step of the broadcasts used; {NEVER}: none")]
+    agent_id: Robot
+    kind: Annotated[int, Field("uint8", constants=Kind)]
+    status: Annotated[int, Field("uint8", constants=Status)]
+    mass: Annotated[float, Field("float64", "kg")]
+    damping: Annotated[float, Field("float64", "N s/m")]
+    position: Annotated[float, Field("float64", "m")]
+    velocity: Annotated[float, Field("float64", "m/s")]
+    command: Annotated[
+        float, Field("float64", "m/s or N", "held over the step before; m/s of single, N of double integrators")
+    ]
 
 
 class AbstractState(NamedTuple):
-    """Torque tau_s (N m) and moment of inertia J_s (kg m^2) of the swarm on the plane, and their rates."""
+    """Torque tau_s and moment of inertia J_s of the swarm on the plane, and their rates."""
 
-    stamp: int
-    step: int
-    agent_count: int
-    torque: float
-    inertia: float
-    torque_rate: float
-    inertia_rate: float
+    stamp: Stamp
+    step: StepNumber
+    agent_count: Annotated[int, Field("uint16", "1", "robots whose weight is in the sums")]
+    torque: Annotated[float, Field("float64", "N m")]
+    inertia: Annotated[float, Field("float64", "kg m^2")]
+    torque_rate: Annotated[float, Field("float64", "N m/s")]
+    inertia_rate: Annotated[float, Field("float64", "kg m^2/s")]
 
 
 class AuxiliaryState(NamedTuple):
-    """Sums over the swarm that a robot's law needs: S0 kg^2, S1 kg^2 m, S2 kg^2 m^2, S3 kg^4 m^2, D0..D2, Q.
+    """Sums over the swarm that a robot's law needs: S0, S1, S2, S3, D0, D1, D2, Q."""
 
-    D0, D1, D2 are in kg N s/m, kg N s and kg N s m; Q is in kg m^2/s^2.
-    """
-
-    stamp: int
-    step: int
-    s0: float
-    s1: float
-    s2: float
-    s3: float
-    d0: float
-    d1: float
-    d2: float
-    q: float
+    stamp: Stamp
+    step: StepNumber
+    s0: Annotated[float, Field("float64", "kg^2", "sum of m^2")]
+    s1: Annotated[float, Field("float64", "kg^2 m", "sum of m^2 p")]
+    s2: Annotated[float, Field("float64", "kg^2 m^2", "sum of m^2 p^2")]
+    s3: Annotated[float, Field("float64", "kg^4 m^2", "s0 s2 - s1^2")]
+    d0: Annotated[float, Field("float64", "kg^2/s", "sum of m (c + ksd)")]
+    d1: Annotated[float, Field("float64", "kg^2 m/s", "sum of m (c + ksd) p")]
+    d2: Annotated[float, Field("float64", "kg^2 m^2/s", "sum of m (c + ksd) p^2")]
+    q: Annotated[float, Field("float64", "kg m^2/s^2", "sum of m v^2")]
 
 
 class DesiredAbstractState(NamedTuple):
-    """What the parent controller asks for: torque (N m), inertia (kg m^2), their rates and accelerations.
+    """What the parent controller asks for; what is no mean is the value at ``step``."""
 
-    The ``mean_*_rate`` fields are means over the coming control period, the others are values at ``step``.
-    """
-
-    stamp: int
-    step: int
-    mode: int
-    torque: float
-    inertia: float
-    torque_rate: float
-    inertia_rate: float
-    mean_torque_rate: float
-    mean_inertia_rate: float
-    torque_acceleration: float
-    inertia_acceleration: float
+    stamp: Stamp
+    step: StepNumber
+    mode: Annotated[int, Field("uint8", constants=Mode)]
+    torque: Annotated[float, Field("float64", "N m")]
+    inertia: Annotated[float, Field("float64", "kg m^2")]
+    torque_rate: Annotated[float, Field("float64", "N m/s")]
+    inertia_rate: Annotated[float, Field("float64", "kg m^2/s")]
+    mean_torque_rate: Annotated[float, Field("float64", "N m/s", "mean over the step")]
+    mean_inertia_rate: Annotated[float, Field("float64", "kg m^2/s", "mean over the step")]
+    torque_acceleration: Annotated[float, Field("float64", "N m/s^2", "mean over the step")]
+    inertia_acceleration: Annotated[float, Field("float64", "kg m^2/s^2")]
 
 
 class SwarmEvent(NamedTuple):
     """Something that happened: ``step`` is the first at which it holds, ``agent_id`` 0 if no robot did it."""
 
-    stamp: int
-    step: int
-    agent_id: int
-    kind: int
-    value: float
-    detail: str
+    stamp: Stamp
+    step: StepNumber
+    agent_id: Robot
+    kind: Annotated[int, Field("uint8", constants=EventKind)]
+    value: Annotated[float, Field("float64", "by kind")]
+    detail: Annotated[str, Field("string", "", "for people")]
 
 
 class RecordingProgress(NamedTuple):
     """Credit from the recorder: it and all before ``written_step`` are on disk (`NEVER`: nothing yet)."""
 
-    stamp: int
-    step: int
-    written_step: int
+    stamp: Stamp
+    step: StepNumber
+    written_step: EarlierStep
 
 
 class Broadcast(NamedTuple):
     """The three broadcasts of a step in one message, for robots that ask for them so."""
 
-    stamp: int
-    step: int
+    stamp: Stamp
+    step: StepNumber
     abstract: AbstractState
     auxiliary: AuxiliaryState
     desired: DesiredAbstractState
@@ -200,25 +226,25 @@ class Basis(NamedTuple):
     and ``standing`` which of these robots the observer took to stand still, since they were silent (1, else 0).
     """
 
-    stamp: int
-    step: int
-    since: int
-    begun: int
-    source: int
-    state_steps: tuple[int, ...]
-    agent_ids: tuple[int, ...]
-    standing: tuple[int, ...]
+    stamp: Stamp
+    step: StepNumber
+    since: EarlierStep
+    begun: EarlierStep
+    source: Annotated[int, Field("uint8", constants=Source)]
+    state_steps: Annotated[tuple[int, ...], Field("uint64[]", meaning="steps of the robots' states")]
+    agent_ids: Annotated[tuple[int, ...], Field("uint16[]", meaning="robots")]
+    standing: Annotated[tuple[int, ...], Field("uint8[]", meaning="1: taken to stand, else 0")]
 
 
 class Steering(NamedTuple):
     """What is changed from outside from a step on; ``request`` is the number of the request, 0 if nothing is."""
 
-    stamp: int
-    step: int
-    request: int
-    action: int
-    agent_id: int
-    value: float
+    stamp: Stamp
+    step: StepNumber
+    request: Annotated[int, Field("uint64", meaning="number of the request")]
+    action: Annotated[int, Field("uint8", constants=Action)]
+    agent_id: Robot
+    value: Annotated[float, Field("float64", "by action")]
 
 
 Message = (
@@ -248,18 +274,26 @@ class Topic:
     ros_type: str
 
 
-PLANE_STATE = Topic("plane/state", PlaneState, "swarmabs_msgs/msg/PlaneState")
-AGENT_STATE = Topic("swarm/agent_state", AgentState, "swarmabs_msgs/msg/AgentState")
-ABSTRACT_STATE = Topic("swarm/abstract_state", AbstractState, "swarmabs_msgs/msg/AbstractState")
-AUXILIARY_STATE = Topic("swarm/auxiliary_state", AuxiliaryState, "swarmabs_msgs/msg/AuxiliaryState")
-DESIRED_ABSTRACT_STATE = Topic(
-    "swarm/desired_abstract_state", DesiredAbstractState, "swarmabs_msgs/msg/DesiredAbstractState"
-)
-EVENTS = Topic("swarm/events", SwarmEvent, "swarmabs_msgs/msg/SwarmEvent")
-RECORDING_PROGRESS = Topic("recording/progress", RecordingProgress, "swarmabs_msgs/msg/RecordingProgress")
-BROADCAST = Topic("swarm/broadcast", Broadcast, "swarmabs_msgs/msg/Broadcast")
-BASIS = Topic("recording/basis", Basis, "swarmabs_msgs/msg/Basis")
-STEERING = Topic("swarm/steering", Steering, "swarmabs_msgs/msg/Steering")
+def fields_of(message: type[Message]) -> dict[str, Field | type[Message]]:
+    """Return how the fields of a message are declared, in order; of one that is a message itself its class."""
+    hints: dict[str, Any] = get_type_hints(message, include_extras=True)
+    return {name: getattr(hint, "__metadata__", (hint,))[0] for name, hint in hints.items()}
+
+
+def _topic(name: str, message: type[Message]) -> Topic:
+    return Topic(name, message, f"swarmabs_msgs/msg/{message.__name__}")
+
+
+PLANE_STATE = _topic("plane/state", PlaneState)
+AGENT_STATE = _topic("swarm/agent_state", AgentState)
+ABSTRACT_STATE = _topic("swarm/abstract_state", AbstractState)
+AUXILIARY_STATE = _topic("swarm/auxiliary_state", AuxiliaryState)
+DESIRED_ABSTRACT_STATE = _topic("swarm/desired_abstract_state", DesiredAbstractState)
+EVENTS = _topic("swarm/events", SwarmEvent)
+RECORDING_PROGRESS = _topic("recording/progress", RecordingProgress)
+BROADCAST = _topic("swarm/broadcast", Broadcast)
+BASIS = _topic("recording/basis", Basis)
+STEERING = _topic("swarm/steering", Steering)
 
 MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 """The five topics that make up a run, in the order in which a bag holds them within a step."""

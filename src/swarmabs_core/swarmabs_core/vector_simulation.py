@@ -16,13 +16,12 @@ from swarmabs_core import configure
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.behaviours import Controller
-from swarmabs_core.cdr import agent_id_of, encode
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, agent_id_of, encode
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.law_registry import PAPER
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
-    FRAME_ID,
     MAIN_TOPICS,
     NEVER,
     TOPIC_OF,
@@ -141,10 +140,8 @@ class _Swarm:
         self.rows = np.zeros(len(configs), dtype=_DIGESTED)
         self.rows["head"] = np.void(_HEAD)
         payload = self.rows["payload"]
-        payload["encapsulation"] = np.void(b"\0\1")
-        frame = FRAME_ID.encode() + b"\0"
-        payload["frame_length"] = len(frame)
-        payload["frame"] = np.void(frame)
+        payload["encapsulation"] = np.void(ENCAPSULATION)
+        payload["frame"] = np.void(FRAME)
         payload["agent_id"] = self.ids
         payload["kind"] = kinds
         payload["status"] = Status.ACTIVE

@@ -14,13 +14,11 @@ from swarmabs_bringup.bag.memory import available_memory
 from swarmabs_bringup.bag.reader import BagReader, open_bag
 from swarmabs_bringup.bag.realtime import is_realtime
 from swarmabs_core.arrays import LAYOUT, RunArrays, Tables, run_arrays, table
-from swarmabs_core.messages import AGENT_STATE, FRAME_ID, MAIN_TOPICS, Topic
+from swarmabs_core.cdr import ENCAPSULATION, FRAME
+from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, Topic
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-_FRAME = FRAME_ID.encode() + b"\0"
-_ENCAPSULATION = b"\0\1"
 
 _SPARSE = 50_000_000
 """Most entries of an array (steps, agents) beyond four times the number of messages."""
@@ -136,17 +134,11 @@ def _check_memory(bag: BagReader, every: int) -> None:
 
 
 def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void]) -> None:
-    expected = {
-        "encapsulation": np.void(_ENCAPSULATION),
-        "frame": np.void(_FRAME),
-        "frame_length": len(_FRAME),
-    }
-    for field, value in expected.items():
-        wrong = np.flatnonzero(table[field] != value)
+    for field, value in (("encapsulation", ENCAPSULATION), ("frame", FRAME)):
+        wrong = np.flatnonzero(table[field] != np.void(value))
         if len(wrong):
             raise DamagedBagError(
-                f"{bag.path}: /{topic.name}, message {wrong[0] + 1}: "
-                f"its {field.replace('_', ' ')} is not that of a swarm's message"
+                f"{bag.path}: /{topic.name}, message {wrong[0] + 1}: its {field} is not that of a swarm's message"
             )
     if np.any(table["step"] > np.iinfo(np.int64).max):
         raise DamagedBagError(f"{bag.path}: /{topic.name} has a step beyond 2^63")

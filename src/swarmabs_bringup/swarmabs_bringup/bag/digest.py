@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmabs_core.arrays import PADDING
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS
 from swarmabs_core.recording import digest_head
 
 if TYPE_CHECKING:
     from swarmabs_core.arrays import Tables
-
-
-_NOT_IN_IT = {"options"}
-"""Fields of a layout that are 0 in a canonical payload, besides padding."""
 
 
 def digest_of(tables: Tables) -> str:
@@ -32,7 +29,7 @@ def digest_of(tables: Tables) -> str:
         keys = (rows["agent_id"], rows["step"]) if topic is AGENT_STATE else (rows["step"],)
         rows = rows[np.lexsort(keys)]  # a copy
         for field in rows.dtype.names or ():
-            if field in _NOT_IN_IT or field.startswith("pad"):
+            if field.startswith(PADDING):
                 rows[field] = np.void(rows.dtype[field].itemsize)
         head = np.frombuffer(digest_head(topic, rows.dtype.itemsize), dtype=np.uint8)
         texts = np.empty((len(rows), len(head) + rows.dtype.itemsize), dtype=np.uint8)

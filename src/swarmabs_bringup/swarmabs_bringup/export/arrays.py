@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from swarmabs_bringup.bag.arrays import arrays_since
 from swarmabs_bringup.bag.attached import step_period
 from swarmabs_bringup.bag.memory import available_memory
 from swarmabs_bringup.export.columns import TABLES, time_of
+from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bringup.bag import BagReader
+    from swarmabs_core.arrays import RunArrays
 
 _EVENT_BYTES = 500
 """Memory that a decoded event takes, without a long text."""
@@ -31,9 +33,10 @@ _EVENT_BYTES = 500
 def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
     """Write the arrays of a bag (`load_arrays`) and its events into a new ``.npz`` file, whole or not at all.
 
-    Names are those of `RunArrays` joined by underscores, such as ``agents_position`` of shape (n+1, N); the fields of
-    the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape (E,), texts as
-    fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled. The file is returned.
+    Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape
+    (n+1, N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of
+    shape (E,), texts as fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled. Returned
+    is the file.
 
     Parameters
     ----------
@@ -57,7 +60,7 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
         raise InputError(f"{file} is there already; name another with -o, or remove it")
     bag = open_bag(path, namespace=namespace)
     run, start = arrays_since(bag, load_tables(bag))
-    arrays: dict[str, NDArray[Any]] = {**dict(_named(run, "")), **_events(bag, start)}
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(run)), **_events(bag, start)}
     units = {name: unit for name, unit in _units().items() if name in arrays}
     part = file.with_name(f".{file.name}.part")
     try:
@@ -72,14 +75,13 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     return file
 
 
-def _named(group: Any, prefix: str) -> Iterator[tuple[str, NDArray[Any]]]:
-    for field in fields(group):
-        value = getattr(group, field.name)
-        name = f"{prefix}{field.name}"
-        if is_dataclass(value):
-            yield from _named(value, f"{name}_")
+def _named(run: RunArrays) -> Iterator[tuple[str, NDArray[Any]]]:
+    for field in fields(run):
+        value = getattr(run, field.name)
+        if isinstance(value, MessageArrays):
+            yield from ((f"{field.name}_{name}", array) for name, array in value.items())
         else:
-            yield name, value
+            yield field.name, value
 
 
 def _events(bag: BagReader, start: float) -> dict[str, NDArray[Any]]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from swarmabs_bringup.bag.attached import attached_provenance, attached_scenario
 from swarmabs_bringup.bag.realtime import is_realtime, law_begins, realtime_figures
 from swarmabs_bringup.figures.runs import RecordedRun
 from swarmabs_core import configure
+from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, PLANE_STATE, Kind, PlaneState, SwarmEvent
 from swarmabs_core.recording import Metrics, Record, RecordedStep
 
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from swarmabs_core.scenario import Scenario
 
     Floats = NDArray[np.float64]
-
-Data = TypeVar("Data")
 
 _LONGEST_JSON = 2**20
 _DRAWABLE = 1e100
@@ -273,14 +272,18 @@ def _mapping(data: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _drawable(arrays: Data) -> Data:
+def _drawable(run: RunArrays) -> RunArrays:
     """Replace by NaN what no picture can show."""
-    changed: dict[str, Any] = {}
-    for field in fields(arrays):  # type: ignore[arg-type]
-        value = getattr(arrays, field.name)
-        if is_dataclass(value):
-            changed[field.name] = _drawable(value)
-        elif value.dtype.kind == "f":
-            with np.errstate(invalid="ignore"):
-                changed[field.name] = np.where(np.abs(value) < _DRAWABLE, value, np.nan)
-    return replace(arrays, **changed)  # type: ignore[type-var]
+    found = {field.name: getattr(run, field.name) for field in fields(run)}
+    groups = {name: value for name, value in found.items() if isinstance(value, MessageArrays)}
+    shown = {name: _finite(value) for name, value in found.items() if name not in groups}
+    for name, group in groups.items():
+        shown[name] = MessageArrays({field: _finite(column) for field, column in group.items()})
+    return replace(run, **shown)
+
+
+def _finite(column: Any) -> Any:
+    if column.dtype.kind != "f":
+        return column
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(column) < _DRAWABLE, column, np.nan)
