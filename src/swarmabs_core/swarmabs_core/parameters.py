@@ -18,6 +18,14 @@ Settings = Mapping[str, Value]
 """Values by parameter name."""
 
 
+class SettingError(InputError):
+    """Settings contradict each other; it names one of them, below the declaration that refuses, problem and remedy."""
+
+    def __init__(self, name: str, problem: str, remedy: str) -> None:
+        self.name, self.problem, self.remedy = name, problem, remedy
+        super().__init__(f"{name}: {problem}; {remedy}")
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One declared parameter; its type is that of its default.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import yaml
 from tests.swarmabs_bringup.fleet.fleets import EXAMPLES, ONE_HOST, edited
 
 from swarmabs_bringup.fleet.loader import json_schema, load_fleet
+from swarmabs_core.declaration import values_of
 from swarmabs_core.errors import InputError
+from swarmabs_core.realtime.topic_drive import SETTINGS, TopicSettings
 
 LAN = EXAMPLES["lan"].read_text(encoding="utf-8")
 
@@ -167,6 +170,56 @@ def test_a_field_is_named_as_it_is_in_the_file(case: str, tmp_path: Path) -> Non
     assert f": {field}" in text
     for internal in ("function-", "literal[", "[key]", "json", "+1 more", "check("):
         assert internal not in text, text
+
+
+SINGLE, DOUBLE = "drive: {type: simulated, position: 0.1}", "drive: {type: simulated, position: -0.1}"
+
+
+def drives(folder: Path, single: str = "", double: str = "") -> tuple[TopicSettings, TopicSettings]:
+    """Return the topic drives of a fleet of a single and a double integrator, each with further settings."""
+    changes = ((SINGLE, f"drive: {{type: topic{single}}}"), (DOUBLE, f"drive: {{type: topic{double}}}"))
+    loaded = load_fleet(edited(folder / "fleet.yaml", ONE_HOST, *changes))
+    (folder / "again.yaml").write_text(loaded.fleet_text, encoding="utf-8")
+    (folder / "scenario.yaml").write_text(loaded.scenario_text, encoding="utf-8")
+    assert load_fleet(folder / "again.yaml").fleet.robots == loaded.fleet.robots
+    first, second = (robot.drive for robot in loaded.fleet.members)
+    assert isinstance(first, TopicSettings)
+    assert isinstance(second, TopicSettings)
+    return first, second
+
+
+def test_a_drive_has_the_same_settings_and_defaults_in_the_fleet_file_as_in_the_node(tmp_path: Path) -> None:
+    _, double = drives(tmp_path)
+    assert values_of(double) == {parameter.name: parameter.default for parameter in SETTINGS}
+
+
+def test_the_weight_of_a_double_integrator_is_balanced_unless_it_is_said(tmp_path: Path) -> None:
+    assert [drive.gravity for drive in drives(tmp_path)] == ["none", "imu"]
+    assert [drive.gravity for drive in drives(tmp_path, ", gravity: none", ", gravity: none")] == ["none", "none"]
+
+
+def test_bounds_of_what_is_believed_reach_the_node(tmp_path: Path) -> None:
+    more = ", bandwidth: 40, max_jump: 0.02, age_limit: 0.2, imu: {max_rate: 3, max_jump: 0.1}"
+    _, double = drives(tmp_path, double=more)
+    assert (double.bandwidth, double.max_jump, double.age_limit) == (40.0, 0.02, 0.2)
+    assert (double.imu.max_rate, double.imu.max_jump) == (3.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("old", "drive", "error"),
+    [
+        (SINGLE, "gravity: imu", "robots.0.drive: gravity does not act on a single integrator; remove 'gravity: imu'"),
+        (SINGLE, "command: joint", "robots.0.drive.joint.name: there is none; give the name of the joint"),
+        (SINGLE, "joint: {scale: 0.0}", "robots.0.drive.joint.scale: 0 is not allowed; give m or m/rad"),
+        (SINGLE, "reversed: true", "robots.0.drive.reversed: the orientation in an odometry says which way"),
+        (DOUBLE, "max_jmp: 1", "robots.1.drive.max_jmp: unknown key 'max_jmp'; did you mean 'max_jump'?"),
+        (DOUBLE, "age_limit: 0", "robots.1.drive.age_limit: 0 is out of range; give a number > 0"),
+    ],
+)
+def test_settings_of_a_drive_are_checked(old: str, drive: str, error: str, tmp_path: Path) -> None:
+    path = edited(tmp_path / "bad.yaml", ONE_HOST, (old, f"drive: {{type: topic, {drive}}}"))
+    with pytest.raises(InputError, match=re.escape(f": {error}")):
+        load_fleet(path)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import ipaddress
-import re
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import AfterValidator
 
 from swarmabs_core.scenario.errors import show
 from swarmabs_core.scenario.fields import problem
+from swarmabs_core.scenario.texts import WORD, matching
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 LONGEST = 32
 """Of names of fleets and hosts, which become parts of names of units and folders."""
-
-
-def _matching(pattern: str, what: str, remedy: str, longest: int = 255) -> AfterValidator:
-    expression = re.compile(pattern)
-
-    def check(text: str) -> str:
-        if not expression.fullmatch(text) or len(text) > longest:
-            raise problem(f"{show(text)} is no {what}", remedy)
-        return text
-
-    return AfterValidator(check)
 
 
 def _address(*, loopback: bool) -> Callable[[str], str]:
@@ -60,7 +49,7 @@ def _network(text: str) -> str:
 
 Name: TypeAlias = Annotated[
     str,
-    _matching(
+    matching(
         r"[A-Za-z0-9][A-Za-z0-9_-]*",
         "name for folders and units",
         f"use 1 to {LONGEST} letters, digits, - and _, first a letter or a digit",
@@ -75,20 +64,20 @@ Network: TypeAlias = Annotated[str, AfterValidator(_network)]
 
 Interface: TypeAlias = Annotated[
     str,
-    _matching(
+    matching(
         r"[A-Za-z0-9][A-Za-z0-9_.-]*", "name of a network interface", "write e.g. eth0; see 'ip link' on the host", 15
     ),
 ]
 
 Account: TypeAlias = Annotated[
     str,
-    _matching(r"[a-z_][a-z0-9_-]*", "name of an account", "use small letters, digits, - and _", 31),
+    matching(r"[a-z_][a-z0-9_-]*", "name of an account", "use small letters, digits, - and _", 31),
     AfterValidator(_not_root),
 ]
 
 FolderPath: TypeAlias = Annotated[
     str,
-    _matching(
+    matching(
         r"(?!.*/\.{1,2}(/|$))(/[A-Za-z0-9._-]+)+",
         "absolute path",
         "write e.g. /opt/swarmabs; letters, digits, '.', '-' and '_', without '..'",
@@ -96,24 +85,16 @@ FolderPath: TypeAlias = Annotated[
 ]
 """An absolute path that needs no quotes anywhere; never the root."""
 
-_WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 Namespace: TypeAlias = Annotated[
-    str, _matching(rf"/|(/{_WORD})+", "ROS namespace", "write / or e.g. /hall_a; letters, digits and _")
-]
-TopicName: TypeAlias = Annotated[
-    str, _matching(rf"(/?{_WORD}(/{_WORD})*)?", "name of a topic", "write e.g. /odom; letters, digits, _ and /")
-]
-"""A topic, or nothing for one below the node's own name."""
-FrameName: TypeAlias = Annotated[
-    str, _matching(r"[A-Za-z0-9_./-]*", "name of a frame or joint", "use letters, digits, '_', '.', '-' and '/'")
+    str, matching(rf"/|(/{WORD})+", "ROS namespace", "write / or e.g. /hall_a; letters, digits and _")
 ]
 PluginName: TypeAlias = Annotated[
     str,
-    _matching(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", "name of an entry point", "use letters, digits, '_', '.' and '-'", 80),
+    matching(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", "name of an entry point", "use letters, digits, '_', '.' and '-'", 80),
 ]
 SettingName: TypeAlias = Annotated[
     str,
-    _matching(rf"{_WORD}(\.{_WORD})*", "name of a setting", "use letters, digits and _; dots nest", 80),
+    matching(rf"{WORD}(\.{WORD})*", "name of a setting", "use letters, digits and _; dots nest", 80),
 ]
 
 

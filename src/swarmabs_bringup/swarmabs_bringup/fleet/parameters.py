@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER
-from swarmabs_bringup.fleet.robots import PluginDrive, SimulatedDrive, TopicDrive
+from swarmabs_bringup.fleet.robots import PluginDrive, SimulatedDrive
 from swarmabs_bringup.orchestration.plan import (
     CONTROLLER,
     OBSERVER,
@@ -15,6 +15,8 @@ from swarmabs_bringup.orchestration.plan import (
     plane_parameters,
 )
 from swarmabs_core import configure
+from swarmabs_core.declaration import values_of
+from swarmabs_core.realtime.topic_drive import TopicSettings
 from swarmabs_core.scenario.dump import dump_tree
 
 if TYPE_CHECKING:
@@ -161,19 +163,12 @@ def _robot(fleet: Fleet, scenario: Scenario, robot: Robot) -> Parameters:
     return values | _drive(robot)
 
 
-def _flat(name: str, value: object) -> Parameters:
-    """Return nested values by dotted names."""
-    if not isinstance(value, dict):
-        return {name: value}
-    return {path: inner for key, item in value.items() for path, inner in _flat(f"{name}.{key}", item).items()}
-
-
 def _drive(robot: Robot) -> Parameters:
     drive = robot.drive
     if isinstance(drive, SimulatedDrive):
         return {"drive.type": drive.type, "position": drive.position, "velocity": drive.velocity}
-    if isinstance(drive, TopicDrive):
-        return _flat("drive", drive.model_dump(mode="json"))
+    if isinstance(drive, TopicSettings):
+        return {"drive.type": drive.type, **values_of(drive, "drive.")}
     assert isinstance(drive, PluginDrive)  # noqa: S101 - there are three
     own: Parameters = {f"drive.{name}": value for name, value in drive.settings.items()}
     return {"drive.type": drive.name} | own

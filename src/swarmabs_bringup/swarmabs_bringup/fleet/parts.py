@@ -10,17 +10,17 @@ from swarmabs_bringup.fleet.names import (
     Account,
     Address,
     FolderPath,
-    FrameName,
     Interface,
     Name,
     Network,
-    TopicName,
     TunnelAddress,
 )
-from swarmabs_bringup.fleet.robots import Axis, Stamp
 from swarmabs_bringup.orchestration.domain import LARGEST_DOMAIN
 from swarmabs_core.scenario.fields import AsTuple, Model, Number, Positive, Tagged, problem
+from swarmabs_core.scenario.texts import FrameName, TopicName
 
+Axis: TypeAlias = Literal["+x", "+y", "+z", "-x", "-y", "-z"]
+Stamp: TypeAlias = Literal["header", "arrival"]
 Ros: TypeAlias = Literal["wheels", "sourced"]
 
 

@@ -10,7 +10,6 @@ from swarmabs_bringup.fleet.environment import tool_enclave
 from swarmabs_bringup.fleet.names import path_of
 from swarmabs_bringup.fleet.participants import DISCOVERY, PLANE_DRIVER, node_plans, nodes_on
 from swarmabs_bringup.fleet.profile import profile_roles
-from swarmabs_bringup.fleet.robots import TopicDrive
 from swarmabs_bringup.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -24,6 +23,7 @@ from swarmabs_core.messages import (
     PLANE_STATE,
     Topic,
 )
+from swarmabs_core.realtime.topic_drive import TopicSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -199,7 +199,7 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
     plane = fleet.coordinators.plane
     if node.name == PLANE_DRIVER and plane.type == "driver":
         return [_topic(fleet.namespace, plane.topic or f"{own}/{_MEASURED[plane.source]}")], []
-    if node.robot is None or not isinstance(node.robot.drive, TopicDrive):
+    if node.robot is None or not isinstance(node.robot.drive, TopicSettings):
         return [], []
     drive = node.robot.drive
     measured = [drive.topic or f"{own}/{_MEASURED[drive.source]}"]

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_bringup.fleet.participants import DISCOVERY_SERVER, DRIVERS, OPERATOR, node_plans
-from swarmabs_bringup.fleet.robots import TopicDrive
 from swarmabs_bringup.orchestration.dds_profile import FROM_ENVIRONMENT, REALTIME_LEASE
 from swarmabs_bringup.orchestration.dds_template import SIMPLE, Discovery, locator, render, unicast_locators
 from swarmabs_bringup.orchestration.domain import metatraffic_port
+from swarmabs_core.realtime.topic_drive import TopicSettings
 
 if TYPE_CHECKING:
     from swarmabs_bringup.fleet.model import Fleet
@@ -27,7 +27,7 @@ def profile_roles(fleet: Fleet, host: str) -> tuple[str, ...]:
     """Return the names of the profiles that a host needs: those of its nodes, of drivers and of an operator's tools."""
     nodes = [node for node in node_plans(fleet) if node.host == host]
     roles = {str(node.role) for node in nodes}
-    if any(node.robot and isinstance(node.robot.drive, TopicDrive) for node in nodes):
+    if any(node.robot and isinstance(node.robot.drive, TopicSettings) for node in nodes):
         roles.add("driver")
     plane = fleet.coordinators.plane
     if plane.type == "driver" and plane.host == host:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import Field, JsonValue, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from swarmabs_bringup.fleet.names import FrameName, Name, PluginName, SettingName, TopicName
+from swarmabs_bringup.fleet.names import Name, PluginName, SettingName
+from swarmabs_core.realtime.topic_drive import TopicSettings
 from swarmabs_core.scenario.agents import AgentId
+from swarmabs_core.scenario.declared import model_of
 from swarmabs_core.scenario.errors import describe
 from swarmabs_core.scenario.fields import LARGEST, Model, NonNegative, Number, Positive, Tagged, problem
-
-Axis: TypeAlias = Literal["+x", "+y", "+z", "-x", "-y", "-z"]
-Stamp: TypeAlias = Literal["header", "arrival"]
 
 
 class SimulatedDrive(Model):
@@ -22,69 +22,6 @@ class SimulatedDrive(Model):
     type: Literal["simulated"] = Field(default="simulated", description="the body is computed")
     position: Number = Field(description="initial position on the plane, 0 at the axis, m")
     velocity: Number = Field(default=0.0, description="initial velocity of a double integrator, m/s")
-
-
-class TopicJoint(Model):
-    """The joint of a JointState that moves the body."""
-
-    name: FrameName = Field(default="", description="name of the joint; needed with joint_state")
-    scale: Number = Field(default=1.0, description="motion of the body per unit of the joint, m or m/rad, not 0")
-
-
-class TopicImu(Model):
-    """The robot's own IMU, by which a double integrator knows its weight along the plane."""
-
-    topic: TopicName = Field(default="", description="topic of sensor_msgs/Imu; '': ~/imu")
-    frame: FrameName = Field(default="imu_link", description="frame_id that it must have; '': any")
-    axis: Axis = Field(default="-y", description="axis of the IMU about which the robot's nose rises")
-    offset: Number = Field(default=0.0, description="angle by which the nose is up where the IMU says 0, rad")
-
-
-class TopicDrive(Model):
-    """A body that other ROS nodes of the robot move: its motion and the command are topics."""
-
-    type: Literal["topic"] = Field(default="topic", description="the body is moved by other ROS nodes")
-    source: Literal["odometry", "joint_state"] = Field(
-        default="odometry", description="message of position and velocity: nav_msgs/Odometry or sensor_msgs/JointState"
-    )
-    topic: TopicName = Field(default="", description="its topic; '': ~/odom or ~/joint_states")
-    command: Literal["auto", "twist", "force", "joint"] = Field(
-        default="auto", description="message of the command; auto: twist (velocity) or force, by the robot's kind"
-    )
-    command_topic: TopicName = Field(
-        default="", description="topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command"
-    )
-    command_frame: FrameName = Field(default="base_link", description="frame_id of a twist")
-    stamp: Stamp = Field(default="header", description="time of a reading: its header's, or that of its arrival")
-    frame: FrameName = Field(default="odom", description="frame_id that an odometry must have; '': any")
-    axis: Axis = Field(default="+x", description="axis of that frame along which positions grow")
-    offset: Number = Field(default=0.0, description="position at which the sensor says 0, m")
-    heading_tolerance: Annotated[Positive, Field(le=1.5)] = Field(
-        default=0.5, description="largest angle between the body's x axis and the lane, rad"
-    )
-    joint: TopicJoint = Field(default=TopicJoint(), description="the joint, with joint_state")
-    reversed: bool = Field(default=False, description="with joint_state: whether the body faces against the lane")
-    max_speed: Positive = Field(default=2.0, description="largest speed that is believed, m/s")
-    gravity: Literal["imu", "none"] = Field(
-        default="none", description="what a double integrator's weight along the plane is known from"
-    )
-    imu: TopicImu = Field(default=TopicImu(), description="the IMU, with gravity: imu")
-
-    @model_validator(mode="after")
-    def _check_joint(self) -> TopicDrive:
-        if "joint" in {self.command, self.source.removesuffix("_state")} and not self.joint.name:
-            raise problem("there is no name of the joint", "add 'joint: {name: ...}'")
-        if self.joint.scale == 0.0:
-            raise problem("joint.scale is 0", "give m or m/rad; negative: against the body")
-        return self
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """The topics with a name of their own, by what they are; others are private ones of the robot's node."""
-        named = {"measurement": self.topic, "command": self.command_topic}
-        if self.gravity == "imu":
-            named["imu"] = self.imu.topic
-        return {what: topic for what, topic in named.items() if topic}
 
 
 class PluginDrive(Model):
@@ -118,8 +55,12 @@ class PluginDrive(Model):
         return settings
 
 
-Drive: TypeAlias = SimulatedDrive | TopicDrive | PluginDrive
-DRIVES: dict[str, type[Model]] = {"simulated": SimulatedDrive, "topic": TopicDrive, "plugin": PluginDrive}
+Drive: TypeAlias = SimulatedDrive | TopicSettings | PluginDrive
+DRIVES: dict[str, type[Model]] = {
+    "simulated": SimulatedDrive,
+    "topic": model_of(TopicSettings, tag="type"),
+    "plugin": PluginDrive,
+}
 
 
 class RobotLimits(Model):
@@ -147,6 +88,16 @@ class SingleIntegratorRobot(Model):
 
     damping: ClassVar[float] = 0.0
 
+    @field_validator("drive", mode="before")
+    @classmethod
+    def _check_weight(cls, drive: object) -> object:
+        """Ask for no IMU where there is no weight to hold: a single integrator's base holds it itself."""
+        if not isinstance(drive, Mapping) or drive.get("type") != TopicSettings.type:
+            return drive
+        if drive.get("gravity") == "imu":
+            raise problem("gravity does not act on a single integrator", "remove 'gravity: imu'")
+        return {**drive, "gravity": drive.get("gravity", "none")}
+
     @classmethod
     def unknown_key(cls, key: str) -> PydanticCustomError:
         """Explain which kind of robot has the key."""
@@ -160,8 +111,6 @@ class SingleIntegratorRobot(Model):
             raise problem("a single integrator starts at velocity 0", "remove the drive's velocity")
         if self.limits.force is not None:
             raise problem("a single integrator has no force to limit", "remove limits.force")
-        if isinstance(self.drive, TopicDrive) and self.drive.gravity == "imu":
-            raise problem("gravity does not act on a single integrator", "remove 'gravity: imu'")
         return self
 
 

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
+from swarmabs_core.declaration import made_of
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter, Settings
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.drives import Drive, SimulatedDrive
-from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive
+from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive, TopicSettings
 from swarmabs_core.registry import Registry
 from swarmabs_core.robot_controller import Limits
 
@@ -91,7 +92,12 @@ def _simulated(settings: Settings, body: Body) -> Drive:  # noqa: ARG001 - it ha
 SIMULATED = DriveType("simulated", (), _simulated)
 """A body that moves exactly as the law expects."""
 
-TOPIC = DriveType("topic", SETTINGS, TopicDrive)
+
+def _topic(settings: Settings, body: Body) -> Drive:
+    return TopicDrive(made_of(TopicSettings, settings), body)
+
+
+TOPIC = DriveType("topic", SETTINGS, _topic)
 """A base behind ROS topics."""
 
 DRIVES: Mapping[str, DriveType] = {entry.name: entry for entry in (SIMULATED, TOPIC)}

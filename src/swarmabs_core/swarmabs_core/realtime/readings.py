@@ -15,6 +15,9 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 """Names of signed axes; the sign is always there, since YAML, and so ROS, takes a bare y for yes."""
 
+STAMPS = ("header", "arrival")
+"""What the time of a reading may be: its header's, or that of its arrival."""
+
 UNIT_TOLERANCE = 0.01
 """By how much the norm of a quaternion may differ from 1."""
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import copysign, cos, sin
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
+from swarmabs_core.declaration import parameters_of, part, setting
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
-from swarmabs_core.parameters import Parameter
+from swarmabs_core.parameters import SettingError
 from swarmabs_core.realtime.drives import Measurement
 from swarmabs_core.realtime.readings import (
     AXES,
+    STAMPS,
     Imu,
     Joints,
     Odometry,
@@ -34,47 +36,89 @@ from swarmabs_core.realtime.readings import (
 from swarmabs_core.realtime.tracking import Plausible, RefusedReadings, Track
 
 if TYPE_CHECKING:
-    from swarmabs_core.parameters import Settings
     from swarmabs_core.realtime.drive_registry import Body
 
-SETTINGS = (
-    Parameter("source", "odometry", "what says where the robot is", choices=("odometry", "joint_state")),
-    Parameter("topic", "", "topic of nav_msgs/Odometry or sensor_msgs/JointState; '': ~/odom or ~/joint_states"),
-    Parameter(
-        "command",
-        "auto",
-        "type of the command; auto: twist (SI), force (DI)",
-        choices=("auto", "twist", "force", "joint"),
-    ),
-    Parameter("command_topic", "", "topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command"),
-    Parameter("command_frame", "base_link", "frame_id of a twist"),
-    Parameter(
-        "stamp", "header", "time of a reading: its header's, or that of its arrival", choices=("header", "arrival")
-    ),
-    Parameter("frame", "odom", "frame_id that an odometry must have; '': any"),
-    Parameter("axis", "+x", "axis of that frame along which positions grow", choices=AXES),
-    Parameter("offset", 0.0, "position at which the sensor says 0, m"),
-    Parameter(
-        "heading_tolerance", 0.5, "largest angle between the body's x axis and the lane, rad", above=0.0, maximum=1.5
-    ),
-    Parameter("joint.name", "", "name of the joint; needed with joint_state and joint"),
-    Parameter("joint.scale", 1.0, "forward motion of the body per unit of the joint, m or m/rad, not 0"),
-    Parameter("reversed", default=False, description="with joint_state: whether the body faces against the lane"),
-    Parameter("bandwidth", 100.0, "bandwidth of differentiation where a joint has no velocity, rad/s", above=0.0),
-    Parameter("max_speed", 2.0, "largest speed that is believed, m/s", above=0.0),
-    Parameter("max_jump", 0.01, "distance beyond it by which two readings may differ, m", minimum=0.0),
-    Parameter("clock_tolerance", 0.02, "how far a reading may come from the future, s", minimum=0.0),
-    Parameter("age_limit", 0.1, "age of readings from which on a double integrator is told nothing, s", above=0.0),
-    Parameter(
-        "gravity", "imu", "what a double integrator's weight along the plane is known from", choices=("imu", "none")
-    ),
-    Parameter("imu.topic", "", "topic of sensor_msgs/Imu; '': ~/imu"),
-    Parameter("imu.frame", "imu_link", "frame_id that it must have; '': any"),
-    Parameter("imu.axis", "-y", "axis of the IMU about which the robot's nose rises", choices=AXES),
-    Parameter("imu.offset", 0.0, "angle by which the nose is up where the IMU says 0, rad"),
-    Parameter("imu.max_rate", 5.0, "largest rate of tilting that is believed, rad/s", above=0.0),
-    Parameter("imu.max_jump", 0.05, "angle beyond it by which two readings may differ, rad", minimum=0.0),
-)
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """The joint of a JointState that moves the body."""
+
+    name: str = setting("", "name of the joint; needed with joint_state and joint", names="frame")
+    scale: float = setting(1.0, "forward motion of the body per unit of the joint, m or m/rad, not 0")
+
+
+@dataclass(frozen=True, slots=True)
+class TiltSensor:
+    """The robot's own IMU, by which a double integrator knows its weight along the plane."""
+
+    topic: str = setting("", "topic of sensor_msgs/Imu; '': ~/imu", names="topic")
+    frame: str = setting("imu_link", "frame_id that it must have; '': any", names="frame")
+    axis: str = setting("-y", "axis of the IMU about which the robot's nose rises", choices=AXES)
+    offset: float = setting(0.0, "angle by which the nose is up where the IMU says 0, rad")
+    max_rate: float = setting(5.0, "largest rate of tilting that is believed, rad/s", above=0.0)
+    max_jump: float = setting(0.05, "angle beyond it by which two readings may differ, rad", minimum=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSettings:
+    """A body that other ROS nodes of the robot move: its motion and the command are topics."""
+
+    type: ClassVar[str] = "topic"
+
+    source: str = setting("odometry", "what says where the robot is", choices=("odometry", "joint_state"))
+    topic: str = setting(
+        "", "topic of nav_msgs/Odometry or sensor_msgs/JointState; '': ~/odom or ~/joint_states", names="topic"
+    )
+    command: str = setting(
+        "auto", "type of the command; auto: twist (SI), force (DI)", choices=("auto", "twist", "force", "joint")
+    )
+    command_topic: str = setting("", "topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command", names="topic")
+    command_frame: str = setting("base_link", "frame_id of a twist", names="frame")
+    stamp: str = setting("header", "time of a reading: its header's, or that of its arrival", choices=STAMPS)
+    frame: str = setting("odom", "frame_id that an odometry must have; '': any", names="frame")
+    axis: str = setting("+x", "axis of that frame along which positions grow", choices=AXES)
+    offset: float = setting(0.0, "position at which the sensor says 0, m")
+    heading_tolerance: float = setting(
+        0.5, "largest angle between the body's x axis and the lane, rad", above=0.0, maximum=1.5
+    )
+    joint: Joint = part(Joint, "the joint, with joint_state or a command by joint")
+    reversed: bool = setting(default=False, description="with joint_state: whether the body faces against the lane")
+    bandwidth: float = setting(100.0, "bandwidth of differentiation where a joint has no velocity, rad/s", above=0.0)
+    max_speed: float = setting(2.0, "largest speed that is believed, m/s", above=0.0)
+    max_jump: float = setting(0.01, "distance beyond it by which two readings may differ, m", minimum=0.0)
+    clock_tolerance: float = setting(0.02, "how far a reading may come from the future, s", minimum=0.0)
+    age_limit: float = setting(0.1, "age of readings from which on a double integrator is told nothing, s", above=0.0)
+    gravity: str = setting(
+        "imu", "what a double integrator's weight along the plane is known from", choices=("imu", "none")
+    )
+    imu: TiltSensor = part(TiltSensor, "the IMU, with gravity: imu")
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """The topics with a name of their own, by what they are; others are private ones of the robot's node."""
+        named = {"measurement": self.topic, "command": self.command_topic}
+        if self.gravity == "imu":
+            named["imu"] = self.imu.topic
+        return {what: topic for what, topic in named.items() if topic}
+
+    def __post_init__(self) -> None:
+        """Refuse settings that contradict each other.
+
+        Raises
+        ------
+        SettingError
+            Naming one of them.
+        """
+        if not self.joint.name and "joint" in {self.source.removesuffix("_state"), self.command}:
+            raise SettingError("joint.name", "there is none", "give the name of the joint")
+        if self.joint.scale == 0.0:
+            raise SettingError("joint.scale", "0 is not allowed", "give m or m/rad; negative: against the body")
+        if self.reversed and self.source == "odometry":
+            problem = "the orientation in an odometry says which way the body faces"
+            raise SettingError("reversed", problem, "leave it out")
+
+
+SETTINGS = parameters_of(TopicSettings)
 """Settings of the drive, ``drive.*`` of a robot's node."""
 
 
@@ -136,8 +180,8 @@ class TopicDrive:
 
     Parameters
     ----------
-    settings : Settings
-        By `SETTINGS`, checked.
+    settings : TopicSettings
+        Settings.
     body : Body
         The robot.
 
@@ -152,37 +196,31 @@ class TopicDrive:
         If settings contradict each other, or there is nothing to connect to.
     """
 
-    def __init__(self, settings: Settings, body: Body) -> None:
-        def text(name: str) -> str:
-            return cast("str", settings[name])
-
-        def number(name: str) -> float:
-            return cast("float", settings[name])
-
+    def __init__(self, settings: TopicSettings, body: Body) -> None:
         single = body.kind is Kind.SINGLE_INTEGRATOR
         wiring = _wiring(settings, single_integrator=single)
-        axis, sign = signed_axis(text("axis"))
+        axis, sign = signed_axis(settings.axis)
         self._lane = _Lane(
-            text("frame"),
+            settings.frame,
             axis,
             sign,
-            number("offset"),
-            cos(number("heading_tolerance")),
+            settings.offset,
+            cos(settings.heading_tolerance),
             wiring.joint,
-            number("joint.scale"),
+            settings.joint.scale,
         )
-        tolerance = round(number("clock_tolerance") * 1e9)
-        bandwidth = number("bandwidth")
-        self._track = Track(Plausible(number("max_speed"), number("max_jump"), tolerance), bandwidth)
+        tolerance = round(settings.clock_tolerance * 1e9)
+        bandwidth = settings.bandwidth
+        self._track = Track(Plausible(settings.max_speed, settings.max_jump, tolerance), bandwidth)
         self._to_joint = wiring.command == "joint"
         self._single = single
-        self._facing = -1.0 if settings["reversed"] else 1.0
+        self._facing = -1.0 if settings.reversed else 1.0
         self._faced: int | None = None
         self._weighs = bool(wiring.imu_topic)
-        self._tilt = Track(Plausible(number("imu.max_rate"), number("imu.max_jump"), tolerance), bandwidth)
-        self._imu_frame, self._imu_offset = text("imu.frame"), number("imu.offset")
-        self._imu_axis, self._imu_sign = signed_axis(text("imu.axis"))
-        self._age_limit = round(number("age_limit") * 1e9)
+        self._tilt = Track(Plausible(settings.imu.max_rate, settings.imu.max_jump, tolerance), bandwidth)
+        self._imu_frame, self._imu_offset = settings.imu.frame, settings.imu.offset
+        self._imu_axis, self._imu_sign = signed_axis(settings.imu.axis)
+        self._age_limit = round(settings.age_limit * 1e9)
         self._mass, self._gravity, self._force = body.mass, body.gravity, body.limits.force
         self.refused = RefusedReadings()
         if body.connect is None:
@@ -307,31 +345,25 @@ def imu_values(reading: Imu, axis: int, sign: float) -> tuple[float, float]:
     return sign * tilt(normalised(reading.rotation), axis), sign * reading.angular_velocity[axis]
 
 
-def _wiring(settings: Settings, *, single_integrator: bool) -> Wiring:
-    source, command, joint = str(settings["source"]), str(settings["command"]), str(settings["joint.name"])
+def _wiring(settings: TopicSettings, *, single_integrator: bool) -> Wiring:
+    source, command, joint = settings.source, settings.command, settings.joint.name
     if command == "auto":
         command = "twist" if single_integrator else "force"
     if command == "twist" and not single_integrator:
         raise InputError(
             "drive.command: a twist is a velocity, and a double integrator is driven by force; use force or joint"
         )
-    if not joint and "joint" in {source.removesuffix("_state"), command}:
-        raise InputError("drive.joint.name: give the name of the joint")
-    if settings["reversed"] and source == "odometry":
-        raise InputError("drive.reversed: the orientation in an odometry says which way the body faces; leave it out")
-    if settings["joint.scale"] == 0.0:
-        raise InputError("drive.joint.scale: 0 is not allowed; give the forward motion per unit of the joint")
     topics = {"odometry": "~/odom", "joint_state": "~/joint_states"}
     commands = {"twist": "~/cmd_vel", "force": "~/force", "joint": "~/joint_command"}
-    weighs = not single_integrator and settings["gravity"] == "imu"
+    weighs = not single_integrator and settings.gravity == "imu"
     return Wiring(
         source=source,
-        topic=str(settings["topic"]) or topics[source],
-        imu_topic=(str(settings["imu.topic"]) or "~/imu") if weighs else "",
+        topic=settings.topic or topics[source],
+        imu_topic=(settings.imu.topic or "~/imu") if weighs else "",
         command=command,
-        command_topic=str(settings["command_topic"]) or commands[command],
-        command_frame=str(settings["command_frame"]),
+        command_topic=settings.command_topic or commands[command],
+        command_frame=settings.command_frame,
         joint=joint,
         single_integrator=single_integrator,
-        arrival=settings["stamp"] == "arrival",
+        arrival=settings.stamp == "arrival",
     )

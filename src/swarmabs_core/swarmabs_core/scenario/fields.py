@@ -1,7 +1,7 @@
 """What all scenario models are built of: the strict base model, bounded numbers, lists and tagged choices."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from difflib import get_close_matches
 from typing import Annotated, TypeAlias
 
@@ -19,6 +19,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from swarmabs_core.declaration import tree_of
 from swarmabs_core.registry import PluginError
 
 from .errors import describe, shorten, show
@@ -77,6 +78,10 @@ class Model(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
+    def made(self) -> object:
+        """Return what this model stands for: itself, if it is not derived from a declaration."""
+        return self
+
     @classmethod
     def key_names(cls) -> list[str]:
         """Return the keys as written in a scenario file."""
@@ -111,7 +116,8 @@ class Model(BaseModel):
         return {key: value for key, value in data.items() if key in known}
 
 
-def _not_tiny(value: float) -> float:
+def not_tiny(value: float) -> float:
+    """Refuse a positive number that is next to nothing."""
     if value < SMALLEST:
         raise problem(f"{value!r} is too small", f"give a number of at least {SMALLEST}")
     return value
@@ -126,7 +132,7 @@ WithoutNegativeZero = AfterValidator(_without_negative_zero)
 
 Number: TypeAlias = Annotated[float, Field(ge=-LARGEST, le=LARGEST), WithoutNegativeZero]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=LARGEST), WithoutNegativeZero]
-Positive: TypeAlias = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_not_tiny)]
+Positive: TypeAlias = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(not_tiny)]
 
 
 def as_tuple(length: int | None) -> Callable[[object], object]:
@@ -161,7 +167,8 @@ class Tagged:
     tag : str
         Name of the tag key.
     registry : mapping of str to type of Model
-        The model of each value of the tag; instances of these models are taken as they are.
+        The model of each value of the tag; instances of these models are taken as they are. In the place of a model
+        that is derived from a declaration there is then the declaration's instance.
     default : str, optional
         Value of the tag when the key is left out; without it the key is required.
     """
@@ -170,8 +177,10 @@ class Tagged:
     registry: Mapping[str, type[Model]]
     default: str | None = None
 
-    def validate(self, value: object) -> Model:
-        """Return the registered model that `value` describes."""
+    def validate(self, value: object) -> object:
+        """Return what the registered model that `value` describes stands for."""
+        if is_dataclass(value):
+            value = self._tree(value)
         if isinstance(value, Model):
             model = self._find(getattr(value, self.tag, None))
             if model is not None and isinstance(value, model):
@@ -184,7 +193,7 @@ class Tagged:
         name = value.get(self.tag, self.default)
         model = self._find(name)
         if model is not None:
-            return model.model_validate(value)
+            return model.model_validate(value).made()
         known = list(self.registry)
         if name is None and self.tag not in value:
             raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known)}")
@@ -201,7 +210,16 @@ class Tagged:
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate by the registry and serialise by the model found."""
-        return core_schema.no_info_before_validator_function(self.validate, core_schema.any_schema())
+        shown = core_schema.wrap_serializer_function_ser_schema(
+            lambda value, handle: self._tree(value) if is_dataclass(value) else handle(value),
+            schema=core_schema.any_schema(),
+        )
+        return core_schema.no_info_before_validator_function(
+            self.validate, core_schema.any_schema(), serialization=shown
+        )
+
+    def _tree(self, value: object) -> dict[str, object]:
+        return {self.tag: getattr(value, self.tag), **tree_of(value)}
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Offer every registered model; the tag is required unless it is the default."""

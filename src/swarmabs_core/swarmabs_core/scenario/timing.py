@@ -39,5 +39,6 @@ def _whole_nanoseconds(seconds: float) -> float:
     return seconds
 
 
-Duration: TypeAlias = Annotated[float, Field(gt=0, le=LONGEST), AfterValidator(_whole_nanoseconds)]
+WholeNanoseconds = AfterValidator(_whole_nanoseconds)
+Duration: TypeAlias = Annotated[float, Field(gt=0, le=LONGEST), WholeNanoseconds]
 """A positive time in s that is a whole number of nanoseconds."""

@@ -1,0 +1,349 @@
+"""Declarations: frozen dataclasses whose fields say default, bounds, unit and meaning, each once.
+
+A field is a `setting`, a `part`, which is a declaration itself, or a `choice` among the parts of a registry. From a
+declaration follow the parameters of a node (`parameters_of`), the values of these (`values_of`) and the way back
+(`made_of`). The schemas of files and the tables of the documentation are derived from it too.
+
+`inf` and None stand for "none": a file says null then, and a parameter the number `unset`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from math import inf
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from swarmabs_core.errors import InputError
+from swarmabs_core.parameters import Parameter, Scalar, SettingError, Settings, Value, resolve
+
+_KEY = "declared"
+DeclarationT = TypeVar("DeclarationT")
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Setting:
+    """What is declared of one setting: the parameter that it is in a node, and how files and objects differ from it.
+
+    Parameters
+    ----------
+    parameter : Parameter
+        With the default as a parameter says it, and without a name.
+    default : object
+        Default of the field.
+    description : str
+        Meaning and unit, without what stands for none.
+    above, below : float, optional
+        Exclusive bounds.
+    unset : Scalar, optional
+        What a parameter says for none; None if there is no such value.
+    parse : callable, optional
+        Makes a value, or an item of an array, of the text of the parameter; ``text`` is the way back.
+    text : callable
+        Text of a value that `parse` has made.
+    whole_nanoseconds : bool
+        Whether it is a time in s that must be a whole number of ns.
+    names : str
+        What a text names, ``topic`` or ``frame``; empty if it may be any.
+    """
+
+    parameter: Parameter
+    default: object
+    description: str
+    above: float | None
+    below: float | None
+    unset: Scalar | None
+    parse: Callable[[str], object] | None
+    text: Callable[[Any], str]
+    whole_nanoseconds: bool
+    names: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Part:
+    """A declaration within another one, without some of its settings."""
+
+    declaration: type
+    description: str
+    without: tuple[str, ...]
+
+
+class Registered(Protocol):
+    """A part of the system with settings of its own."""
+
+    @property
+    def name(self) -> str:
+        """Name by which it is chosen."""
+        ...
+
+    @property
+    def settings(self) -> tuple[Parameter, ...]:
+        """Its settings."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Choice:
+    """A part of the system that is chosen by its name, ``type``, with the settings that it declares."""
+
+    find: Callable[[str], Registered]
+    built_in: tuple[str, ...]
+    default: str
+    description: str
+
+
+class Entry(NamedTuple):
+    """A field of a declaration: its name in files and parameters, that of the attribute, and what is declared."""
+
+    name: str
+    attribute: str
+    declared: Setting | Part | Choice
+
+
+def setting(
+    default: object,
+    description: str,
+    *,
+    name: str | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+    below: float | None = None,
+    length: int | None = None,
+    choices: tuple[str, ...] | None = None,
+    item: Scalar = "",
+    unset: Scalar | None = None,
+    parse: Callable[[str], object] | None = None,
+    text: Callable[[Any], str] = str,
+    whole_nanoseconds: bool = False,
+    names: str = "",
+) -> Any:
+    """Declare a field of a dataclass; see `Parameter` and `Setting` for what is said of it.
+
+    Parameters
+    ----------
+    default : object
+        Its default, from which its type follows; where it is `inf` or None there must be `unset`.
+    description : str
+        Meaning and unit.
+    name : str, optional
+        Its name as a parameter and in files, if that is not the attribute's.
+    """
+    parameter = Parameter(
+        "",
+        default,  # type: ignore[arg-type]  # replaced below where it is no parameter's
+        description,
+        minimum=minimum,
+        maximum=maximum,
+        above=above,
+        length=length,
+        choices=choices,
+        item=item,
+    )
+    if unset is not None:
+        none = f"{description}; {unset}: none" if isinstance(unset, (str, int)) else f"{description}; {unset:g}: none"
+        lowest = None if isinstance(unset, str) else unset
+        parameter = dataclasses.replace(parameter, default=unset, description=none, minimum=lowest, above=None)
+    elif parse is not None and not isinstance(default, tuple):
+        parameter = dataclasses.replace(parameter, default=text(default))
+    declared = Setting(parameter, default, description, above, below, unset, parse, text, whole_nanoseconds, names)
+    return dataclasses.field(default=default, metadata={_KEY: (name, declared)})
+
+
+def part(declaration: type, description: str = "", *, name: str | None = None, without: tuple[str, ...] = ()) -> Any:
+    """Declare a field that is a declaration itself, with its defaults.
+
+    Parameters
+    ----------
+    declaration : type
+        The dataclass.
+    description : str
+        Meaning.
+    name : str, optional
+        Prefix of its settings, if that is not the attribute; empty: they are named as if they were this declaration's.
+    without : tuple of str
+        Attributes that keep their defaults and are no settings here.
+    """
+    return dataclasses.field(
+        default_factory=declaration, metadata={_KEY: (name, Part(declaration, description, without))}
+    )
+
+
+def choice(find: Callable[[str], Registered], built_in: Mapping[str, object], default: str, description: str) -> Any:
+    """Declare a field that holds the name of a part out of a registry; the field ``..._settings`` has its settings.
+
+    Parameters
+    ----------
+    find : callable
+        Looks a part up by its name.
+    built_in : mapping
+        The built-in parts.
+    default : str
+        Name of the default.
+    description : str
+        Meaning.
+    """
+    return dataclasses.field(
+        default=default, metadata={_KEY: (None, Choice(find, tuple(built_in), default, description))}
+    )
+
+
+def same(declaration: type, attribute: str, *, name: str | None = None) -> Any:
+    """Declare a field as another declaration has declared one of its own, perhaps by another name."""
+    entry = next(entry for entry in entries_of(declaration) if entry.attribute == attribute)
+    if not isinstance(entry.declared, Setting):
+        raise TypeError(f"{declaration.__name__}.{attribute} is no setting")
+    return dataclasses.field(default=entry.declared.default, metadata={_KEY: (name, entry.declared)})
+
+
+def entries_of(declaration: type) -> tuple[Entry, ...]:
+    """Return what a dataclass declares, in order; fields that are nothing of that are left out."""
+    found = []
+    for field in dataclasses.fields(declaration):
+        if _KEY in field.metadata:
+            name, declared = field.metadata[_KEY]
+            found.append(Entry(field.name if name is None else name, field.name, declared))
+    return tuple(found)
+
+
+def parameters_of(
+    declaration: type, given: Mapping[str, object] | None = None, prefix: str = ""
+) -> tuple[Parameter, ...]:
+    """Return the parameters of a declaration.
+
+    Parameters
+    ----------
+    declaration : type
+        The dataclass.
+    given : mapping, optional
+        Values that were given, by name, which say what is chosen; without it only the choices are returned, and not the
+        settings of what is chosen.
+    prefix : str
+        What stands before each name.
+
+    Raises
+    ------
+    InputError
+        If there is nothing of the name that is chosen, or the package that brings it is unfit.
+    """
+    found: list[Parameter] = []
+    for name, attribute, declared in entries_of(declaration):
+        if isinstance(declared, Part):
+            inner = parameters_of(declared.declaration, given, _below(prefix, name))
+            left_out = {_below(prefix, name) + each for each in declared.without}
+            found += [parameter for parameter in inner if parameter.name not in left_out]
+        elif isinstance(declared, Setting):
+            found.append(dataclasses.replace(declared.parameter, name=prefix + name))
+        else:
+            found += _chosen(declared, f"{prefix}{attribute}.", given)
+    return tuple(found)
+
+
+def values_of(instance: Any, prefix: str = "") -> dict[str, Value]:
+    """Return the values of a declaration's parameters by name; the way back is `made_of`."""
+    found: dict[str, Value] = {}
+    for name, attribute, declared in entries_of(type(instance)):
+        value = getattr(instance, attribute)
+        if isinstance(declared, Part):
+            inner = values_of(value, _below(prefix, name))
+            found |= {
+                each: inner[each] for each in inner if each not in {_below(prefix, name) + w for w in declared.without}
+            }
+        elif isinstance(declared, Setting):
+            found[prefix + name] = _said(declared, value)
+        else:
+            settings: Settings = getattr(instance, f"{attribute}_settings")
+            found[f"{prefix}{attribute}.type"] = value
+            found |= {f"{prefix}{attribute}.{each}": settings[each] for each in settings}
+    return found
+
+
+def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "", **others: object) -> DeclarationT:
+    """Return the instance of a declaration whose parameters have these values, which were checked.
+
+    Parameters
+    ----------
+    declaration : type
+        The dataclass.
+    values : Settings
+        Values of all its parameters by name, and perhaps others.
+    prefix : str
+        What stands before each name.
+    others : object
+        Fields that are not declared.
+    """
+    for name, attribute, declared in entries_of(declaration):
+        if isinstance(declared, Part):
+            below = _below(prefix, name)
+            kept = values_of(declared.declaration(), below)
+            others[attribute] = made_of(declared.declaration, {**kept, **values}, below)
+        elif isinstance(declared, Setting):
+            others[attribute] = _meant(declared, values[prefix + name])
+        else:
+            start = f"{prefix}{attribute}."
+            settings = {each[len(start) :]: value for each, value in values.items() if each.startswith(start)}
+            others[attribute] = settings.pop("type")
+            others[f"{attribute}_settings"] = settings
+    try:
+        return declaration(**others)
+    except SettingError as error:
+        raise InputError(f"parameter {prefix}{error}") from error
+
+
+def checked(declaration: type[DeclarationT], given: Settings, *, owner: str) -> DeclarationT:
+    """Return the instance of a declaration whose parameters have given values; those left out have their defaults.
+
+    Raises
+    ------
+    InputError
+        For a value that is refused, and for a name that there is not; `owner` says whose.
+    """
+    return made_of(declaration, resolve(parameters_of(declaration, given), given, owner=owner))
+
+
+def tree_of(instance: Any) -> dict[str, object]:
+    """Return an instance of a declaration as a file has it: nested mappings, with None for none."""
+    found: dict[str, object] = {}
+    for name, attribute, declared in entries_of(type(instance)):
+        value = getattr(instance, attribute)
+        found[name] = tree_of(value) if isinstance(declared, Part) else None if value == inf else value
+    return found
+
+
+def _below(prefix: str, name: str) -> str:
+    return f"{prefix}{name}." if name else prefix
+
+
+def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -> Iterator[Parameter]:
+    """Return the parameter that chooses, and the settings of what is chosen."""
+    chooser = Parameter(f"{prefix}type", declared.default, declared.description, choices=declared.built_in)
+    if given is None:
+        yield chooser
+        return
+    try:
+        chosen = declared.find(str(given.get(chooser.name, declared.default)))
+    except InputError as error:
+        raise InputError(f"parameter {chooser.name}: {error}") from error
+    yield dataclasses.replace(chooser, choices=tuple(dict.fromkeys((*declared.built_in, chosen.name))))
+    for each in chosen.settings:
+        yield dataclasses.replace(each, name=prefix + each.name)
+
+
+def _said(declared: Setting, value: Any) -> Value:
+    """Return what a parameter says for a value."""
+    if declared.unset is not None and value == declared.default:
+        return declared.unset
+    if declared.parse is None:
+        return value  # type: ignore[no-any-return]  # that of a parameter
+    return tuple(map(declared.text, value)) if isinstance(value, tuple) else declared.text(value)
+
+
+def _meant(declared: Setting, value: Value) -> object:
+    """Return the value that a parameter means."""
+    if declared.unset is not None and value == declared.unset:
+        return declared.default
+    if declared.parse is None:
+        return value
+    return (
+        tuple(declared.parse(str(item)) for item in value) if isinstance(value, tuple) else declared.parse(str(value))
+    )

@@ -1,0 +1,205 @@
+"""Models of what is declared elsewhere: of the declarations of core, and of the settings of plug-ins.
+
+Each setting is declared once, with default, bounds, unit and meaning; from it follow the strict model by which a file
+is checked, its schema, and how it is written.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from inspect import cleandoc
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, create_model
+from pydantic_core import CoreSchema, core_schema
+
+from swarmabs_core.declaration import Part, Setting, entries_of, tree_of
+from swarmabs_core.parameters import Parameter, Scalar, SettingError
+
+from .errors import show
+from .fields import LARGEST, Finding, Model, WithoutNegativeZero, as_error, as_tuple, not_tiny, problem
+from .texts import TEXTS
+from .timing import LONGEST, WholeNanoseconds
+
+_LARGEST_INTEGER = 2**63 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """Annotation of a field whose type is a declaration: it is validated by the model that is derived from it."""
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate by the derived model, and give the declaration's instance."""
+        model = handler.generate_schema(model_of(source))
+        return core_schema.no_info_before_validator_function(
+            lambda value: tree_of(value) if isinstance(value, source) else value,
+            core_schema.no_info_after_validator_function(DeclaredModel.made, model),
+            serialization=core_schema.plain_serializer_function_ser_schema(tree_of),
+        )
+
+
+class DeclaredModel(Model):
+    """Base of the models that are derived from declarations."""
+
+    declaration: ClassVar[type]
+
+    def made(self) -> object:
+        """Return the declaration's instance."""
+        values: dict[str, object] = {}
+        for name, attribute, declared in entries_of(self.declaration):
+            value = getattr(self, _field_of(name))
+            values[attribute] = declared.default if value is None and isinstance(declared, Setting) else value
+        try:
+            return self.declaration(**values)
+        except SettingError as error:
+            finding = Finding.of(tuple(error.name.split(".")), error.problem, error.remedy)
+            raise as_error(self.declaration.__name__, [finding]) from error
+
+
+@cache
+def model_of(declaration: type, tag: str = "") -> type[Model]:
+    """Return the model of a declaration, whose documentation is the first paragraph of the declaration's.
+
+    Parameters
+    ----------
+    declaration : type
+        The dataclass.
+    tag : str
+        Key by which a file chooses this declaration, which then has an attribute of this name with the key's value.
+    """
+    text = cleandoc(declaration.__doc__ or "").partition("\n\n")[0]
+    fields: dict[str, Any] = {}
+    if tag:
+        name = getattr(declaration, tag)
+        fields[tag] = (Literal[name], Field(default=name, description=text))
+    for name, _, declared in entries_of(declaration):
+        if isinstance(declared, Part):
+            annotation: Any = Annotated[declared.declaration, Declared()]
+            field = declared_field(declared.declaration, declared.description, alias=name)
+        else:
+            assert isinstance(declared, Setting)  # noqa: S101 - nothing in a file is chosen by this way
+            annotation, default = _optional(declared)
+            said = f"{declared.description}; null: none" if declared.unset is not None else declared.description
+            field = Field(default=default, alias=name, description=said)
+        fields[_field_of(name)] = (annotation, field)
+    model = create_model(declaration.__name__, __base__=DeclaredModel, __doc__=text, **fields)
+    model.declaration = declaration
+    return model
+
+
+def declared_field(declaration: type, description: str, alias: str | None = None) -> Any:
+    """Return the field of a model that has a declaration, by default with all its defaults."""
+    return Field(
+        default_factory=declaration,
+        alias=alias,
+        description=description,
+        json_schema_extra={"default": tree_of(declaration())},  # type: ignore[dict-item]  # plain data
+    )
+
+
+def model_of_table(title: str, base: type[Model], settings: Iterable[Parameter], **fields: Any) -> type[Model]:
+    """Return the model of a plug-in's settings: dotted names become nested mappings.
+
+    Parameters
+    ----------
+    title : str
+        Name of the model.
+    base : type of Model
+        What it is derived from.
+    settings : iterable of Parameter
+        The settings.
+    fields : object
+        Further fields, by name.
+    """
+    return _model(title, base, [(setting.name, setting) for setting in settings], **fields)
+
+
+def _model(title: str, base: type[Model], settings: Iterable[tuple[str, Parameter]], **fields: Any) -> type[Model]:
+    """Return a model of settings, each given with the rest of its name below this model."""
+    by_head: dict[str, list[tuple[str, Parameter]]] = {}
+    for name, setting in settings:
+        head, _, rest = name.partition(".")
+        by_head.setdefault(head, []).append((rest, setting))
+    for head, group in by_head.items():
+        rest, setting = group[0]
+        if rest:
+            inner = _model(f"{title}_{head}", Model, group)
+            field: Any = (inner, Field(default=inner(), alias=head, description=f"settings {head} of {title}"))
+        else:
+            field = (
+                _of_parameter(setting),
+                Field(default=setting.default, alias=head, description=setting.description),
+            )
+        fields[_field_of(head)] = field
+    return create_model(title, __base__=base, **fields)
+
+
+def _field_of(name: str) -> str:
+    """Return the name of a model's field, which must collide with nothing that pydantic's models have."""
+    return f"setting_{name}"
+
+
+def _optional(declared: Setting) -> tuple[Any, object]:
+    """Return type and default of a setting in a file."""
+    limits = {"above": declared.above, "below": declared.below, "names": declared.names}
+    annotation = _of_parameter(declared.parameter, whole_nanoseconds=declared.whole_nanoseconds, **limits)
+    if declared.unset is None:
+        return annotation, declared.default
+    return annotation | None, None
+
+
+def _of_parameter(setting: Parameter, **more: Any) -> Any:
+    """Return the type of a setting with its bounds."""
+    default, length = setting.default, setting.length
+    if not isinstance(default, tuple):
+        return _scalar(setting, default, **more)
+    item = _scalar(setting, default[0] if default else setting.item, **more)
+    array: Any = tuple  # mypy cannot follow types that are made at run time
+    annotated: Any = Annotated
+    if length is not None:
+        return annotated[array[(item,) * length], BeforeValidator(as_tuple(length))]
+    if not default:
+        return annotated[array[item, ...], BeforeValidator(as_tuple(None))]
+    # A ROS parameter that is empty counts as not given, and would have its default in the node.
+    return annotated[array[item, ...], AfterValidator(_not_empty), BeforeValidator(as_tuple(None))]
+
+
+def _scalar(
+    setting: Parameter,
+    model: Scalar,
+    *,
+    above: float | None = None,
+    below: float | None = None,
+    names: str = "",
+    whole_nanoseconds: bool = False,
+) -> Any:
+    low, high, above = setting.minimum, setting.maximum, setting.above if above is None else above
+    if isinstance(model, bool):
+        return bool
+    if isinstance(model, str):
+        if setting.choices:
+            return Literal[setting.choices]
+        return TEXTS[names] if names else Annotated[str, AfterValidator(_printable)]
+    if isinstance(model, int):
+        whole = Field(
+            ge=-_LARGEST_INTEGER if low is None else low, le=_LARGEST_INTEGER if high is None else high, gt=above
+        )
+        return Annotated[int, whole]
+    if whole_nanoseconds:
+        return Annotated[float, Field(gt=above, le=LONGEST), WholeNanoseconds]
+    least = None if above is not None else -LARGEST if low is None else low
+    most = None if below is not None else LARGEST if high is None else high
+    bounds = Field(gt=above, ge=least, lt=below, le=most)
+    return Annotated[float, bounds, AfterValidator(not_tiny) if above == 0.0 else WithoutNegativeZero]
+
+
+def _not_empty(values: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    if not values:
+        raise problem("expected a list of at least one value, found an empty one", "leave the key out for its default")
+    return values
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise problem(f"{show(text)} has characters that cannot be printed", "give a text in one line")
+    return text
