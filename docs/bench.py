@@ -6,8 +6,8 @@ import re
 import sys
 from pathlib import Path
 
-from swarmabs_bringup.bench.results import read_result
-from swarmabs_bringup.bench.tables import draw, draw_large, markdown, notes, tables
+from swarmabs_cli.bench_framework.results import read_result
+from swarmabs_cli.bench_framework.tables import draw, draw_large, markdown, notes, tables
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "performance.md"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 IMAGES = Path(__file__).parent / "images"
-SWARM = (sys.executable, "-m", "swarmabs_bringup.cli")
+SWARM = (sys.executable, "-m", "swarmabs_cli")
 FAULTS = "faults=[{at: 0.6, kind: kill, agent: 2}]"
 LIVE = "100000"
 """Simulated time, s, of the run that is looked at while it goes on; it is ended before."""

@@ -24,17 +24,9 @@ import parent_controller.realtime
 import plane_sim.driver
 import plane_sim.node
 import plane_sim.realtime
-from swarmabs_bringup.orchestration.plan import ProcessPlan, plan
-from swarmabs_bringup.orchestration.realtime_plan import realtime_plan
-from swarmabs_bringup.recorder import node as recorder, realtime as realtime_recorder
-from swarmabs_bringup.replay import node as replay_player
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.steering import node as steering
-from swarmabs_bringup.view.protocol import json_schema
-from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.messages import BASIS, BROADCAST, STEERING, TOPICS, Topic
-from swarmabs_core.realtime import topic_drive
-from swarmabs_core.scenario import (
+from swarmabs_analysis.replay import node as replay_player
+from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
+from swarmabs_config.scenario import (
     AGENT_KINDS,
     CONTROLLER_CONFIGS,
     FAULT_KINDS,
@@ -42,9 +34,17 @@ from swarmabs_core.scenario import (
     TRAJECTORY_CONFIGS,
     Scenario,
 )
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.messages import BASIS, BROADCAST, STEERING, TOPICS, Topic
+from swarmabs_core.realtime import topic_drive
 from swarmabs_ros.qos import OFFERED, REALTIME
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
+from swarmabs_run.orchestration.plan import ProcessPlan, plan
+from swarmabs_run.orchestration.realtime_plan import realtime_plan
+from swarmabs_run.steering import node as steering
+from swarmabs_view.protocol import json_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

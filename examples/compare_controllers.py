@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_core import simulate
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.simulation import simulate
 
 BAND = 0.01
 """Angle, rad, below which the plane counts as level."""

@@ -16,8 +16,8 @@ import pytest
 import rclpy
 from tests.processes import MARK, marked_processes
 
-from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
-from swarmabs_bringup.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_run.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
 
 _GONE_WITHIN = 5.0
 """Time, s, that the kernel may take to end a process which was killed, on a machine under full load."""

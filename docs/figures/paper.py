@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from swarmabs_bringup.figures import FIGURES
-from swarmabs_bringup.figures.runs import find_runs
-from swarmabs_bringup.figures.style import styled
+from swarmabs_analysis.figures import FIGURES
+from swarmabs_analysis.figures.runs import find_runs
+from swarmabs_analysis.figures.style import styled
 
 IMAGES = Path(__file__).parents[1] / "images"
 DPI = 150

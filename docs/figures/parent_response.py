@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_core import configure, simulate
+from swarmabs_config import configure
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.simulation import simulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.arrays import RunArrays
-    from swarmabs_core.scenario import Scenario
 
     Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING
 from layers import FOLDER, CascadeSimulation, Coupling, load_cascade
 from processes import CascadeRun
 
-from swarmabs_bringup.orchestration.progress import Outcome
-from swarmabs_bringup.recorder.recording import Recording
-from swarmabs_bringup.run_folder import RunFolder, new_run_folder, next_run_folder
-from swarmabs_bringup.summary import Times, summarise
+from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.run_folder import RunFolder, new_run_folder, next_run_folder
+from swarmabs_bag.summary import Times, summarise
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_run.orchestration.progress import Outcome
 
 if TYPE_CHECKING:
     from layers import CascadeScenario

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from layers import UPPER, Coupling, absolute, carried_robot, led_controller, lower
 
-from swarmabs_core import configure
+from swarmabs_config import configure
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.messages import (
     AGENT_STATE,
     BROADCASTS,
@@ -20,7 +21,6 @@ from swarmabs_core.messages import (
     RECORDING_PROGRESS,
 )
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec
 

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import StepAheadError, refuse_conflict
 from swarmabs_core.command_filter import CommandFilter
-from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, AgentState, Message, Messages, PlaneState, Topic
+from swarmabs_core.messages import (
+    DESIRED_ABSTRACT_STATE,
+    PLANE_STATE,
+    AgentState,
+    Message,
+    Messages,
+    PlaneState,
+    Topic,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING
 
 from coupling import Coupled, Following, TiltDrive, carried, led
 
-from swarmabs_core import configure
+from swarmabs_bag.recording import RunCollector
+from swarmabs_config import configure
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours import Agent, Controller, Observer, Plane, make_agent, with_faults
 from swarmabs_core.controllers import ParentContext
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPIC_OF, Topic
-from swarmabs_core.recording import RunCollector
-from swarmabs_core.scenario import load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message
-    from swarmabs_core.recording import RecordedStep
-    from swarmabs_core.scenario import Scenario
 
 FOLDER = Path(__file__).parent
 UPPER = "/upper"

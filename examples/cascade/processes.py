@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Any, cast
 
 from layers import FOLDER, UPPER, lower
 
-from swarmabs_bringup.orchestration.dds_profile import dds_environment, profile_xml
-from swarmabs_bringup.orchestration.domain import claimed_domain, domains_spanned
-from swarmabs_bringup.orchestration.launcher_client import LauncherClient
-from swarmabs_bringup.orchestration.plan import CONTROLLER, PLANE, RECORDER, ProcessPlan, plan
-from swarmabs_bringup.orchestration.supervision import how_it_ended
-from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
+from swarmabs_run.orchestration.dds_profile import dds_environment, profile_xml
+from swarmabs_run.orchestration.domain import claimed_domain, domains_spanned
+from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.plan import CONTROLLER, PLANE, RECORDER, ProcessPlan, plan
+from swarmabs_run.orchestration.supervision import how_it_ended
+from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from layers import CascadeScenario
 
-    from swarmabs_bringup.run_folder import RunFolder
+    from swarmabs_bag.run_folder import RunFolder
 
 PATIENCE = 30.0
 """Longest time, s, without any news from the processes."""

@@ -19,11 +19,11 @@ from pathlib import Path
 
 from rig import LENGTH, ROBOTS, Robot
 
-from swarmabs_bringup.orchestration.dds_profile import COORDINATORS, PARTICIPANT_VARIABLE, dds_environment, profile_xml
-from swarmabs_bringup.orchestration.domain import claimed_domain
-from swarmabs_bringup.orchestration.tracing_files import tracing_files_removed
-from swarmabs_bringup.parent_death import die_with_parent
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_run.orchestration.dds_profile import COORDINATORS, PARTICIPANT_VARIABLE, dds_environment, profile_xml
+from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.parent_death import die_with_parent
 
 FOLDER = Path(__file__).parent
 PATIENCE = 60.0

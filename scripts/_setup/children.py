@@ -86,6 +86,4 @@ def failure_text(status: int, log: str) -> str:
     known = (meaning for sign, meaning in CAUSES if re.search(sign, text))
     cause = next(known, f"{step} failed with exit code {status}")
     last = [line.rstrip()[:LINE_WIDTH] for line in text.splitlines() if line.strip()][-LAST_LINES:]
-    return "\n".join(
-        [f"{cause}; start again to go on. Last lines of {log}:", *(f"    {line}" for line in last)]
-    )
+    return "\n".join([f"{cause}; start again to go on. Last lines of {log}:", *(f"    {line}" for line in last)])

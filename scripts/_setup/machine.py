@@ -91,9 +91,7 @@ def try_interpreter(command: str) -> Optional[Interpreter]:
     """Start the interpreter and ask what it is; None if it does not run."""
     probe = [command, "-I", "-S", "-c", PROBE]
     try:
-        answer = subprocess.run(
-            probe, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=20, check=True
-        )
+        answer = subprocess.run(probe, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=20, check=True)
         facts = json.loads(answer.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):
         return None
@@ -173,9 +171,7 @@ def check_build_tools(environ: Mapping[str, str]) -> None:
 def check_colcon(environ: Mapping[str, str]) -> None:
     """Refuse a sourced ROS without colcon, which is not part of it."""
     if not shutil.which("colcon", path=environ.get("PATH")):
-        raise SetupError(
-            "colcon is missing: sudo apt-get install python3-colcon-common-extensions", UNSUITABLE
-        )
+        raise SetupError("colcon is missing: sudo apt-get install python3-colcon-common-extensions", UNSUITABLE)
 
 
 def missing_packages(environ: Mapping[str, str]) -> Iterable[str]:

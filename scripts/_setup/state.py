@@ -34,9 +34,7 @@ def files_below(folder: str) -> Iterator[str]:
 
 def packages_in(source: str) -> List[str]:
     """Names of the packages: folders of src with a package.xml."""
-    described = (
-        name for name in os.listdir(source) if os.path.exists(os.path.join(source, name, "package.xml"))
-    )
+    described = (name for name in os.listdir(source) if os.path.exists(os.path.join(source, name, "package.xml")))
     return sorted(described)
 
 

@@ -8,10 +8,10 @@ import pytest
 from tests.swarmabs_ros.nodes import settings_from
 
 from agent_node.group import PARAMETERS, make
-from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_config.scenario import dump_scenario
+from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, AgentState
-from swarmabs_core.scenario import dump_scenario
 from swarmabs_ros.status import StatusChannel
 
 CHANNEL = StatusChannel("agents")

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
-from swarmabs_bringup.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_run.orchestration.domain import claimed_domain
 
 
 class NodesByHand:

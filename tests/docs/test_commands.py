@@ -10,7 +10,7 @@ import click
 import pytest
 from tests.docs.pages import NAMES, blocks, read, rows, section, spans
 
-from swarmabs_bringup.cli import swarm
+from swarmabs_cli import swarm
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from tests.docs.pages import ROOT, blocks, read, section
 
-from swarmabs_core import simulate
-from swarmabs_core.scenario import load_scenario, parse_scenario
+from swarmabs_config.scenario import load_scenario, parse_scenario
+from swarmabs_run.simulation import simulate
 
 SCENARIOS = sorted((ROOT / "examples").glob("*.yaml"))
 PROGRAMS = sorted((ROOT / "examples").glob("*.py"))

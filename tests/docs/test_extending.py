@@ -8,9 +8,9 @@ import pytest
 from tests.docs.pages import blocks, read, section
 from tests.plugin_packages import install
 
-from swarmabs_core import simulate
+from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.law_registry import ALL_LAWS
-from swarmabs_core.scenario import parse_scenario
+from swarmabs_run.simulation import simulate
 
 PAGE = "docs/extending.md"
 

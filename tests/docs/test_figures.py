@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from tests.docs.pages import ROOT
-from tests.swarmabs_bringup.view.conftest import chromium
+from tests.swarmabs_view.conftest import chromium
 
-from swarmabs_bringup.figures import FIGURES
-from swarmabs_bringup.run_folder import new_run_folder
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.simulate import simulate_run
+from swarmabs_analysis.figures import FIGURES
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.simulated_run import simulate_run
 
 SCRIPTS = ROOT / "docs" / "figures"
 

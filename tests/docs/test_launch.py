@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.docs.pages import ROOT, read, rows, section
 
-from swarmabs_bringup.bag import open_bag
-from swarmabs_bringup.orchestration.plan import plan
-from swarmabs_bringup.run_folder import new_run_folder
-from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_bag import open_bag
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_config.scenario import load_scenario
+from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import MAIN_TOPICS
-from swarmabs_core.scenario import load_scenario
-from swarmabs_core.simulation import Simulation
+from swarmabs_run.orchestration.plan import plan
+from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:
     from tests.docs.conftest import NodesByHand
@@ -91,7 +91,7 @@ def test_nodes_are_those_of_a_run(launch_file: Any, tmp_path: Path) -> None:
         ("plane_sim", "plane_sim"),
         ("abstraction_observer", "abstraction_observer"),
         ("parent_controller", "parent_controller"),
-        ("swarmabs_bringup", "recorder"),
+        ("swarmabs_bag", "recorder"),
         ("agent_node", "agent_node"),
     }
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.docs.pages import NAMES, ROOT, read, rows, section
 
-from swarmabs_bringup.orchestration.progress import Outcome
-from swarmabs_bringup.recorder.recording import Recording
-from swarmabs_bringup.scenarios import builtin_scenarios, find_scenario
-from swarmabs_bringup.summary import Times, summarise
+from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.summary import Times, summarise
+from swarmabs_config.scenarios import builtin_scenarios, find_scenario
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import TOPICS
+from swarmabs_run.orchestration.progress import Outcome
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -23,14 +23,7 @@ from tests.errata.paper import (
 from swarmabs_core.behaviours import Agent, AgentConfig
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
-from swarmabs_core.messages import (
-    AbstractState,
-    AgentState,
-    AuxiliaryState,
-    DesiredAbstractState,
-    Kind,
-    PlaneState,
-)
+from swarmabs_core.messages import AbstractState, AgentState, AuxiliaryState, DesiredAbstractState, Kind, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, standing, straight, swarm_load
 from swarmabs_core.theory.constraint_sets import StateClass, classify, largest_position
 

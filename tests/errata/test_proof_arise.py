@@ -28,7 +28,7 @@ from tests.errata.paper import (
     slope,
 )
 
-from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.controllers.arise import AriseGains, regressor
 from swarmabs_core.friction import Friction
 from swarmabs_core.theory.arise_conditions import error_gradient

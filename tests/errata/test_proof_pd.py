@@ -24,7 +24,7 @@ from tests.errata.paper import (
     slope,
 )
 
-from swarmabs_bringup.scenarios import find_scenario
+from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.behaviours import Controller, ControllerConfig
 from swarmabs_core.controllers.feedback import StateFeedback

@@ -17,11 +17,11 @@ from tests.errata.paper import (
     slope,
 )
 
-from swarmabs_core import simulate
+from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, spread_sums
 from swarmabs_core.messages import AuxiliaryState
-from swarmabs_core.scenario import Scenario, parse_scenario
 from swarmabs_core.swarm_law import damping_matrix, pinv_row
+from swarmabs_run.simulation import simulate
 
 WANTED = (np.array([0.4, 0.06]), np.array([0.3, -0.1]), np.array([-0.5, 0.2]))
 """Some desired abstract state with its rate and acceleration."""

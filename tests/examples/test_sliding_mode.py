@@ -15,9 +15,9 @@ import pytest
 from tests.docs.pages import ROOT
 from tests.plugin_packages import SCALED, install
 
-from swarmabs_core import simulate
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.controllers import ALL_CONTROLLERS
-from swarmabs_core.scenario import load_scenario
+from swarmabs_run.simulation import simulate
 
 EXAMPLE = ROOT / "examples" / "sliding_mode"
 SCENARIO = EXAMPLE / "sliding_mode.yaml"
@@ -48,7 +48,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def swarm(*words: object, cwd: Path, path: tuple[Path, ...]) -> str:
     """Run a command with folders of packages in the search path; return what it prints."""
     done = subprocess.run(
-        [sys.executable, "-m", "swarmabs_bringup.cli", *map(str, words)],
+        [sys.executable, "-m", "swarmabs_cli", *map(str, words)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join((*map(str, path), os.environ["PYTHONPATH"]))},
         cwd=cwd,
         capture_output=True,

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-CLI_MODULE = "swarmabs_bringup.cli"
+CLI_MODULE = "swarmabs_cli"
 """What ``swarm`` runs; this file alone of all frozen tests names it."""
 
 FOLDER = Path(__file__).parent

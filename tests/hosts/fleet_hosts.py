@@ -18,8 +18,8 @@ from tests.plugin_packages import install as install_package
 from tests.processes import ROOT, until
 from tests.system.realtime import Client
 
-from swarmabs_bringup.fleet.bundle import deploy
-from swarmabs_bringup.fleet.loader import LoadedFleet, load_fleet
+from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
+from swarmabs_fleet.bundle import deploy
 
 PERIOD = 0.02
 VELOCITY, FORCE, LANE = 0.5, 3.0, 0.4

@@ -20,10 +20,8 @@ import rclpy
 from rclpy.node import Node
 from tests.hosts.namespaces import say
 
-from swarmabs_bringup.fleet.model import Fleet
-from swarmabs_bringup.fleet.participants import node_plans
-from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment
-from swarmabs_bringup.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
+from swarmabs_config.fleet.model import Fleet
+from swarmabs_config.fleet.participants import node_plans
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
     TOPIC_OF,
@@ -40,6 +38,8 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.qos import REALTIME
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment
+from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
 
 _PACE = 0.004
 MASSES = (0.4, 0.4)

@@ -39,7 +39,7 @@ class Checkout:
         lines = [f"export {name}={shlex.quote(value)}" for name, value in sorted(environment.items()) if name != "_"]
         python = shlex.quote(sys.executable)
         _program(made.folder / ".venv" / "bin" / "python", f'exec {python} "$@"')
-        _program(made.folder / "scripts" / "swarm", *lines, f'exec {python} -m swarmabs_bringup.cli "$@"')
+        _program(made.folder / "scripts" / "swarm", *lines, f'exec {python} -m swarmabs_cli "$@"')
         _program(made.programs / "systemctl", *lines, f'exec {python} -m {_MANAGER} systemctl "$@"')
         return made
 

@@ -8,8 +8,8 @@ import pytest
 from tests.hosts.cluster import Host, hosts
 from tests.hosts.datagrams import Receiver
 
-from swarmabs_bringup.fleet.bundle import deploy
-from swarmabs_bringup.fleet.loader import load_fleet
+from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_fleet.bundle import deploy
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
 

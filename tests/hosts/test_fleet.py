@@ -18,9 +18,9 @@ from tests.hosts.sockets import bound_sockets, groups_joined
 from tests.hosts.storm import BOUND, Storm, stands
 from tests.processes import until
 
-from swarmabs_bringup.bag.reader import open_bag
-from swarmabs_bringup.fleet.profile import DISCOVERY_GROUP
+from swarmabs_bag.reader import open_bag
 from swarmabs_core.messages import PLANE_STATE, EventKind, Mode, PlaneState, Status
+from swarmabs_fleet.profile import DISCOVERY_GROUP
 
 pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
 

@@ -12,7 +12,7 @@ from tests.hosts.cluster import hosts, until_ready
 from tests.hosts.fleet_hosts import FleetOnHosts
 from tests.hosts.stations import Station
 
-from swarmabs_bringup.fleet.participants import nodes_on, ports
+from swarmabs_config.fleet.participants import nodes_on, ports
 
 pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from tests.hosts.cluster import hosts
 from tests.hosts.stations import ACCOUNT, Checkout, Station
-from tests.swarmabs_bringup.fleet.fleets import EXAMPLES, contents, edited
+from tests.swarmabs_fleet.fleets import EXAMPLES, contents, edited
 
-from swarmabs_bringup.fleet.bundle import deploy
-from swarmabs_bringup.fleet.loader import load_fleet
+from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_fleet.bundle import deploy
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
 

@@ -597,7 +597,7 @@ class TestScript:
         ended = self.start(prepared, "run", "a b")
         assert ended.stderr == ""
         site_packages = prepared / "install" / "lib" / "python3.12" / "site-packages"
-        assert ended.stdout.splitlines() == ["-m swarmabs_bringup.cli run a b", str(site_packages)]
+        assert ended.stdout.splitlines() == ["-m swarmabs_cli run a b", str(site_packages)]
         assert ended.returncode == 0
 
     def test_says_which_process_was_set_up_and_for_how_long(
@@ -692,7 +692,7 @@ class TestScript:
         write_command(prepared / "bin" / "python3", 'echo "$SOURCED $*"')
         path = os.pathsep.join([str(prepared / "bin"), os.environ["PATH"]])
         ended = self.start(prepared, "run", "x", SWARMABS_USE_SOURCED_ROS="1", ROS_DISTRO="jazzy", PATH=path)
-        assert ended.stdout == "yes -m swarmabs_bringup.cli run x\n"
+        assert ended.stdout == "yes -m swarmabs_cli run x\n"
         assert "--merge-install" in (prepared / "asked").read_text()
 
     def test_termination_while_waiting_is_an_orderly_end(self, prepared: Path) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from swarmabs_bag.recording import Digest
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.messages import (
     AbstractState,
     AgentState,
@@ -19,17 +21,15 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.recording import Digest
-from swarmabs_core.scenario import load_scenario
-from swarmabs_core.simulation import Simulation
+from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
-    from swarmabs_core.recording import RecordedStep
-    from swarmabs_core.scenario import Scenario
+    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_config.scenario import Scenario
 
     Array = NDArray[np.float64]
 

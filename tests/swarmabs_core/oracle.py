@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_core.scenario import Scenario
+    from swarmabs_config.scenario import Scenario
 
     Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.swarmabs_core.helpers import SCENARIOS, Run, builtin
 
-from swarmabs_core import simulate
+from swarmabs_config.scenario import Scenario, ScenarioError
 from swarmabs_core.arrays import LAYOUT, RunArrays
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
@@ -20,7 +20,7 @@ from swarmabs_core.messages import (
     PlaneState,
     Topic,
 )
-from swarmabs_core.scenario import Scenario, ScenarioError
+from swarmabs_run.simulation import simulate
 
 
 @cache

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 from tests.plugin_packages import BANG_BANG, SCALED, install
 
-from swarmabs_core import simulate
+from swarmabs_bag.recording import Digest
+from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import EventKind, Kind, Status, SwarmEvent
-from swarmabs_core.recording import Digest
-from swarmabs_core.scenario import Scenario, parse_scenario
-from swarmabs_core.simulation import Simulation, simulated_steps
-from swarmabs_core.vector_simulation import vectorisable
+from swarmabs_run.simulation import Simulation, simulate, simulated_steps
+from swarmabs_run.vector_simulation import vectorisable
 
 KINDS = {
     "SI": "{single_integrator: 4}",

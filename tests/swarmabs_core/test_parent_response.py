@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from tests.swarmabs_core.helpers import Run, builtin
 
+from swarmabs_config.scenario import Scenario
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import AbstractState, PlaneState
 from swarmabs_core.parent_response import ParentModel, TorqueEstimator
-from swarmabs_core.scenario import Scenario
 
 Array = NDArray[np.float64]
 

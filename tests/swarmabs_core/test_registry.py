@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from tests.plugin_packages import BANG_BANG, install
 
-from swarmabs_core import simulate
+from swarmabs_config.scenario import json_schema, parse_scenario
 from swarmabs_core.controllers import ALL_CONTROLLERS, CONTROLLERS, ControllerType, ParentContext
 from swarmabs_core.controllers.feedback import PD, StateFeedback
 from swarmabs_core.errors import InputError
@@ -19,7 +19,7 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.law_registry import ALL_LAWS, LAWS
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.registry import PluginError, Registry
-from swarmabs_core.scenario import json_schema, parse_scenario
+from swarmabs_run.simulation import simulate
 
 CONTEXT = ParentContext(0.01, 0.5, Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0), Manifold(0.0125, 0.025, 5.0))
 PART = "from swarmabs_core.controllers import ControllerType\nfrom swarmabs_core.parameters import Parameter\n"

@@ -7,13 +7,14 @@ from math import cos
 import pytest
 from tests.swarmabs_core.helpers import Run, builtin
 
-from swarmabs_core import configure, simulate
+from swarmabs_bag.recording import Metrics
+from swarmabs_config import configure
+from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import AbstractState, AgentState, DesiredAbstractState, EventKind, PlaneState, Status
-from swarmabs_core.recording import Metrics
-from swarmabs_core.scenario import parse_scenario
 from swarmabs_core.steering import OffsetReference, Stair, Staircase
+from swarmabs_run.simulation import simulate
 
 SHORT = "duration=1.0"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, QoSLivelinessPolicy, qos_check_compatible
 
+from swarmabs_config.scenario.model import Realtime
 from swarmabs_core.messages import BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPICS, Topic
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.scenario.model import Realtime
 from swarmabs_ros.endpoints import profile
 from swarmabs_ros.qos import LEASE, OFFERED, REALTIME, Qos, requested
 

@@ -12,7 +12,7 @@ from abstraction_observer import node as observer
 from agent_node import node as agent
 from parent_controller import node as controller
 from plane_sim import node as plane
-from swarmabs_bringup.recorder import node as recorder
+from swarmabs_bag.recorder import node as recorder
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS

@@ -16,11 +16,11 @@ from abstraction_observer import node as observer, realtime as realtime_observer
 from agent_node import node as agent, realtime as realtime_agent
 from parent_controller import node as controller, realtime as realtime_controller
 from plane_sim import driver as plane_driver, node as plane, realtime as realtime_plane
-from swarmabs_bringup.fleet import discovery_server
-from swarmabs_bringup.recorder import node as recorder, realtime as realtime_recorder
-from swarmabs_bringup.visualization import node as markers
+from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_core.errors import InputError
+from swarmabs_fleet import discovery_server
 from swarmabs_ros.start import PROFILES, check_profiles
+from swarmabs_view.visualization import node as markers
 
 MAINS: dict[str, Callable[[list[str] | None], int]] = {
     module.__name__: module.main

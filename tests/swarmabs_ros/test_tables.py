@@ -10,7 +10,7 @@ from abstraction_observer import node as observer, realtime as realtime_observer
 from agent_node import node as agent, realtime as realtime_agent
 from parent_controller import node as controller, realtime as realtime_controller
 from plane_sim import driver as plane_driver, node as plane, realtime as realtime_plane
-from swarmabs_bringup.recorder import node as recorder
+from swarmabs_bag.recorder import node as recorder
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime import topic_drive

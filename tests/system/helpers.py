@@ -20,19 +20,19 @@ from typing import Any, NamedTuple
 from mcap.reader import make_reader
 from tests.processes import marked_processes, until
 
-from swarmabs_bringup.orchestration import LockstepRun, Outcome, Progress
-from swarmabs_bringup.orchestration.plan import ProcessPlan
-from swarmabs_bringup.run_folder import new_run_folder
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_core.recording import Digest
-from swarmabs_core.simulation import Simulation
+from swarmabs_bag.recording import Digest
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.orchestration import LockstepRun, Outcome, Progress
+from swarmabs_run.orchestration.plan import ProcessPlan
+from swarmabs_run.simulation import Simulation
 
 MAIN_TOPICS = (
     *("plane/state", "swarm/agent_state", "swarm/abstract_state"),
     *("swarm/auxiliary_state", "swarm/desired_abstract_state"),
 )
 COORDINATORS = ("plane_sim", "abstraction_observer", "parent_controller", "recorder")
-COMMAND = (sys.executable, "-m", "swarmabs_bringup.cli")
+COMMAND = (sys.executable, "-m", "swarmabs_cli")
 LONGEST = 100.0
 """Time, s, after which a command is taken to hang."""
 

@@ -16,7 +16,7 @@ MODULES = {
     "plane_sim": "plane_sim.node",
     "abstraction_observer": "abstraction_observer.node",
     "parent_controller": "parent_controller.node",
-    "recorder": "swarmabs_bringup.recorder.node",
+    "recorder": "swarmabs_bag.recorder.node",
 }
 
 

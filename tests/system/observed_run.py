@@ -12,10 +12,10 @@ import sys
 import time
 from pathlib import Path
 
-from swarmabs_bringup.orchestration import LockstepRun, Progress
-from swarmabs_bringup.run_folder import new_run_folder
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_bringup.splitting import Split
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.splitting import Split
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.orchestration import LockstepRun, Progress
 
 
 def main() -> int:

@@ -16,9 +16,9 @@ from typing import Any
 from tests.processes import SEARCH_PATH, until
 from tests.system.helpers import LONGEST
 
-from swarmabs_bringup.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
-from swarmabs_bringup.orchestration.domain import claimed_domain
 from swarmabs_ros.status import REPORT_FD
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_run.orchestration.domain import claimed_domain
 
 PATIENCE = 40.0
 """Time, s, within which something must happen that takes far less on a machine that is not busy."""

@@ -21,9 +21,9 @@ from tests.system.helpers import (
     swarm,
 )
 
+from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPICS
-from swarmabs_core.scenario import parse_scenario
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 

@@ -25,7 +25,7 @@ from tests.system.helpers import (
     until_stepping,
 )
 
-from swarmabs_bringup.bag import open_bag
+from swarmabs_bag import open_bag
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -162,8 +162,8 @@ def test_simulate_on_a_disk_that_fills_up_ends_the_same_way(small_disk: Path) ->
 def test_no_domain_is_left(folder: Path) -> None:
     """Whoever is refused a domain has started nothing."""
     script = (
-        "import sys; import swarmabs_bringup.orchestration.domain as d; d._claim = lambda _: [];"
-        "from swarmabs_bringup.cli import main; sys.exit(main(sys.argv[1:]))"
+        "import sys; import swarmabs_run.orchestration.domain as d; d._claim = lambda _: [];"
+        "from swarmabs_cli import main; sys.exit(main(sys.argv[1:]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, "run", "-o", folder],

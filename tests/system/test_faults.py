@@ -23,9 +23,9 @@ from tests.system.helpers import (
     until_stepping,
 )
 
-from swarmabs_bringup.orchestration import Progress
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_run.orchestration import Progress
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 

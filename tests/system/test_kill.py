@@ -19,9 +19,9 @@ from rosbags.rosbag2 import Reader
 from tests.processes import marked_processes, until
 from tests.system.helpers import LONGEST, named_processes, seconds
 
-from swarmabs_bringup.bag import open_bag, repair_bag
-from swarmabs_bringup.scenarios import find_scenario
-from swarmabs_core.simulation import simulated_steps
+from swarmabs_bag import open_bag, repair_bag
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.simulation import simulated_steps
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 

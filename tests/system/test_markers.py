@@ -22,13 +22,13 @@ from tests.processes import ROOT, SEARCH_PATH, until
 from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
-from swarmabs_bringup.bag import load_arrays
-from swarmabs_bringup.cli import main
-from swarmabs_bringup.orchestration.looking_in import environment_of_run
-from swarmabs_bringup.orchestration.progress_file import read_progress
+from swarmabs_bag import load_arrays
+from swarmabs_cli import main
+from swarmabs_run.orchestration.looking_in import environment_of_run
+from swarmabs_run.orchestration.progress_file import read_progress
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
-SWARM = [sys.executable, "-m", "swarmabs_bringup.cli"]
+SWARM = [sys.executable, "-m", "swarmabs_cli"]
 DURATION = "100"
 HALF_THICKNESS = 0.01
 
@@ -49,7 +49,7 @@ def running(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str]
             log = folder / "logs" / "markers.log"
             until(lambda: log.exists() and shows(folder), "the markers are there", 60.0)
             children = psutil.Process(run.pid).children(recursive=True)
-            (markers,) = (child for child in children if "swarmabs_bringup.visualization.beside" in child.cmdline())
+            (markers,) = (child for child in children if "swarmabs_view.visualization.beside" in child.cmdline())
             yield run, markers
         finally:
             if run.poll() is None:

@@ -24,8 +24,8 @@ from tests.system.helpers import (
     swarm,
 )
 
-from swarmabs_bringup.orchestration import process_run
-from swarmabs_bringup.orchestration.plan import ProcessPlan
+from swarmabs_run.orchestration import process_run
+from swarmabs_run.orchestration.plan import ProcessPlan
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 

@@ -24,12 +24,12 @@ from tests.system.helpers import (
     swarm,
 )
 
-from swarmabs_bringup.bag import open_bag
-from swarmabs_bringup.bag.attached import attached_scenario
-from swarmabs_bringup.steering.client import SteeringClient
+from swarmabs_bag import open_bag
+from swarmabs_bag.attached import attached_scenario
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_run.steering.client import SteeringClient
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
 

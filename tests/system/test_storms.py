@@ -17,9 +17,9 @@ from tests.system.helpers import (
     simulated_digest,
 )
 
-from swarmabs_bringup.orchestration import Progress
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_run.orchestration import Progress
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(600)]
 

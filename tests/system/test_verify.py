@@ -21,9 +21,9 @@ from tests.system.helpers import (
     until_stepping,
 )
 
-from swarmabs_bringup.bag import open_bag
-from swarmabs_bringup.orchestration.plan import ProcessPlan
+from swarmabs_bag import open_bag
 from swarmabs_core.messages import EVENTS
+from swarmabs_run.orchestration.plan import ProcessPlan
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 FAULTS = (

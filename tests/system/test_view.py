@@ -14,8 +14,8 @@ import pytest
 from aiohttp import ClientConnectionError, ClientSession, WSMsgType
 from playwright.sync_api import expect, sync_playwright
 from tests.processes import marked_processes, until
-from tests.swarmabs_bringup.figures.conftest import ReadBag
-from tests.swarmabs_bringup.view.conftest import browser_arguments, chromium
+from tests.swarmabs_analysis.figures.conftest import ReadBag
+from tests.swarmabs_view.conftest import browser_arguments, chromium
 from tests.system.helpers import (
     Command,
     bag_messages,
@@ -28,9 +28,9 @@ from tests.system.helpers import (
     until_stepping,
 )
 
-from swarmabs_bringup.orchestration.looking_in import environment_of_run, read_processes
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_run.orchestration.looking_in import environment_of_run, read_processes
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -43,7 +43,7 @@ def viewer_of(mark: str) -> psutil.Process | None:
     for pid in marked_processes(mark):
         try:
             process = psutil.Process(pid)
-            if "swarmabs_bringup.view.beside" in process.cmdline():
+            if "swarmabs_view.beside" in process.cmdline():
                 return process
         except psutil.Error:
             continue

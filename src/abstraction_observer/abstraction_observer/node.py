@@ -7,7 +7,15 @@ import sys
 from swarmabs_core.behaviours import Behaviour, ObserverConfig, Steered, make_observer
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, EVENTS, PLANE_STATE, STEERING, Messages
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    EVENTS,
+    PLANE_STATE,
+    STEERING,
+    Messages,
+)
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.parent_response import ParentModel
 from swarmabs_ros.qos import requested

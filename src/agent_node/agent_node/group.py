@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from swarmabs_core import configure
+from swarmabs_config import configure
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours import AgentGroup, Unpacking
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, EVENTS
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.scenario import load_scenario
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel

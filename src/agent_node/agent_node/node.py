@@ -7,8 +7,8 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
+from swarmabs_config.configure import KINDS
 from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_newcomer
-from swarmabs_core.configure import KINDS
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault
 from swarmabs_core.law_registry import LAWS, PAPER, law_type

@@ -16,12 +16,12 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
-from swarmabs_bringup.orchestration.plan import plan
-from swarmabs_bringup.run_folder import new_run_folder, next_run_folder
-from swarmabs_bringup.scenarios import DEFAULT, find_scenario
+from swarmabs_bag.run_folder import new_run_folder, next_run_folder
+from swarmabs_config.scenarios import DEFAULT, find_scenario
+from swarmabs_run.orchestration.plan import plan
 
 if TYPE_CHECKING:
-    from swarmabs_bringup.orchestration.plan import ProcessPlan
+    from swarmabs_run.orchestration.plan import ProcessPlan
 
 ARGUMENTS = {
     "scenario": (DEFAULT, "a built-in scenario, a YAML file, or a bag"),
@@ -32,7 +32,7 @@ ARGUMENTS = {
 
 
 def executable(process: ProcessPlan) -> tuple[str, str]:
-    """Return package and executable of a process: ``recorder`` of ``swarmabs_bringup.recorder.node``, for example."""
+    """Return package and executable of a process: ``recorder`` of ``swarmabs_bag.recorder.node``, for example."""
     *_, name, _node = process.module.split(".")
     return process.module.partition(".")[0], name
 

@@ -1,5 +1,11 @@
-"""Mathematics and node behaviour of swarmabs, without ROS."""
+"""Mathematics and node behaviours of swarmabs, without ROS."""
 
-from swarmabs_core.simulation import simulate
+from importlib import import_module
+from typing import Any
 
-__all__ = ["simulate"]
+
+def __getattr__(name: str) -> Any:
+    """Give `simulate`, which is in `swarmabs_run.simulation`, to scripts that look for it here."""
+    if name == "simulate":
+        return import_module("swarmabs_run.simulation").simulate
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 from tests.swarmabs_core.helpers import PERIOD_NS, Run, broadcasts, builtin
 
-from swarmabs_core import configure
+from swarmabs_config import configure
 from swarmabs_core.behaviours import Agent, AgentConfig, ImperfectAgent, Plane, make_agent
 from swarmabs_core.messages import AgentState, Kind, PlaneState
 from swarmabs_core.sensing import Sensor, standard_normal

@@ -7,12 +7,7 @@ from hypothesis import given, strategies as st
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
 from swarmabs_core.behaviours import Observer, ObserverConfig
-from swarmabs_core.behaviours.base import (
-    ConflictError,
-    StepAheadError,
-    UnexpectedMessageError,
-    UnknownAgentError,
-)
+from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, ChangeKind

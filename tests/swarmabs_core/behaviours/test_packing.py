@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_core import configure
+from swarmabs_config import configure
 from swarmabs_core.behaviours import Agent, Controller, PackingController, Unpacking
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
 from swarmabs_core.messages import (

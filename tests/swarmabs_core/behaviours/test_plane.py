@@ -11,12 +11,7 @@ from scipy.integrate import solve_ivp
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
 from swarmabs_core.behaviours import Plane, PlaneConfig
-from swarmabs_core.behaviours.base import (
-    ConflictError,
-    StepAheadError,
-    UnexpectedMessageError,
-    UnknownAgentError,
-)
+from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.errors import RunError
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind

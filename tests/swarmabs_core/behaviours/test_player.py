@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 from tests.swarmabs_core.helpers import builtin
 
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.behaviours.player import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName, Player, publisher_of
 from swarmabs_core.errors import InputError, RunError
@@ -32,8 +33,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.recording import RecordedStep
-from swarmabs_core.simulation import Simulation
+from swarmabs_run.simulation import Simulation
 
 ROBOT = NodeName(NodeKind.AGENT, 3)
 STEPS = list(Simulation(builtin("pd_het_4", "duration=0.1", "faults=[{at: 0.05, kind: kill, agent: 3}]")).steps())

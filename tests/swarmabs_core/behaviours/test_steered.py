@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.swarmabs_core.helpers import builtin, digest
 
-from swarmabs_core import configure
+from swarmabs_bag.recording import RecordedStep, RunCollector
+from swarmabs_config import configure
+from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.behaviours import (
     Controller,
     Decision,
@@ -41,15 +43,13 @@ from swarmabs_core.messages import (
     Steering,
     SwarmEvent,
 )
-from swarmabs_core.recording import RecordedStep, RunCollector
-from swarmabs_core.scenario.steered import as_planned
-from swarmabs_core.simulation import Simulation
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, Stair
+from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message, Topic
-    from swarmabs_core.scenario import Scenario
 
 REPEATED = 100
 """Steps whose messages are sent again when nothing moves: all, as nobody waits for the recorder here."""

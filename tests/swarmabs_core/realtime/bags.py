@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_core import configure as lockstep
+from swarmabs_bag.realtime_recording import RealtimeCollector, RealtimeFigures
+from swarmabs_config import configure as lockstep, realtime as configure
+from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPIC_OF, Message, Mode, Topic
-from swarmabs_core.realtime import configure
-from swarmabs_core.realtime.recording import RealtimeCollector, RealtimeFigures
-from swarmabs_core.realtime.virtual_fleet import CONTROLLER, EPOCH, OBSERVER, PLANE, Network, VirtualFleet
-from swarmabs_core.scenario import Scenario
+from swarmabs_run.virtual_fleet import CONTROLLER, EPOCH, OBSERVER, PLANE, Network, VirtualFleet
 
 LATENCY = 400_000
 """Time, ns, that a message takes to the recorder."""

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from tests.swarmabs_core.helpers import SCENARIOS
 
-from swarmabs_core import configure as lockstep
+from swarmabs_config import configure as lockstep, realtime as configure
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
 from swarmabs_core.messages import (
     NEVER,
@@ -17,19 +18,17 @@ from swarmabs_core.messages import (
     Mode,
     SwarmEvent,
 )
-from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.agent import RealtimeAgent
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_core.realtime.drives import Measurement
 from swarmabs_core.realtime.observer import RealtimeObserver
-from swarmabs_core.scenario import load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message
-    from swarmabs_core.scenario import Scenario
 
 PERIOD = 10_000_000
 EPOCH = 1_000_000_000

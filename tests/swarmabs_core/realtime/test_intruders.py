@@ -18,13 +18,8 @@ from tests.swarmabs_core.realtime.nodes import (
     states,
 )
 
-from swarmabs_core.messages import (
-    DesiredAbstractState,
-    EventKind,
-    PlaneState,
-    SwarmEvent,
-)
-from swarmabs_core.realtime import configure
+from swarmabs_config import realtime as configure
+from swarmabs_core.messages import DesiredAbstractState, EventKind, PlaneState, SwarmEvent
 from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.observer import Role
 from swarmabs_core.realtime.plane import RealtimePlane

@@ -23,6 +23,7 @@ from tests.swarmabs_core.realtime.nodes import (
     tell,
 )
 
+from swarmabs_config import realtime as configure
 from swarmabs_core.abstraction import Weight, abstraction, spread_sums
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
@@ -36,7 +37,6 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.agent import HELD, RealtimeAgent
 from swarmabs_core.realtime.base import Level, StepCounter
 from swarmabs_core.realtime.observer import RealtimeObserver, Role

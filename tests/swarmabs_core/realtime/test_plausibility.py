@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.swarmabs_core.realtime.nodes import CLOCK, at, controller, kinds, observer, scenario, states, sums
 
+from swarmabs_config import realtime as configure
 from swarmabs_core.messages import NEVER, AbstractState, AgentState, EventKind, PlaneState, Status, SwarmEvent
-from swarmabs_core.realtime import configure
 from swarmabs_core.realtime.observer import RealtimeObserver, Role
 from swarmabs_core.realtime.plausibility import FASTEST_TURN, Bounds
 

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from swarmabs_core.theory.constrained_region import (
-    Ball,
-    clearance,
-    constrained_region,
-    manifold_clearance,
-)
+from swarmabs_core.theory.constrained_region import Ball, clearance, constrained_region, manifold_clearance
 from swarmabs_core.theory.constraint_sets import (
     StateClass,
     classify,

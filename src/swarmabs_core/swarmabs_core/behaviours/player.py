@@ -38,7 +38,7 @@ from swarmabs_core.steering import DISTURBANCE
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from swarmabs_core.recording import Record, RecordedStep
+    from swarmabs_bag.recording import Record, RecordedStep
 
 
 class NodeKind(str, Enum):

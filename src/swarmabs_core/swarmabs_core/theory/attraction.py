@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_core import configure
+from swarmabs_config import configure
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.controllers.feedback import StateFeedback
 
 if TYPE_CHECKING:
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.manifold import Manifold
-    from swarmabs_core.scenario import Scenario
 
 ANGLE_MAX = 0.2
 """The paper's bound theta_max of the angle, rad."""

@@ -16,7 +16,7 @@ from swarmabs_core.theory.swarm_conditions import inertia_swing
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from swarmabs_core.scenario import Scenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.theory.general_conditions import Constraints
     from swarmabs_core.theory.report import Document
     from swarmabs_core.theory.setting import SwarmKind

@@ -7,7 +7,7 @@ from functools import cached_property
 from math import cos, sin
 from typing import TYPE_CHECKING, Literal
 
-from swarmabs_core import configure
+from swarmabs_config import configure
 from swarmabs_core.abstraction import Abstraction, Weight, abstraction
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.theory.error_dynamics import (
@@ -20,10 +20,10 @@ from swarmabs_core.theory.error_dynamics import (
 )
 
 if TYPE_CHECKING:
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.friction import Friction
     from swarmabs_core.manifold import Manifold
-    from swarmabs_core.scenario import Scenario
 
 SwarmKind = Literal["SI", "DI", "noHomo"]
 """Single integrators, double integrators or both, as in the labels of the theorems."""

@@ -1,0 +1,1 @@
+"""Verification, replay, comparison, export, reports, figures and sweeps of swarmabs."""

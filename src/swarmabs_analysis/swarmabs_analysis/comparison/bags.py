@@ -1,0 +1,255 @@
+"""Two bags side by side: their messages, figures, scenarios and origins."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
+from swarmabs_analysis.comparison.settings import SettingDifference, setting_differences
+from swarmabs_analysis.comparison.steps import recorded_steps
+from swarmabs_bag import DamagedBagError, NotABagError, open_bag
+from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.realtime import is_realtime
+from swarmabs_bag.realtime_recording import RealtimeFigures
+from swarmabs_bag.recording import Digest, Metrics
+from swarmabs_config import configure
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import EVENTS, AgentState
+from swarmabs_core.realtime.base import Schedule
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from swarmabs_bag import BagReader
+    from swarmabs_bag.recording import RecordedStep, Reference
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.messages import Message, Topic
+
+
+@dataclass(frozen=True, slots=True)
+class BagSummary:
+    """What one of two bags comes to, all of it computed from its messages.
+
+    Attributes
+    ----------
+    file : str
+        The MCAP file.
+    digest : str or None
+        Digest of the run, None without messages of main topics and in real time.
+    first_step, last_step : int or None
+        Steps of the first and the last message of a main topic.
+    period : float or None
+        Control period of its scenario, s.
+    robots : int
+        Number of robots that have a state in it.
+    figures : dict
+        ``settled_at``, ``final_error``, ``rms_error``, ``max_abs_position`` and ``messages`` as in ``summary.json``;
+        the first three are None without a scenario, which has the reference.
+    problem : str or None
+        What is damaged, and how far the bag could be read.
+    aborted : str or None
+        Why its run ended early.
+    scenario_problem : str or None
+        Why there is no scenario to compare.
+    not_compared : tuple of str
+        Topics in it that are not of a recorded swarm.
+    """
+
+    file: str
+    digest: str | None
+    first_step: int | None
+    last_step: int | None
+    period: float | None
+    robots: int
+    figures: dict[str, float | int | None]
+    problem: str | None
+    aborted: str | None
+    scenario_problem: str | None
+    not_compared: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What `compare_bags` finds.
+
+    Attributes
+    ----------
+    a, b : BagSummary
+        Both bags.
+    messages : MessageComparison
+        First difference, and deviations by topic and field.
+    robots_only_in_a, robots_only_in_b : tuple of int
+        Robots that have states in one of them alone.
+    scenario : tuple of SettingDifference
+        Fields in which the resolved scenarios differ; empty also if one of them is not there.
+    provenance : tuple of SettingDifference
+        The same of what made the bags: versions, machine, fingerprint.
+    """
+
+    a: BagSummary
+    b: BagSummary
+    messages: MessageComparison
+    robots_only_in_a: tuple[int, ...]
+    robots_only_in_b: tuple[int, ...]
+    scenario: tuple[SettingDifference, ...]
+    provenance: tuple[SettingDifference, ...]
+
+    @property
+    def damaged(self) -> bool:
+        """Whether one of the bags could not be read to its end."""
+        return self.a.problem is not None or self.b.problem is not None
+
+    @property
+    def equal(self) -> bool:
+        """Whether both bags are whole and have the same messages, bit for bit."""
+        return self.messages.equal and not self.damaged
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain data for JSON; numbers that are not finite become texts."""
+        first = self.messages.first
+        document = {
+            "equal": self.equal,
+            "damaged": self.damaged,
+            "a": asdict(self.a),
+            "b": asdict(self.b),
+            "first_difference": first._asdict() if first is not None else None,
+            "topics": [asdict(topic) for topic in self.messages.topics],
+            "robots_only_in_a": self.robots_only_in_a,
+            "robots_only_in_b": self.robots_only_in_b,
+            "scenario": [difference._asdict() for difference in self.scenario],
+            "provenance": [difference._asdict() for difference in self.provenance],
+        }
+        plain: dict[str, Any] = _plain(document)
+        return plain
+
+
+def compare_bags(
+    a: Path | str, b: Path | str, *, namespaces: tuple[str | None, str | None] = (None, None)
+) -> Comparison:
+    """Compare two bags message by message, in bounded memory.
+
+    What both have of a step is compared; what only one has is counted as missing in the other. Damage does not
+    raise: a bag is compared as far as it can be read, and its summary says so.
+
+    Parameters
+    ----------
+    a, b : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+    namespaces : tuple of (str or None)
+        Which swarm to read of each if it holds several.
+
+    Raises
+    ------
+    NotABagError
+        If one of them is no bag of a swarm.
+    DamagedBagError
+        If nothing can be said of one of them.
+    """
+    left, right = (
+        _Side(open_bag(path, namespace=namespace, damaged=True))
+        for path, namespace in zip((a, b), namespaces, strict=True)
+    )
+    messages = compare_steps(left.steps(), right.steps())
+    return Comparison(
+        a=left.summary(),
+        b=right.summary(),
+        messages=messages,
+        robots_only_in_a=tuple(sorted(left.robots - right.robots)),
+        robots_only_in_b=tuple(sorted(right.robots - left.robots)),
+        scenario=_scenario_differences(left.scenario, right.scenario),
+        provenance=setting_differences(attached_provenance(left.bag), attached_provenance(right.bag)),
+    )
+
+
+class _Side:
+    """One of two bags while it is read: sums up what passes."""
+
+    def __init__(self, bag: BagReader) -> None:
+        if bag.namespace is None and bag.problem is None:
+            raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
+        self.bag = bag
+        self.robots: set[int] = set()
+        self.scenario: Scenario | None = None
+        self._problem = bag.problem and f"{bag.path}: {bag.problem}"
+        self._scenario_problem: str | None = None
+        self._steps: tuple[int, int] | None = None
+        self._digest = Digest()
+        self._realtime = is_realtime(bag)
+        reference = self._reference()
+        self._metrics = Metrics(reference)
+        period_ns = self.scenario.step_ns if self.scenario is not None else 1
+        self._figures = RealtimeFigures(reference, Schedule(period_ns))
+
+    def _reference(self) -> Reference:
+        try:
+            self.scenario = attached_scenario(self.bag)
+            return configure.reference(self.scenario)
+        except (InputError, DamagedBagError) as error:
+            self._scenario_problem = str(error)
+            return lambda _: math.nan
+
+    def steps(self) -> Iterator[RecordedStep]:
+        """Yield the bag's steps as far as they can be read."""
+        try:
+            for step in recorded_steps(self._messages(), str(self.bag.path), realtime=self._realtime):
+                self._metrics.update(step)
+                if step.records[0].topic is not EVENTS:
+                    self._digest.update(step)
+                    self._steps = (step.step if self._steps is None else self._steps[0], step.step)
+                    self.robots.update(
+                        record.agent_id for record in step.records if isinstance(record.message, AgentState)
+                    )
+                yield step
+            if self._problem is None:
+                self.bag.check()  # what no message needs can be damaged too
+        except DamagedBagError as error:
+            self._problem = str(error)
+
+    def _messages(self) -> Iterator[tuple[Topic, int, Message]]:
+        """Yield the bag's messages; in real time the figures need those, too, that are no part of a step."""
+        for topic, time, message in self.bag.decoded():
+            if self._realtime:
+                self._figures.add(message)
+            yield topic, time, message
+
+    def summary(self) -> BagSummary:
+        first, last = self._steps if self._steps is not None else (None, None)
+        return BagSummary(
+            file=str(self.bag.path),
+            digest=self._digest.hexdigest() if self._steps is not None and not self._realtime else None,
+            first_step=first,
+            last_step=last,
+            period=self.scenario.period if self.scenario is not None else None,
+            robots=len(self.robots),
+            figures=self._figures.summary() if self._realtime else self._metrics.summary(),
+            problem=self._problem,
+            aborted=self._aborted(),
+            scenario_problem=self._scenario_problem,
+            not_compared=tuple(channel.name for channel in self.bag.channels if channel.topic is None),
+        )
+
+    def _aborted(self) -> str | None:
+        try:
+            return self.bag.aborted()
+        except DamagedBagError:
+            return None
+
+
+def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[SettingDifference, ...]:
+    if a is None or b is None:
+        return ()
+    ours, theirs = (scenario.resolved().model_dump(mode="json", by_alias=True) for scenario in (a, b))
+    return setting_differences(ours, theirs)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    return value

@@ -1,0 +1,90 @@
+"""The messages of a bag, put together by step, in bounded memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_bag import DamagedBagError
+from swarmabs_bag.recording import Record, RecordedStep
+from swarmabs_core.cdr import agent_id_of, encode
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, MAIN_TOPICS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from swarmabs_core.messages import Message, Topic
+
+WINDOW = 8
+"""How many steps a message may stand behind one of a later step: in bags of other recorders topics overlap."""
+
+ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
+"""Place of each recorded topic within a step of a bag."""
+
+
+REALTIME_WINDOW = 300
+"""The same where nobody waits for anybody: topics are received independently of each other."""
+
+
+def recorded_steps(
+    messages: Iterable[tuple[Topic, int, Message]], name: str, *, realtime: bool = False
+) -> Iterator[RecordedStep]:
+    """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
+
+    Parameters
+    ----------
+    messages : iterable of (Topic, int, Message)
+        What `BagReader.decoded` yields; topics that are not recorded are left out.
+    name : str
+        What errors call the bag.
+    realtime : bool
+        Whether it was recorded in real time: then the first of two desired states of a step counts; their modes differ.
+
+    Raises
+    ------
+    DamagedBagError
+        If a message is there twice, or more than `WINDOW` steps late; all steps that are `WINDOW` before it have been
+        yielded then.
+    """
+    waiting: dict[int, dict[tuple[int, int], Record]] = {}
+    latest = -1
+    window = REALTIME_WINDOW if realtime else WINDOW
+    for topic, _, message in messages:
+        place = ORDER.get(topic)
+        if place is None:
+            continue
+        step = message.step
+        record = Record(topic, agent_id_of(message), message, _canonical(message, name))
+        if topic is EVENTS:
+            yield RecordedStep(step, (record,))
+            continue
+        if step <= latest - window:
+            raise DamagedBagError(f"{name}: {_place(record)} stands behind step {latest}, out of order")
+        slot = waiting.setdefault(step, {})
+        if (place, record.agent_id) in slot and realtime and topic is DESIRED_ABSTRACT_STATE:
+            continue
+        if (place, record.agent_id) in slot:
+            raise DamagedBagError(f"{name}: {_place(record)} is there twice")
+        slot[place, record.agent_id] = record
+        if step > latest:
+            latest = step
+            for ready in sorted(number for number in waiting if number <= latest - window):
+                yield _step(ready, waiting.pop(ready))
+    for number in sorted(waiting):
+        yield _step(number, waiting[number])
+
+
+def _step(number: int, slot: dict[tuple[int, int], Record]) -> RecordedStep:
+    return RecordedStep(number, tuple(slot[place] for place in sorted(slot)))
+
+
+def _canonical(message: Message, name: str) -> bytes:
+    try:
+        return encode(message)
+    except MalformedMessageError as error:  # a time stamp beyond what a header holds
+        raise DamagedBagError(f"{name}: {error}") from error
+
+
+def _place(record: Record) -> str:
+    agent = f" of agent {record.agent_id}" if record.agent_id else ""
+    return f"/{record.topic.name}{agent} at step {record.message.step}"

@@ -1,0 +1,143 @@
+"""A comparison of two bags as tables for a terminal."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Group
+from rich.markup import escape
+from rich.table import Table
+
+from swarmabs_analysis.responsive_table import FittingTable
+from swarmabs_config.scenario.errors import printable, shorten
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rich.console import RenderableType
+
+    from swarmabs_analysis.comparison.bags import BagSummary, Comparison
+    from swarmabs_analysis.comparison.messages import TopicComparison
+    from swarmabs_analysis.comparison.settings import SettingDifference
+
+_MOST_ROWS = 40
+_FIGURES = {
+    "settled_at": "settled at, s",
+    "rms_error": "rms error, rad",
+    "final_error": "final error, rad",
+    "max_abs_position": "max |position|, m",
+    "messages": "messages",
+}
+
+
+def render(comparison: Comparison) -> RenderableType:
+    """Return the comparison as tables: verdict, both bags, deviations, then what differs around the messages."""
+    parts: list[RenderableType] = [_sides(comparison), _verdict(comparison)]
+    if not comparison.messages.equal:
+        parts += [_topics(comparison.messages.topics), _fields(comparison.messages.topics)]
+    for name, differences in (("scenario", comparison.scenario), ("provenance", comparison.provenance)):
+        if differences:
+            parts.append(_settings(name, differences))
+    return Group(*parts)
+
+
+def _verdict(comparison: Comparison) -> str:
+    first = comparison.messages.first
+    if first is not None:
+        return f"[bold]different[/]: first {_shown(str(first))}"
+    return "[bold]equal[/] as far as they can be read" if comparison.damaged else "[bold]equal[/], bit for bit"
+
+
+def _sides(comparison: Comparison) -> Table:
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    table.add_column("", style="bold")
+    table.add_column("A", overflow="fold")
+    table.add_column("B", overflow="fold")
+    for name, a, b in _facts(comparison):
+        if a or b:
+            table.add_row(name, _shown(a), _shown(b))
+    return table
+
+
+def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
+    a, b = comparison.a, comparison.b
+    yield "file", a.file, b.file
+    yield "damaged", a.problem or "", b.problem or ""
+    yield "ended early", a.aborted or "", b.aborted or ""
+    yield "no scenario", a.scenario_problem or "", b.scenario_problem or ""
+    yield "digest", a.digest or "-", b.digest or "-"
+    yield "steps", _steps(a), _steps(b)
+    yield "period, s", _number(a.period), _number(b.period)
+    yield "robots", str(a.robots), str(b.robots)
+    yield "robots in it alone", _ids(comparison.robots_only_in_a), _ids(comparison.robots_only_in_b)
+    for key, name in _FIGURES.items():
+        yield name, _number(a.figures[key]), _number(b.figures[key])
+    yield "not compared", ", ".join(a.not_compared), ", ".join(b.not_compared)
+
+
+def _topics(topics: Sequence[TopicComparison]) -> FittingTable:
+    table = FittingTable(box=box.SIMPLE, pad_edge=False)
+    table.add_column("topic", no_wrap=True)
+    for heading in ("in both", "differ", "not in A", "not in B"):
+        table.add_column(heading, justify="right")
+    for topic in topics:
+        counts = (topic.compared, topic.differing, topic.missing_in_a, topic.missing_in_b)
+        table.add_row(topic.topic, *(f"{count:,}" for count in counts))
+    return table
+
+
+def _fields(topics: Sequence[TopicComparison]) -> FittingTable | str:
+    """Return a table by topic and field, narrow enough for 80 characters unless something is not finite."""
+    undefined = any(field.undefined for topic in topics for field in topic.fields)
+    table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("field", no_wrap=True)
+    for heading in ("differ", "largest", "at step", "agent", "rms", *(["not finite"] if undefined else [])):
+        table.add_column(heading, justify="right")
+    for topic in topics:
+        if topic.fields:
+            table.add_row(topic.topic)
+        for field in topic.fields:
+            table.add_row(
+                f"  {field.field}",
+                f"{field.differing:,}",
+                _number(field.largest),
+                "-" if field.step is None else str(field.step),
+                str(field.agent) if field.agent else "-",
+                _number(field.rms),
+                *([f"{field.undefined:,}"] if undefined else []),
+            )
+    return table if table.row_count else ""
+
+
+def _settings(name: str, differences: Sequence[SettingDifference]) -> Table:
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for heading in (name, "A", "B"):
+        table.add_column(heading, overflow="fold")
+    for one in differences[:_MOST_ROWS]:
+        table.add_row(_shown(one.field), _value(one.a, one.missing == "A"), _value(one.b, one.missing == "B"))
+    if len(differences) > _MOST_ROWS:
+        table.add_row(f"and {len(differences) - _MOST_ROWS} more, with --json", "", "")
+    return table
+
+
+def _steps(side: BagSummary) -> str:
+    return "-" if side.first_step is None else f"{side.first_step} to {side.last_step}"
+
+
+def _ids(robots: Sequence[int]) -> str:
+    return ", ".join(map(str, robots[:10])) + (f" and {len(robots) - 10} more" if len(robots) > 10 else "")
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else f"{value:,}"
+
+
+def _value(value: Any, missing: bool) -> str:  # noqa: FBT001 - private, called with names in sight
+    return "not there" if missing else _shown(json.dumps(value))
+
+
+def _shown(text: str) -> str:
+    """Return text from a file such that it cannot steer the terminal."""
+    return escape(printable(shorten(text, 200)))

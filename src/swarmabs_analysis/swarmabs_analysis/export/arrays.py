@@ -1,0 +1,124 @@
+"""A bag as a file of numpy arrays."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarmabs_analysis.export.columns import TABLES, time_of
+from swarmabs_bag import BagTooLargeError, load_tables, open_bag
+from swarmabs_bag.arrays import arrays_since
+from swarmabs_bag.attached import step_period
+from swarmabs_bag.memory import available_memory
+from swarmabs_core.arrays import MessageArrays
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import EVENTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from swarmabs_bag import BagReader
+    from swarmabs_core.arrays import RunArrays
+
+_EVENT_BYTES = 500
+"""Memory that a decoded event takes, without a long text."""
+
+
+def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
+    """Write the arrays of a bag (`load_arrays`) and its events into a new ``.npz`` file, whole or not at all.
+
+    Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape
+    (n+1, N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of
+    shape (E,), texts as fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled. Returned
+    is the file.
+
+    Parameters
+    ----------
+    path : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+    file : Path
+        The file, which must not exist.
+    namespace : str, optional
+        Which swarm to export if the bag holds several.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a swarm, its arrays do not fit into memory, or the file is there already.
+    RunError
+        If the bag is damaged, or the file cannot be written.
+    """
+    if file.suffix != ".npz":
+        raise InputError(f"{file} does not end in .npz; name a file such as {file.with_suffix('.npz')} with -o")
+    if file.exists():
+        raise InputError(f"{file} is there already; name another with -o, or remove it")
+    bag = open_bag(path, namespace=namespace)
+    run, start = arrays_since(bag, load_tables(bag))
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(run)), **_events(bag, start)}
+    units = {name: unit for name, unit in _units().items() if name in arrays}
+    part = file.with_name(f".{file.name}.part")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as stream:
+            np.savez(stream, units=np.array(json.dumps(units)), **arrays)  # type: ignore[arg-type]
+        part.replace(file)
+    except OSError as error:
+        raise RunError(f"cannot write {file}: {error.strerror or error}; name another file with -o") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return file
+
+
+def _named(run: RunArrays) -> Iterator[tuple[str, NDArray[Any]]]:
+    for field in fields(run):
+        value = getattr(run, field.name)
+        if isinstance(value, MessageArrays):
+            yield from ((f"{field.name}_{name}", array) for name, array in value.items())
+        else:
+            yield field.name, value
+
+
+def _events(bag: BagReader, start: float) -> dict[str, NDArray[Any]]:
+    """Return the events' fields, each of shape (E,), times since `start` (s); a bag without the topic has none."""
+    period = step_period(bag)
+    count = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
+    _check_memory(bag, count * _EVENT_BYTES)
+    events: list[Any] = [message for _, _, message in bag.decoded((EVENTS,))]
+    widest = max((len(event.detail) for event in events), default=0)
+    _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
+    return {
+        "events_step": np.array([event.step for event in events], dtype=np.uint64),
+        "events_time": np.array([time_of(event, period) / 1e9 - start for event in events], dtype=np.float64),
+        "events_agent_id": np.array([event.agent_id for event in events], dtype=np.uint16),
+        "events_kind": np.array([event.kind for event in events], dtype=np.uint8),
+        "events_value": np.array([event.value for event in events], dtype=np.float64),
+        "events_detail": np.array([event.detail for event in events], dtype=f"U{max(widest, 1)}"),
+        "events_stamp": np.array([event.stamp / 1e9 for event in events], dtype=np.float64),
+    }
+
+
+def _check_memory(bag: BagReader, needed: int) -> None:
+    available = available_memory()
+    if needed > available:
+        raise BagTooLargeError(
+            f"{bag.path}: its events take about {needed / 1e6:.0f} MB as arrays, but {available / 1e6:.0f} MB are free;"
+            " export it with --format csv or parquet"
+        )
+
+
+def _units() -> dict[str, str]:
+    """Return the units by the names of arrays: those of the plane have no prefix."""
+    units = {"agents_ids": "1"}
+    for table in TABLES:
+        for column in table.columns:
+            if column.name == "stamp" and table.topic is not EVENTS:
+                continue
+            plain = table.name == "plane" or (column.name in {"step", "time"} and table.topic is not EVENTS)
+            units[column.name if plain else f"{table.name}_{column.name}"] = column.unit
+    return units

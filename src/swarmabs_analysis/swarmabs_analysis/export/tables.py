@@ -1,0 +1,136 @@
+"""A bag as a folder of tables, written row by row in bounded memory."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from contextlib import ExitStack, contextmanager
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Protocol
+
+from swarmabs_analysis.export.columns import TABLES, time_of
+from swarmabs_bag import NotABagError, open_bag
+from swarmabs_bag.attached import step_period
+from swarmabs_core.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from swarmabs_analysis.export.columns import BagTable, TableFormat
+    from swarmabs_core.messages import Message
+
+COLUMNS_FILE = "columns.csv"
+
+
+class Sink(Protocol):
+    """Where the rows of a table go."""
+
+    def add(self, row: Sequence[Any], /) -> object:
+        """Take the next row."""
+        ...
+
+
+def export_tables(
+    path: Path | str, folder: Path, table_format: TableFormat, *, namespace: str | None = None
+) -> tuple[Path, ...]:
+    """Write the tables of a bag into a new folder, whole or not at all, and return the files.
+
+    Parameters
+    ----------
+    path : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+    folder : Path
+        What must not exist, or be empty.
+    table_format : {"csv", "parquet"}
+        Kind of the files. Numbers in CSV have the digits that lead back to the same float64.
+    namespace : str, optional
+        Which swarm to export if the bag holds several.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a swarm, the folder is there already, or pyarrow is not installed.
+    RunError
+        If the bag is damaged or the disk fails.
+    """
+    bag = open_bag(path, namespace=namespace)
+    if bag.namespace is None:
+        raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
+    opened = _parquet() if table_format == "parquet" else _csv
+    with new_folder(folder) as part, ExitStack() as stack:
+        sinks = {table.topic: stack.enter_context(opened(part, table)) for table in TABLES}
+        period = step_period(bag)
+        rows = {table.topic: _row(table, period) for table in TABLES}
+        for topic, _, message in bag.decoded(tuple(sinks)):
+            sinks[topic].add(rows[topic](message))
+        _write_columns(part / COLUMNS_FILE)
+    return tuple(sorted(folder.iterdir()))
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a folder to fill that becomes `folder` at the end of the block, and is removed if it fails."""
+    place = folder.absolute()
+    part = place.with_name(f".{place.name}.part")
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} is there already; name another with -o, or remove it")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part.mkdir()
+    except FileExistsError:
+        raise InputError(f"{part} is left of an export that was killed, or goes on; wait or remove it") from None
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made: {error.strerror}; name another with -o") from error
+    try:
+        yield part
+        part.replace(place)
+    except OSError as error:
+        raise RunError(f"cannot write {folder}: {error.strerror or error}; export to another disk with -o") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _row(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:
+    fields = table.topic.message._fields
+    names = [column.name for column in table.columns]
+    time, stamp = names.index("time"), names.index("stamp")
+    pick = itemgetter(*(0 if name in {"time", "stamp"} else fields.index(name) for name in names))
+
+    def row(message: Message) -> Sequence[Any]:
+        picked = list(pick(message))
+        picked[time], picked[stamp] = time_of(message, period) / 1e9, message.stamp / 1e9
+        return picked
+
+    return row
+
+
+@contextmanager
+def _csv(folder: Path, table: BagTable) -> Iterator[Sink]:
+    with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([column.name for column in table.columns])
+        yield _CsvSink(writer.writerow)
+
+
+class _CsvSink:
+    def __init__(self, write: Callable[[Sequence[Any]], object]) -> None:
+        self.add = write
+
+
+def _parquet() -> Callable[[Path, BagTable], AbstractContextManager[Sink]]:
+    try:
+        from swarmabs_analysis.export.parquet import parquet_sink  # noqa: PLC0415 - pyarrow may be missing
+    except ImportError as error:
+        raise InputError(
+            f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
+        ) from error
+    return parquet_sink
+
+
+def _write_columns(path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["table", "column", "type", "unit", "meaning"])
+        writer.writerows([table.name, *column] for table in TABLES for column in table.columns)

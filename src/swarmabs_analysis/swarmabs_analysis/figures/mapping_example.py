@@ -1,0 +1,159 @@
+"""The preimage of one abstract state of three robots, cut out of an ellipsoid by a plane: fig. mappingEx."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import Normal, Stroke
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from swarmabs_analysis.figures.style import BLACK, COLUMN, SKY, VERMILION, YELLOW
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+_VIEW = (24.0, -14.0)
+"""Elevation and azimuth of the eye, degrees."""
+_LIGHT = np.array([0.3, -0.6, 0.75])
+_EXTENT = 1.08
+"""Half of the plane's side over the sphere's radius, where the ellipsoid is a sphere."""
+
+
+class Preimage(NamedTuple):
+    """The preimage of an abstract state of three robots, as a circle where the ellipsoid is a sphere.
+
+    With q_i = sqrt(m_i) p_i the ellipsoid sum m p^2 = J is a sphere of radius sqrt(J), and g sum m p = tau a plane at
+    the distance T/sqrt(M) along the normal sqrt(m_i/M), for T = tau/g and M = sum m.
+    """
+
+    scale: Floats
+    """sqrt(m_i), (3,), sqrt(kg)."""
+    radius: float
+    """Of the sphere, sqrt(kg) m."""
+    distance: float
+    """Of the plane from the origin, sqrt(kg) m."""
+    axes: Floats
+    """Two directions in the plane and its normal, (3, 3), a row each."""
+
+    @property
+    def circle(self) -> float:
+        """Radius of the circle, sqrt(kg) m."""
+        return float(np.sqrt(self.radius**2 - self.distance**2))
+
+    def positions(self, along: Floats, across: Floats, height: Floats | float) -> Floats:
+        """Return positions (m), (..., 3), from coordinates in the plane and along its normal, sqrt(kg) m."""
+        points = np.stack(np.broadcast_arrays(along, across, height), axis=-1)
+        return (points[..., None] * self.axes).sum(axis=-2) / self.scale
+
+
+def preimage(masses: tuple[float, float, float], torque: float, inertia: float, gravity: float) -> Preimage:
+    """Return the preimage of an abstract state (N m, kg m^2) of three robots with these masses (kg)."""
+    scale = np.sqrt(masses)
+    total = sum(masses)
+    normal = scale / np.sqrt(total)
+    first = np.cross(normal, [0.0, 0.0, 1.0])
+    first /= np.sqrt((first**2).sum())
+    directions = np.array([first, np.cross(normal, first), normal])
+    return Preimage(scale, float(np.sqrt(inertia)), torque / gravity / float(np.sqrt(total)), directions)
+
+
+def ellipse(example: Preimage, count: int = 241) -> Floats:
+    """Return points (m) of the preimage, (count, 3), the last one the first."""
+    turn = np.linspace(0.0, 2.0 * np.pi, count)
+    return example.positions(example.circle * np.cos(turn), example.circle * np.sin(turn), example.distance)
+
+
+def draw_mapping_example(
+    masses: tuple[float, float, float] = (2.0, 3.0, 3.0),
+    torque: float = 10.0,
+    inertia: float = 1.0,
+    gravity: float = 9.81,
+) -> Figure:
+    """Draw plane, ellipsoid and preimage; by default with the paper's numbers.
+
+    Parameters
+    ----------
+    masses : tuple of float
+        Of the three robots, kg.
+    torque, inertia : float
+        The abstract state, N m and kg m^2.
+    gravity : float
+        m/s^2.
+    """
+    example = preimage(masses, torque, inertia, gravity)
+    figure = Figure(figsize=(COLUMN, 3.3))
+    axes: Axes3D = figure.add_axes((0.0, 0.04, 0.94, 0.98), projection="3d", computed_zorder=False)
+    axes.view_init(*_VIEW)
+    sphere, plane = _sphere(example), _plane(example)
+    # One collection, so that facets of plane and ellipsoid hide each other by their depth.
+    facets = Poly3DCollection(
+        np.concatenate([sphere, plane]),
+        facecolors=np.concatenate([_shaded(sphere, VERMILION, 0.65), _shaded(plane, SKY, 0.85)]),
+        edgecolors="none",
+        zorder=1,
+    )
+    axes.add_collection3d(facets)
+    axes.plot(*ellipse(example).T, color=BLACK, linewidth=2.6, zorder=2)
+    axes.plot(*ellipse(example).T, color=YELLOW, linewidth=1.4, zorder=3)
+    limit = float(np.abs(plane).max())
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), zlim=(-limit, limit))
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.0)
+    for name, axis in (("p₁", axes.xaxis), ("p₂", axes.yaxis), ("p₃", axes.zaxis)):
+        axis.set_label_text(f"{name}, m")
+        axis.set_major_locator(MaxNLocator(5, prune="both"))
+        axis.labelpad = -3.0
+        axis.set_tick_params(pad=-1.0)
+    handles = [
+        Patch(facecolor=SKY, label=f"τₛ = {torque:g} N m"),
+        Patch(facecolor=VERMILION, label=f"Jₛ = {inertia:g} kg m²"),
+        Line2D(
+            [],
+            [],
+            color=YELLOW,
+            linewidth=1.4,
+            path_effects=[Stroke(linewidth=2.6, foreground=BLACK), Normal()],
+            label="preimage of both",
+        ),
+    ]
+    figure.legend(handles=handles, loc="upper center", ncols=3)
+    return figure
+
+
+def _sphere(example: Preimage) -> Floats:
+    """Return facets of the ellipsoid, (K, 4, 3), of which none crosses the plane."""
+    cut = np.arccos(example.distance / example.radius)
+    polar = np.concatenate([np.linspace(0.0, cut, 13)[:-1], np.linspace(cut, np.pi, 25)])[:, None]
+    turn = np.linspace(0.0, 2.0 * np.pi, 65)
+    ring = example.radius * np.sin(polar)
+    return _facets(example.positions(ring * np.cos(turn), ring * np.sin(turn), example.radius * np.cos(polar)))
+
+
+def _plane(example: Preimage) -> Floats:
+    """Return facets of the plane, (K, 4, 3), of which none crosses the ellipsoid."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 65)
+    rim = _EXTENT * example.radius / np.maximum(np.abs(np.cos(turn)), np.abs(np.sin(turn)))
+    inner, outer = np.linspace(0.0, 1.0, 11)[:-1, None], np.linspace(0.0, 1.0, 11)[:, None]
+    away = np.concatenate([inner * example.circle + 0.0 * turn, example.circle + outer * (rim - example.circle)])
+    return _facets(example.positions(away * np.cos(turn), away * np.sin(turn), example.distance))
+
+
+def _facets(grid: Floats) -> Floats:
+    corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)
+    return corners.reshape(-1, 4, 3)
+
+
+def _shaded(facets: Floats, colour: str, opacity: float) -> Floats:
+    """Return the colours of facets in the light, (K, 4)."""
+    normals = np.cross(facets[:, 2] - facets[:, 0], facets[:, 3] - facets[:, 1])
+    normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
+    bright = 0.7 + 0.3 * np.abs((normals * _LIGHT).sum(axis=1))
+    return np.column_stack([bright[:, None] * np.array(to_rgb(colour)), np.full(len(facets), opacity)])

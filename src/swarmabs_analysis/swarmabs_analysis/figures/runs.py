@@ -1,0 +1,196 @@
+"""The runs that figures are drawn from: found among bags, or made where they are missing."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmabs_bag import NotABagError, find_bag, load_arrays, open_bag
+from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.summary import Times, summarise
+from swarmabs_config.scenario import Scenario, dump_scenario
+from swarmabs_config.scenario.errors import printable, shorten
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.arrays import RunArrays
+from swarmabs_core.errors import InputError, RunError, SwarmabsError
+from swarmabs_core.messages import PLANE_STATE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_run.orchestration.progress import Outcome
+
+    Execute = Callable[[Scenario, RunFolder], Outcome]
+
+_LONGEST_REASON = 400
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """A run as its bag holds it: its own scenario and its messages."""
+
+    scenario: Scenario
+    arrays: RunArrays
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A complete bag: its MCAP file and the scenario attached to it."""
+
+    bag: Path
+    scenario: Scenario
+
+    def load(self) -> RecordedRun:
+        """Read the whole bag.
+
+        Raises
+        ------
+        DamagedBagError
+            If the bag is damaged.
+        """
+        return RecordedRun(self.scenario, load_arrays(self.bag))
+
+    @property
+    def altered(self) -> bool:
+        """Whether the run is not that of the built-in scenario of its name."""
+        return dump_scenario(self.scenario) != dump_scenario(find_scenario(self.scenario.name).resolved())
+
+
+def find_runs(
+    paths: Iterable[Path], needed: Collection[str], pass_over: Callable[[str], None] = lambda _: None
+) -> dict[str, Source]:
+    """Return the bags of the needed scenarios by the names of these.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Runs' folders, bags' folders, MCAP files, and folders of such.
+    needed : collection of str
+        Names of scenarios.
+    pass_over : callable, optional
+        Told why a bag that stands among others is left out, such as that its run ended early.
+
+    Raises
+    ------
+    InputError
+        If a path holds no bag, or a single one that cannot be used, or there are two bags of one scenario.
+    """
+    found: dict[str, Source] = {}
+    for path in paths:
+        bags = _bags(path)
+        for bag in bags:
+            try:
+                source = _source(bag)
+            except SwarmabsError as error:
+                if len(bags) == 1:
+                    raise
+                pass_over(str(error))
+                continue
+            name = source.scenario.name
+            if name in needed:
+                other = found.setdefault(name, source)
+                if other.bag.resolve() != bag.resolve():
+                    raise InputError(f"{other.bag} and {bag} are both of {name}; name one of them")
+    return found
+
+
+def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
+    """Return the runs that `make_run` has made in a folder before, by the names of their scenarios.
+
+    Raises
+    ------
+    InputError
+        If something else is where a run would be made.
+    """
+    found = {}
+    for name in needed:
+        path = folder / name
+        if path.exists():
+            try:
+                source = _source(find_bag(path))
+            except SwarmabsError as error:
+                raise InputError(f"{error}; remove {path}, or name another -o") from error
+            if source.scenario.name != name or source.altered:
+                raise InputError(f"{path} is not a run of the built-in {name}; remove it, or name another -o")
+            found[name] = source
+    return found
+
+
+def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
+    """Run a scenario and keep its results in a folder, which appears whole or not at all.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to run.
+    folder : Path
+        Where the folder of the run is made, under the scenario's name.
+    execute : callable
+        Carries the run out, such as `swarmabs_run.simulated_run.simulate_run`.
+
+    Raises
+    ------
+    RunError
+        If the run fails.
+    """
+    begun = time.monotonic()
+    resolved = scenario.resolved()
+    target = folder / resolved.name
+    with tempfile.TemporaryDirectory(dir=folder, prefix=f".{resolved.name}-") as temporary:
+        made = new_run_folder(Path(temporary) / "run")
+        outcome = execute(resolved, made)
+        if outcome.status != "ok":
+            raise RunError(f"{resolved.name}: {outcome.reason}")
+        summary = summarise(
+            resolved,
+            outcome,
+            Times(time.monotonic() - begun, startup=outcome.start_seconds),
+        )
+        made.write_summary(summary)
+        made.path.rename(target)
+    return Source(find_bag(target), resolved)
+
+
+def missing_text(missing: Iterable[str], drawn: Mapping[str, Collection[str]]) -> str:
+    """Say which scenarios have no bag, and which figures need them."""
+    return "; ".join(
+        f"{name} (for {', '.join(figure for figure, needed in drawn.items() if name in needed)})" for name in missing
+    )
+
+
+def _bags(path: Path) -> list[Path]:
+    """Return the bag that a path names, or all those in a folder: a bag's, a run's, or one of several runs."""
+    if not path.is_dir():
+        return [find_bag(path)]
+    try:
+        children = sorted(path.iterdir())
+    except OSError as error:
+        raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
+    bags = [find_bag(child) for child in children if _holds_bag(child)]
+    if not bags:
+        raise NotABagError(f"{path} holds neither a bag nor folders of runs")
+    return bags
+
+
+def _holds_bag(path: Path) -> bool:
+    if path.name.startswith("."):
+        return False
+    return path.suffix == ".mcap" or (path.is_dir() and any((*path.glob("*.mcap"), *path.glob("bag/*.mcap"))))
+
+
+def _source(bag: Path) -> Source:
+    """Return a bag with its scenario, and refuse one that is of no use."""
+    opened = open_bag(bag, damaged=True)
+    reason = opened.problem or opened.aborted()
+    if reason is not None:
+        raise InputError(f"{bag} is not complete: {printable(shorten(reason, _LONGEST_REASON))}")
+    scenario = attached_scenario(opened)
+    states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
+    if states != scenario.steps + 1:
+        raise InputError(f"{bag} is not complete: {states} of {scenario.steps + 1} states of the plane")
+    return Source(bag, scenario)

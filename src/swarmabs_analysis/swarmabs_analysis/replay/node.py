@@ -1,0 +1,57 @@
+"""Node ``replay_player``: in a replay it stands in for all nodes but those under test."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from swarmabs_analysis.replay.plan import played
+from swarmabs_analysis.replay.source import recorded_steps
+from swarmabs_bag import open_bag
+from swarmabs_bag.attached import attached_scenario
+from swarmabs_core.behaviours.player import NodeName, Player
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change
+from swarmabs_core.messages import AGENT_STATE
+from swarmabs_core.parameters import Parameter
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+
+PARAMETERS = (
+    Parameter("bag", "", "bag that is replayed"),
+    Parameter("nodes", ("controller",), "nodes under test: plane, observer, controller, agent:N"),
+    Parameter("window", 0, "how many steps the replay may be ahead of the recorder; 0: not recorded", minimum=0),
+    Parameter("ends", (), "ends of robots that the bag's scenario had not planned, each 'KIND AGENT STEP'"),
+)
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, or nothing to tell when the replay ends.
+    """
+    last = settings.last_step()
+    if not settings.text("bag") or last is None:
+        raise InputError("parameters bag and last_step: give a bag and the step with which the replay ends")
+    bag = open_bag(Path(settings.text("bag")), namespace=settings.namespace)
+    scenario = attached_scenario(bag).resolved()
+    ends = [Change.parse(text) for text in settings.texts("ends")]
+    nodes = [NodeName.parse(text) for text in settings.texts("nodes")]
+    steps = recorded_steps(bag, scenario, ends)
+    player = Player(steps, nodes, last_step=last, window=settings.integer("window"))
+    depth = max(100, 4 * len(scenario.agents))
+    subscriptions = {topic: requested(topic, depth=depth if topic is AGENT_STATE else 10) for topic in player.hears}
+    return NodeSpec(player, played(nodes), subscriptions)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("replay_player", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

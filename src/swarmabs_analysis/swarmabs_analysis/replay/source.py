@@ -1,0 +1,215 @@
+"""A recorded run as a source of messages: its scenario, its complete steps, and what nobody had planned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_analysis.replay.in_process import silent_since
+from swarmabs_bag import BagReader, open_bag
+from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.metadata import dump_yaml
+from swarmabs_bag.realtime import is_realtime
+from swarmabs_bag.recording import Digest, RecordedStep, RunCollector
+from swarmabs_config import configure
+from swarmabs_config.scenario import parse_scenario
+from swarmabs_core.behaviours.player import NodeKind
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change, ChangeKind, with_ends
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.behaviours.player import NodeName
+
+_WINDOW = 1000
+"""How many steps are held in memory while one before them is not complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A bag that can be replayed; made by `open_source`.
+
+    Attributes
+    ----------
+    bag : BagReader
+        The bag.
+    recorded : Scenario
+        Its scenario.
+    digest : str
+        Digest of its complete steps.
+    last_step : int
+        The last complete step.
+    ends : tuple of Change
+        Ends of robots that the scenario had not planned.
+    robots : frozenset of int
+        Ids of the robots that have recorded a state.
+    """
+
+    bag: BagReader
+    recorded: Scenario
+    digest: str
+    last_step: int
+    ends: tuple[Change, ...]
+    robots: frozenset[int]
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of the recorded swarm."""
+        return (self.bag.namespace or "/").rstrip("/") or "/"
+
+    def steps(self) -> Iterator[RecordedStep]:
+        """Yield the complete steps, in order; an event that was recorded late comes late again."""
+        return recorded_steps(self.bag, self.recorded, self.ends)
+
+    def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> Scenario:
+        """Return the scenario of a replay: the recorded one with changes, as far as there are complete steps.
+
+        Parameters
+        ----------
+        nodes : collection of NodeName
+            The nodes under test.
+        overrides : sequence of str
+            ``a.b=value`` each.
+
+        Raises
+        ------
+        InputError
+            If a node under test has recorded nothing, or a change contradicts the recording.
+        """
+        for node in nodes:
+            if node.kind is NodeKind.AGENT and node.agent_id not in self.robots:
+                ids = ", ".join(map(str, sorted(self.robots)[:20])) + (" ..." if len(self.robots) > 20 else "")
+                raise InputError(
+                    f"--node {node}: the bag has no states of robot {node.agent_id}; it has those of {ids}"
+                )
+        changed = attached_scenario(self.bag, overrides).resolved()
+        for what, of in (
+            ("control period", lambda scenario: scenario.step_ns),
+            ("robots", configure.members),
+            ("faults that end robots or let them join", configure.schedule),
+        ):
+            if of(changed) != of(self.recorded):
+                raise InputError(f"--set changes the {what}, but the other nodes say what was recorded; run it instead")
+        return _shortened(changed, min(self.last_step, changed.steps))
+
+
+def open_source(path: Path, *, namespace: str | None = None) -> Source:
+    """Open a bag and read it once, to learn which steps are complete and who ended unplanned.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to replay if the bag holds several.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a run in lockstep.
+    DamagedBagError
+        If the bag has lost its end.
+    """
+    bag = open_bag(path, namespace=namespace)
+    if is_realtime(bag):
+        raise InputError(
+            f"{bag.path} was recorded in real time: a node under test would not hear the messages when it heard them "
+            "then; verify recomputes its answers from what they name, and without --node the bag is played"
+        )
+    missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
+    if missing:
+        raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")
+    scenario = attached_scenario(bag).resolved()
+    members = frozenset(configure.members(scenario))
+    ends: list[Change] = []
+    robots: set[int] = set()
+    digest, last = Digest(), -1
+    for step in recorded_steps(bag, scenario):
+        if step.step > last:
+            last = step.step
+            digest.update(step)
+        for record in step.records:
+            silent = silent_since(record.message)
+            if silent is not None:
+                if silent[0] not in members:
+                    raise InputError(f"{bag.path}: robot {silent[0]} fell silent, which its scenario does not have")
+                ends.append(Change(silent[1] - 1, silent[0], ChangeKind.KILL))
+            elif record.topic is AGENT_STATE:
+                robots.add(record.agent_id)
+    if last < 1:
+        raise InputError(f"{bag.path} has {last + 1} complete steps, too few for a replay")
+    return Source(bag, scenario, digest.hexdigest(), last, tuple(ends), frozenset(robots))
+
+
+def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
+    """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `_WINDOW` steps.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    scenario : Scenario
+        Its scenario, which says whose states make a step complete.
+    ends : collection of Change
+        Ends of robots that the scenario had not planned, as far as they are known beforehand.
+    """
+    schedule = with_ends(configure.schedule(scenario), ends)
+    collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
+    held: RecordedStep | None = None  # the events of a step stand behind its other messages
+    waiting = 0
+    for _, _, message in bag.decoded((*MAIN_TOPICS, EVENTS)):
+        complete = collector.add(message)
+        waiting = 0 if complete else waiting + 1
+        if waiting > _WINDOW * (len(scenario.agents) + len(MAIN_TOPICS)):
+            break
+        for step in complete:
+            if held is not None and step.step == held.step:
+                held = _with_events(held, step)
+            elif held is not None and step.step < held.step:
+                yield step  # an event that was late when it was recorded
+            else:
+                if held is not None:
+                    yield held
+                held = step
+    if held is not None:
+        yield held
+
+
+def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
+    """Return a step with further events."""
+    main = [record for record in step.records if record.topic is not EVENTS]
+    events = [record for record in (*step.records, *more.records) if record.topic is EVENTS]
+    return RecordedStep(step.step, (*main, *sorted(events, key=lambda record: record.payload)))
+
+
+def _shortened(scenario: Scenario, last_step: int) -> Scenario:
+    """Return the scenario of the first steps of a run, without the faults and robots that come later."""
+    if last_step == scenario.steps:
+        return scenario
+    later = {
+        change.agent_id
+        for change in configure.schedule(scenario)
+        if change.step > last_step and change.kind is ChangeKind.JOIN
+    }
+    text = scenario.model_dump(mode="json", by_alias=True)
+    text["duration"] = last_step * scenario.step_ns / 1e9
+    text["swarm"]["agents"] = [agent for agent in text["swarm"]["agents"] if agent["id"] not in later]
+    text["faults"] = [
+        _of_those_left(fault, later)
+        for fault in text["faults"]
+        if scenario.fault_step(fault.get("at", fault.get("from"))) <= last_step
+        and fault.get("agent") not in later
+        and not (fault.get("agents") and later.issuperset(fault["agents"]))
+    ]
+    return parse_scenario(dump_yaml(text), source="scenario of the replay").resolved()
+
+
+def _of_those_left(fault: dict[str, Any], later: Collection[int]) -> dict[str, Any]:
+    """Return a fault that does not name robots that come later."""
+    if not fault.get("agents"):
+        return fault
+    return fault | {"agents": [agent for agent in fault["agents"] if agent not in later]}

@@ -1,0 +1,150 @@
+"""Panels as pictures: each as an element of a page that follows its colours, several as one PNG."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from swarmabs_analysis.figures import style
+from swarmabs_analysis.report.thinning import thin_lines
+from swarmabs_analysis.report.words import quantity, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from swarmabs_analysis.report.panels import Panel
+    from swarmabs_analysis.report.record import Recorded
+
+WIDTH = 4.4
+"""Of a panel in a page, inches: about that of a phone, so that its text can be read there."""
+OVERVIEW = (("plane",), ("mass", "positions"), ("abstract-error",), ("tracking",), ("space",), ("margin-end",))
+"""The panels of the PNG, row by row; of several that stand in one place, the first that there is."""
+COLOURS = {
+    style.BLACK: "ink",
+    style.GREY: "grey",
+    style.LIGHT: "light",
+    "#dddddd": "grid",
+    "#ffffff": "paper",
+    style.ORANGE: "orange",
+    style.SKY: "sky",
+    style.GREEN: "green",
+    style.YELLOW: "yellow",
+    style.BLUE: "blue",
+    style.VERMILION: "vermilion",
+    style.PURPLE: "purple",
+}
+"""The variable of the page's style sheet that stands for each colour."""
+
+PNG_MARK = "swarmabs report"
+"""Marks a PNG file as that of a report."""
+
+_NAMESPACE = re.compile(r"^\{[^}]*\}")
+_FONT = re.compile(r"font-family:[^;]*;? ?")
+_UPRIGHT = re.compile(r"rotate\(-?0 [^)]*\) ?")
+_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+_COLOUR = re.compile(r"#[0-9a-f]{6}\b")
+_REFERENCE = re.compile(r"url\(#([^)]*)\)")
+_SETTINGS = {"savefig.dpi": 160, "figure.dpi": 160}
+
+
+def page_picture(panel: Panel) -> ET.Element:
+    """Return a panel as an ``svg`` element without namespaces, whose colours are variables of the page."""
+    with _drawing():
+        figure = Figure(figsize=(WIDTH, panel.height), layout="constrained")
+        figure.patch.set_visible(False)
+        panel.draw(figure)
+        for axes in figure.axes:
+            axes.patch.set_visible(False)
+        _settle(figure)
+        root = ET.fromstring(style.rendered(figure, ["svg"])["svg"])  # noqa: S314 - matplotlib's own output
+    return _inlined(root, panel.key)
+
+
+def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:
+    """Return the most telling panels with the run's name and state as a PNG file."""
+    places = [[panels[key] for key in keys if key in panels] for keys in OVERVIEW]
+    chosen = [place[0] for place in places if place]
+    with _drawing():
+        columns = 3
+        rows = max(1, -(-len(chosen) // columns))
+        figure = Figure(figsize=(13.0, 0.7 + 3.1 * rows), layout="constrained")
+        figure.suptitle(_title(recorded), fontsize=10, parse_math=False)
+        parts = np.ravel(figure.subfigures(rows, columns, squeeze=False, wspace=0.02, hspace=0.03))
+        for part, panel in zip(parts, chosen, strict=False):
+            panel.draw(part)
+            part.suptitle(panel.heading, fontsize=8.5)
+        if not chosen:
+            figure.text(0.5, 0.4, "fewer than two steps are recorded: there is nothing to draw", ha="center")
+        _settle(figure)
+        return style.rendered(figure, ["png"], title=PNG_MARK)["png"]
+
+
+@contextmanager
+def _drawing() -> Iterator[None]:
+    with warnings.catch_warnings(), style.styled(_SETTINGS):
+        # Names may have letters that the font lacks, and damaged bags quantities of which nothing is recorded.
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        warnings.filterwarnings("ignore", "All-NaN", RuntimeWarning)
+        yield
+
+
+def _settle(figure: Figure) -> None:
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    thin_lines(figure)
+
+
+def _title(recorded: Recorded) -> str:
+    metrics = recorded.metrics
+    rms = metrics["rms_error"]
+    parts = [
+        shown(recorded.scenario.name),
+        f"{len(recorded.arrays.agents.ids)} robots",
+        f"{recorded.steps} steps",
+        recorded.status,
+        f"rms error {quantity(rms, 'rad')}" if isinstance(rms, float) else "",
+        f"digest {str(metrics['digest'])[:16]}…" if metrics["digest"] else "",
+    ]
+    return "   ·   ".join(part for part in parts if part)
+
+
+def _inlined(root: ET.Element, key: str) -> ET.Element:
+    """Return a picture of matplotlib as a part of a page: its ids differ from those of other pictures."""
+    text = ET.tostring(root, encoding="unicode")
+    used = set(_REFERENCE.findall(text)) | set(re.findall(r'href="#([^"]*)"', text))
+    for element in root.iter():
+        element.tag = _NAMESPACE.sub("", element.tag)
+        for name in list(element.attrib):
+            value = element.attrib.pop(name)
+            name = _NAMESPACE.sub("", name)  # noqa: PLW2901 - the name without its namespace
+            if name == "id":
+                if value not in used:
+                    continue
+                value = f"{key}-{value}"
+            elif name == "href" and value.startswith("#"):
+                value = f"#{key}-{value[1:]}"
+            elif name in {"d", "x", "y", "transform"}:
+                value = _NUMBER.sub(lambda found: f"{float(found[0]):.2f}", _UPRIGHT.sub("", value))
+                if not value:
+                    continue
+            elif name == "style":
+                value = _COLOUR.sub(lambda found: _variable(found[0]), _FONT.sub("", value))
+            element.set(name, _REFERENCE.sub(rf"url(#{key}-\1)", value))
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in {"metadata", "style"}:
+                parent.remove(child)
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
+    return root
+
+
+def _variable(colour: str) -> str:
+    name = COLOURS.get(colour)
+    return colour if name is None else f"var(--{name})"

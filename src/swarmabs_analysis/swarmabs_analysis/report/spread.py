@@ -1,0 +1,132 @@
+"""Many robots over time: bands that hold most of them, and where their mass is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREEN, PURPLE, SOLID, VERMILION
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
+    from numpy.typing import NDArray
+
+    from swarmabs_analysis.report.record import Recorded
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+COLUMNS, LINES = 240, 80
+_QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
+
+
+def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | Patch]:
+    """Draw bands that hold 50 and 90 % of the robots, the outermost ones, the median, and three named robots.
+
+    Robots that start on different sides of the axis have bands of their own: they go different ways.
+
+    Parameters
+    ----------
+    axes : Axes
+        With its time axis set.
+    recorded : Recorded
+        The run.
+    values : ndarray, (n+1, N)
+        What is drawn of each robot; NaN where it has none.
+
+    Returns
+    -------
+    list
+        What stands for it in a legend.
+    """
+    there = np.isfinite(values).any(axis=0)
+    legend: list[Line2D | Patch] = []
+    for positive, colour in ((True, BLUE), (False, VERMILION)):
+        chosen = np.flatnonzero(there & ((_start(recorded) > 0) == positive))
+        if len(chosen):
+            _draw_band(axes, recorded, values[:, chosen], colour)
+            legend.append(Patch(color=colour, alpha=0.5, label=f"p {'>' if positive else '≤'} 0 at first"))
+    named = _named(recorded, values, there).items() if there.any() else ()
+    for (name, column), (colour, dashes) in zip(
+        named, ((BLACK, SOLID), (GREEN, DASHED), (PURPLE, SOLID)), strict=False
+    ):
+        legend += axes.plot(
+            recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=0.7, label=name
+        )
+    return legend
+
+
+def _draw_band(axes: Axes, recorded: Recorded, values: Floats, colour: str) -> None:
+    time: list[float] = []
+    found: list[list[float]] = []
+    for rows, _ in _columns(axes, recorded):
+        part: Floats = values[rows].ravel()
+        part = part[np.isfinite(part)]
+        if len(part):
+            time.append(float(recorded.arrays.time[rows].mean()))
+            found.append(np.quantile(part, _QUANTILES).tolist())
+    lowest, low, lower, middle, upper, high, highest = np.array(found).T
+    axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
+    axes.fill_between(time, lower, upper, color=colour, alpha=0.35, linewidth=0.0)
+    for edge in (lowest, highest):
+        axes.plot(time, edge, color=colour, linestyle=DOTTED, linewidth=0.7)
+    axes.plot(time, middle, color=colour, linewidth=1.1)
+
+
+def _start(recorded: Recorded) -> Floats:
+    """Return where each robot is first, m."""
+    agents = recorded.arrays.agents
+    return np.asarray(agents.position[(agents.kind > 0).argmax(axis=0), np.arange(len(agents.ids))])
+
+
+def density(axes: Axes, recorded: Recorded) -> QuadMesh:
+    """Draw how much mass is where at each time, kg per mm; the time axis of the panel is set."""
+    agents, time = recorded.arrays.agents, recorded.arrays.time
+    positions = agents.position[np.isfinite(agents.position)]
+    low, high = (float(np.min(positions)), float(np.max(positions))) if len(positions) else (-0.5, 0.5)
+    slack = 0.02 * (high - low) + 1e-6
+    edges = np.linspace(low - slack, high + slack, LINES + 1)
+    kept, masses = [], []
+    for rows, end in _columns(axes, recorded):
+        position, mass = agents.position[rows], agents.mass[rows]
+        there = np.isfinite(position) & np.isfinite(mass)
+        found, _ = np.histogram(position[there], bins=edges, weights=mass[there])
+        masses.append(found / len(position) / (edges[1] - edges[0]) / 1e3)
+        kept.append(end)
+    fade = LinearSegmentedColormap.from_list("mass", [(*to_rgb(GREEN), 0.0), (*to_rgb(GREEN), 1.0)])
+    mesh = axes.pcolormesh([float(time[0]), *kept], edges, np.array(masses).T, cmap=fade, rasterized=True)
+    mesh.set_clim(0.0, float(np.quantile(np.array(masses), 0.998)) or 1.0)
+    return mesh
+
+
+def _columns(axes: Axes, recorded: Recorded) -> Iterator[tuple[Integers, float]]:
+    """Yield the rows in each column of the picture that has any, and the time at its right edge, s."""
+    scale = axes.xaxis.get_transform()
+    time = recorded.arrays.time
+    first, last = scale.transform(np.array([time[0], time[-1]]))
+    edges = np.asarray(scale.inverted().transform(np.linspace(first, last, COLUMNS + 1)))
+    edges[-1] = np.inf
+    places = np.searchsorted(edges, time, side="right")
+    for place in np.unique(places).tolist():
+        yield np.flatnonzero(places == place), float(min(edges[place], time[-1]))
+
+
+def _named(recorded: Recorded, values: Floats, there: NDArray[np.bool_]) -> dict[str, int]:
+    """Return the columns of the lightest and the heaviest robot, and of the one with the largest value."""
+    agents = recorded.arrays.agents
+    columns = np.flatnonzero(there)
+    mass = np.nanmax(agents.mass[:, columns], axis=0)
+    farthest = np.nanmax(np.abs(values[:, columns]), axis=0)
+    chosen = {
+        "largest": columns[int(np.argmax(farthest))],
+        "heaviest": columns[int(np.argmax(mass))],
+        "lightest": columns[int(np.argmin(mass))],
+    }
+    return {f"{agents.ids[column]} ({name})": int(column) for name, column in chosen.items()}

@@ -1,0 +1,242 @@
+"""A bag that is run again: whether it can be, what is different from its time, and whether its digest is reached."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from swarmabs_analysis.comparison.steps import recorded_steps
+from swarmabs_bag import DamagedBagError, NotABagError, open_bag
+from swarmabs_bag.attached import attached_provenance, attached_scenario, was_steered
+from swarmabs_bag.provenance import SCHEMA_VERSION, plugin_versions, versions
+from swarmabs_bag.recording import Digest
+from swarmabs_config import configure
+from swarmabs_config.scenario.errors import printable, shorten, show
+from swarmabs_config.scenario.steered import as_planned
+from swarmabs_core.errors import InputError
+from swarmabs_core.fingerprint import libm_fingerprints
+from swarmabs_core.membership import SILENT, Change, ChangeKind
+from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_core.steering import DISTURBANCE, REFERENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from swarmabs_bag import BagReader
+    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.progress import Outcome
+
+_REPEATABLE = ("lockstep", "simulate")
+_REMEDY = "run the scenario.yaml of its folder instead, as a run of its own"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """The run that a bag holds.
+
+    Attributes
+    ----------
+    bag : Path
+        The bag.
+    scenario : Scenario
+        The scenario in it, with the changes for the new run.
+    digest : str or None
+        Digest of its messages, None if there are none.
+    last_step : int
+        The last step in it, -1 if there is none.
+    complete : bool
+        Whether this is the last step of its scenario, and none before it is missing.
+    differences : tuple of str
+        What is different now from when it was made, or cannot be repeated; a sentence each.
+    """
+
+    bag: Path
+    scenario: Scenario
+    digest: str | None
+    last_step: int
+    complete: bool
+    differences: tuple[str, ...]
+
+    def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, Any]:
+        """Return what came of running it again, for ``rerun_of`` in ``summary.json``.
+
+        Parameters
+        ----------
+        outcome : Outcome
+            What the new run came to.
+        bag : Path
+            Folder of the new run's bag, which need not be there.
+        changed : bool
+            Whether the scenario was changed, so that nothing is claimed.
+        """
+        same: bool | None = None
+        compared: Literal["digest", "prefix"] | None = None
+        if not changed and self.digest is not None:
+            same, compared = self._reached(outcome, bag)
+        return {
+            "bag": str(self.bag),
+            "digest": self.digest,
+            "last_step": self.last_step,
+            "same": same,
+            "compared": compared,
+            "differences": list(self.differences),
+        }
+
+    def _reached(self, outcome: Outcome, bag: Path) -> tuple[bool | None, Literal["digest", "prefix"] | None]:
+        if outcome.figures.get("digest") == self.digest:
+            return True, "digest"
+        if self.complete:
+            return (None, None) if outcome.status == "interrupted" else (False, "digest")
+        try:
+            same = self._continued_by(open_bag(bag))
+        except (NotABagError, DamagedBagError):  # there is none, or the disk was full
+            return None, None
+        return (None, None) if same is None and outcome.status == "interrupted" else (bool(same), "prefix")
+
+    def _continued_by(self, bag: BagReader) -> bool | None:
+        """Say whether another bag has the messages that are here, None if it ends before them.
+
+        Where the bag breaks off, or was repaired, messages of a step may be missing, and whole steps.
+        """
+        others = _main_steps(bag)
+        for step in _main_steps(open_bag(self.bag)):
+            other = next((found for found in others if found.step == step.step), None)
+            if other is None:
+                return None
+            ours, theirs = ({record.payload for record in found.records} for found in (step, other))
+            if not ours <= theirs:
+                return False
+        return True
+
+
+def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun:
+    """Find out what a bag holds of a run that shall be repeated.
+
+    Parameters
+    ----------
+    path : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+    overrides : sequence of str
+        What is changed for the new run, ``a.b=value`` each.
+
+    Raises
+    ------
+    NotABagError
+        If it is no bag.
+    InputError
+        If its run cannot be repeated; the text says why. Also if a change is not valid.
+    DamagedBagError
+        If it has lost its end.
+    """
+    bag = open_bag(path, several=True)
+    if len(bag.swarms) > 1:
+        raise InputError(f"{bag.path} holds several swarms, and a run is of one; {_REMEDY}")
+    recorded = attached_scenario(bag)
+    scenario = attached_scenario(bag, overrides) if overrides else recorded
+    provenance = attached_provenance(bag)
+    _check_repeatable(bag, provenance)
+    differences = [*_differences(provenance, recorded)]
+    digest, last_step, steps = Digest(), -1, 0
+    ends: list[Change] = []
+    try:
+        for step in recorded_steps(bag.decoded(), str(bag.path)):
+            if step.records[0].topic is EVENTS:
+                differences += _unrepeatable(bag, step, ends)
+            else:
+                digest.update(step)
+                last_step = step.step
+                steps += 1
+    except DamagedBagError as error:
+        differences.append(f"only a part of the bag can be compared: {error}")
+    there = set(configure.members(scenario))
+    ends = [end for end in ends if end.agent_id in there and 0 <= end.step <= scenario.steps]
+    return RecordedRun(
+        Path(path),
+        as_planned(scenario, (), ends=ends, source=str(bag.path)),
+        digest.hexdigest() if last_step >= 0 else None,
+        last_step,
+        last_step == recorded.steps == steps - 1,
+        tuple(differences),
+    )
+
+
+def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
+    schema, driver = provenance.get("schema", SCHEMA_VERSION), provenance.get("driver", _REPEATABLE[0])
+    if schema != SCHEMA_VERSION:
+        raise InputError(
+            f"{bag.path}: its provenance is of schema {show(schema)}, this version reads {SCHEMA_VERSION}; "
+            "update swarmabs"
+        )
+    if driver == "realtime":
+        raise InputError(
+            f"{bag.path} was recorded in real time: what each robot heard depended on the wall clock, "
+            f"which cannot be repeated; {_REMEDY}"
+        )
+    if driver not in _REPEATABLE:
+        raise InputError(f"{bag.path} was made by {show(driver)}, which run and simulate cannot repeat; {_REMEDY}")
+    if "replay" in provenance:
+        raise InputError(f"{bag.path} is the replay of another bag, and no run of its own; {_REMEDY}")
+
+
+def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Iterator[str]:
+    """Yield what happened to a run that its scenario does not say, and note ends of robots that nobody had planned.
+
+    What was done from outside is part of the scenario already, unless the run could not be steered.
+    """
+    steered = was_steered(bag)
+    for record in step.records:
+        event = record.message
+        if not isinstance(event, SwarmEvent):
+            continue
+        if event.kind == EventKind.STEERING and not steered and event.detail not in (REFERENCE, DISTURBANCE):
+            raise InputError(
+                f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "
+                f"which cannot be repeated; {_REMEDY}"
+            )
+        if event.kind == EventKind.DEAD and event.detail == SILENT:
+            ends.append(Change(event.step - 1, event.agent_id, ChangeKind.KILL))
+            yield (
+                f"in the bag robot {event.agent_id} fell silent at step {event.step} and was taken out, "
+                "which the scenario does not say: now it is killed at the step before"
+            )
+
+
+def _differences(provenance: Mapping[str, Any], scenario: Scenario) -> Iterator[str]:
+    if not provenance:
+        yield "the bag does not say with what it was made: its digest may not be reached"
+        return
+    here: dict[str, Any] = {"machine": platform.machine(), "byte order": sys.byteorder}
+    there = {"machine": provenance.get("machine"), "byte order": provenance.get("byte_order")}
+    made_with = provenance.get("versions")
+    if isinstance(made_with, dict):
+        there |= made_with
+        here |= dict.fromkeys(made_with, "not installed") | versions() | plugin_versions(scenario)
+    for name, value in there.items():
+        if value is not None and value != here[name]:
+            made = f"{_text(name)} {_text(value)}"
+            yield f"the bag was made with {made}, here it is {here[name]}: its digest may not be reached"
+    fingerprint = provenance.get("libm_fingerprint")
+    if fingerprint not in libm_fingerprints():
+        yield (
+            f"the bag was made with a mathematical library of fingerprint {_text(fingerprint)}, "
+            f"here it is {libm_fingerprints()[0]}: its digest may not be reached"
+        )
+
+
+def _text(value: object) -> str:
+    """Return what a file says such that it fits into a line."""
+    return printable(shorten(str(value)))
+
+
+def _main_steps(bag: BagReader) -> Iterator[RecordedStep]:
+    """Yield the steps of a bag without its events, as far as it can be read."""
+    try:
+        for step in recorded_steps(bag.decoded(), str(bag.path)):
+            if step.records[0].topic is not EVENTS:
+                yield step
+    except DamagedBagError:
+        return

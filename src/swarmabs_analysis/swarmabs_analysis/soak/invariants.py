@@ -1,0 +1,196 @@
+"""What holds in every step of a run, whatever is injected; checked from the messages alone."""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_config import configure
+from swarmabs_core.faults import RobotFaults, truth
+from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, PlaneState, Status, SwarmEvent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_config.scenario import Scenario
+
+RECOVERED_BELOW = 0.01
+"""Error of the angle, rad, below which a swarm counts as recovered."""
+RECOVERY_BOUND = 8.0
+"""Time, s, after the last fault within which a swarm has recovered for good."""
+
+
+class Violation(NamedTuple):
+    """An invariant that does not hold: its name, where, and what is there instead."""
+
+    invariant: str
+    step: int | None
+    agent: int | None
+    text: str
+
+
+class Invariant:
+    """Something that holds in every step."""
+
+    def check(self, step: RecordedStep) -> Iterator[Violation]:
+        """Take a step; yield what is wrong with it."""
+        raise NotImplementedError
+
+    def finish(self) -> Iterator[Violation]:
+        """Yield what is wrong with the whole run."""
+        yield from ()
+
+    def figures(self) -> dict[str, float | None]:
+        """Return what was seen, by name."""
+        return {}
+
+
+class StaysInLane(Invariant):
+    """No robot leaves the plane without a ``LIMIT_HIT`` of the plane in that step."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._lies = configure.lies(scenario)
+        self._half = scenario.plane.length / 2
+        self._outside: set[int] = set()
+        self._crossings = 0
+
+    def check(self, step: RecordedStep) -> Iterator[Violation]:
+        """Compare who crosses the plane's end with who is said to."""
+        messages = [record.message for record in step.records]
+        said = {
+            message.agent_id
+            for message in messages
+            if isinstance(message, SwarmEvent)
+            and message.kind == EventKind.LIMIT_HIT
+            and "plane's end" in message.detail
+        }
+        for message in messages:
+            if not isinstance(message, AgentState):
+                continue
+            position = truth(message, self._lies).position
+            if abs(position) <= self._half:
+                self._outside.discard(message.agent_id)
+            elif message.agent_id not in self._outside:
+                self._outside.add(message.agent_id)
+                self._crossings += 1
+                if message.agent_id not in said:
+                    text = f"{position:.6g} m is off the plane, and no event says so"
+                    yield Violation("lane", step.step, message.agent_id, text)
+
+    def figures(self) -> dict[str, float | None]:
+        """Return how often a robot has left the plane."""
+        return {"crossings": self._crossings}
+
+
+class NothingStale(Invariant):
+    """A robot acts on the newest complete set that has reached it, by the draws of its faults, and on nothing older."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._faults = {
+            config.agent_id: RobotFaults(config.faults, config.seed, config.agent_id)
+            for config in configure.agent_configs(scenario)
+        }
+        self._newest: dict[int, int] = {}
+        self._coming: dict[int, dict[int, int]] = {}
+        self._oldest = 0
+
+    def check(self, step: RecordedStep) -> Iterator[Violation]:
+        """Compare the step of the broadcasts on which each command rests with what has reached the robot."""
+        for record in step.records:
+            state = record.message
+            if not isinstance(state, AgentState):
+                continue
+            wanted = NEVER
+            if state.agent_id in self._coming:
+                wanted = self._reached(state.agent_id, step.step - 1)
+            self._coming.setdefault(state.agent_id, {})
+            stopped = state.status != Status.ACTIVE and state.broadcast_step == NEVER
+            if not stopped and state.broadcast_step != wanted:
+                text = f"acts on step {_shown(state.broadcast_step)}, but has {_shown(wanted)}"
+                yield Violation("stale data", step.step, state.agent_id, text)
+            elif state.broadcast_step != NEVER:
+                self._oldest = max(self._oldest, step.step - 1 - state.broadcast_step)
+
+    def _reached(self, agent_id: int, step: int) -> int:
+        """Return the newest set that has reached a robot in a step."""
+        faults, coming = self._faults[agent_id], self._coming[agent_id]
+        coming[step] = step + faults.late(step)
+        come = [sent for sent, at in coming.items() if at <= step]
+        for sent in come:
+            del coming[sent]
+        if come and not faults.loses(step):
+            self._newest[agent_id] = max(self._newest.get(agent_id, -1), *come)
+        return self._newest.get(agent_id, NEVER)
+
+    def figures(self) -> dict[str, float | None]:
+        """Return the greatest age, in steps, of broadcasts on which a robot has acted."""
+        return {"oldest_broadcasts": self._oldest}
+
+
+def _shown(step: int) -> str:
+    return "none" if step == NEVER else str(step)
+
+
+class WithinLimits(Invariant):
+    """All numbers are finite, and no command is beyond what the drive can do."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        velocity, force = scenario.limits.velocity or inf, scenario.limits.force or inf
+        self._largest = {Kind.SINGLE_INTEGRATOR: velocity, Kind.DOUBLE_INTEGRATOR: force}
+
+    def check(self, step: RecordedStep) -> Iterator[Violation]:
+        """Look at all numbers and all commands."""
+        for record in step.records:
+            message = record.message
+            if not all(isfinite(value) for value in message if isinstance(value, float)):
+                yield Violation("finite numbers", step.step, record.agent_id or None, f"{record.topic.name}: {message}")
+            if isinstance(message, AgentState) and abs(message.command) > self._largest[Kind(message.kind)]:
+                yield Violation("limits", step.step, message.agent_id, f"the command is {message.command:.6g}")
+
+
+class Recovers(Invariant):
+    """The plane is where it should be within a bound after the last fault, and stays there."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._reference = configure.reference(scenario)
+        self._period_ns = scenario.step_ns
+        self._last_fault = last_fault(scenario)
+        self._since: int | None = None
+        self._recovery: float | None = None
+
+    def check(self, step: RecordedStep) -> Iterator[Violation]:
+        """Note since when the error is small."""
+        for record in step.records:
+            if isinstance(record.message, PlaneState):
+                error = self._reference(step.step * self._period_ns / 1e9) - record.message.angle
+                if not abs(error) < RECOVERED_BELOW:
+                    self._since = None
+                elif self._since is None:
+                    self._since = step.step
+        yield from ()
+
+    def finish(self) -> Iterator[Violation]:
+        """Yield how long the recovery took, if it took too long."""
+        if self._since is not None:
+            self._recovery = max(0, self._since - self._last_fault) * self._period_ns / 1e9
+        if self._recovery is None or self._recovery > RECOVERY_BOUND:
+            since = "at the end" if self._recovery is None else f"until {self._recovery:g} s after the last fault"
+            text = f"the error is not below {RECOVERED_BELOW} rad {since}"
+            yield Violation("recovery", self._last_fault, None, text)
+
+    def figures(self) -> dict[str, float | None]:
+        """Return the time from the last fault to the first step from which on the error is small, s."""
+        return {"recovery": self._recovery}
+
+
+def last_fault(scenario: Scenario) -> int:
+    """Return the step in which the last fault happens or ends; the last step for faults that do not end."""
+    steps = [scenario.fault_step(fault.at) for fault in scenario.membership_faults if fault.at is not None]
+    for setting in scenario.setting_faults:
+        ends = (setting.at, setting.until)
+        steps += [min(scenario.fault_step(at), scenario.steps) for at in ends if at is not None]
+    for fault in scenario.robot_faults:
+        _, end = scenario.fault_steps(fault)
+        steps.append(scenario.steps if end is None else min(end, scenario.steps))
+    return max(steps, default=0)

@@ -1,0 +1,213 @@
+"""Every message of a run in real time, recomputed from what its sender had (docs/realtime.md).
+
+What a node hears in real time depends on the network. So each message names what it was computed from: a robot's state
+the step of the broadcasts, a coordinator's answer has a basis. From these the same pure functions that run in the nodes
+compute it again. What was lost on its way to the recorder cannot be used; what would need it is counted, not judged.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from swarmabs_analysis.verification.comparison import (
+    PADDING,
+    PAYLOAD,
+    PUBLISH_TIME,
+    Difference,
+    Stored,
+    in_hex,
+    surplus,
+)
+from swarmabs_analysis.verification.history import WAIT, History
+from swarmabs_analysis.verification.realtime_coordinators import ControllerCheck, ObserverCheck, PlaneCheck
+from swarmabs_analysis.verification.realtime_robot import RobotCheck
+from swarmabs_bag.realtime_recording import MEMORY
+from swarmabs_config import configure as lockstep, realtime as configure
+from swarmabs_core.cdr import agent_id_of, decode, encode
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import EVENTS, PLANE_STATE, Basis, DesiredAbstractState
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from swarmabs_analysis.verification.realtime_coordinators import Finding
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.realtime.base import Schedule
+
+LATE = "it was received too late to be judged"
+MEASURED = "it was measured"
+
+
+class RealtimeVerification:
+    """Follows a recorded run in real time message by message.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario of the run.
+    schedule : Schedule
+        How time became steps.
+    simulated : iterable of int, optional
+        Robots whose bodies were simulated, so that their motion follows from their commands; by default all.
+    simulated_plane : bool
+        Whether the plane was simulated.
+    own_limits : iterable of int
+        Robots whose limits were not those of the scenario.
+    tolerance : float
+        A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
+
+    Attributes
+    ----------
+    difference : Difference or None
+        The first difference by step; within a step robots by id, plane, abstract, auxiliary and desired state.
+    steps : int
+        Steps of which a message was judged.
+    messages : int
+        How many messages of the main topics were found right.
+    not_checkable : Counter of str
+        How many could not be checked, by the reason.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        schedule: Schedule,
+        *,
+        simulated: Iterable[int] | None = None,
+        simulated_plane: bool = True,
+        own_limits: Iterable[int] = (),
+        tolerance: float = 0.0,
+    ) -> None:
+        self.difference: Difference | None = None
+        self.steps = self.messages = 0
+        self.not_checkable: Counter[str] = Counter()
+        self._schedule = schedule
+        self._history = history = History()
+        self._judged: int | None = None
+        self._newest = -1
+        bodies = lockstep.members(scenario) if simulated is None else frozenset(simulated)
+        starts = {agent.id: (agent.position, agent.velocity) for agent in scenario.agents if agent.id in bodies}
+        limited = frozenset(own_limits)
+        self._robots = {
+            config.agent_id: RobotCheck(
+                config, history, starts.get(config.agent_id), tolerance, own_limits=config.agent_id in limited
+            )
+            for config in configure.agent_configs(scenario, schedule)
+        }
+        self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, tolerance)
+        self._simulated_plane = simulated_plane
+        self._observer = ObserverCheck(configure.observer_config(scenario, schedule), history, tolerance)
+        controller = configure.controller_config(scenario, schedule)
+        self._controller = ControllerCheck(controller, history, lambda: lockstep.parent_controller(scenario), tolerance)
+
+    @property
+    def step(self) -> int:
+        """The first step that is not verified, 0 before there is one."""
+        return max(0, self._judged or 0)
+
+    @property
+    def decided(self) -> bool:
+        """Whether no further message can change what is found."""
+        return self.difference is not None
+
+    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
+        """Take the next message of the bag: topic, log time (ns), bytes, and, if known, when it was published (ns)."""
+        if self.decided:
+            return
+        try:
+            message = decode(topic.message, payload)
+        except MalformedMessageError as error:
+            self.difference = Difference(topic.name, None, None, PAYLOAD, in_hex(payload), None, str(error))
+            return
+        now = self._schedule.step(time)
+        self._newest = max(self._newest, now)
+        stamp = max(0, message.stamp)  # a bag has no time before 1970
+        if published not in {None, stamp}:
+            agent = agent_id_of(message) or None
+            self.difference = Difference(topic.name, message.step, agent, PUBLISH_TIME, published, stamp)
+            return
+        self.difference = self._keep(Stored(topic, time, message, payload), now)
+        if self._judged is None:
+            self._judged = now - MEMORY
+        self._judge_until(self._newest - WAIT)
+
+    def finish(self) -> None:
+        """Judge what is left at the end of the bag."""
+        self._judge_until(max(self._history.steps, default=-1) + 1)
+
+    def _keep(self, stored: Stored, now: int) -> Difference | None:
+        message = stored.message
+        agent = agent_id_of(message) or None
+        if encode(message) != stored.payload:
+            return Difference(
+                stored.topic.name, message.step, agent, PADDING, in_hex(stored.payload), in_hex(encode(message))
+            )
+        if stored.topic is not EVENTS:
+            if abs(message.step - now) > MEMORY:
+                return Difference(stored.topic.name, message.step, agent, "step", message.step, now, "when received")
+            wrong = self._wrong_stamp(message)
+            if wrong is not None:
+                return wrong
+        if self._judged is not None and message.step < self._judged and stored.topic is not EVENTS:
+            self.not_checkable[LATE] += 1
+            return None
+        if not self._history.add(stored):
+            return surplus(stored, message.step, agent, "the recorder keeps one of its step")
+        return None
+
+    def _wrong_stamp(self, message: Message) -> Difference | None:
+        """Return that a desired state or a basis was made in a step far from its own."""
+        if not isinstance(message, (DesiredAbstractState, Basis)):
+            return None
+        made = self._schedule.step(message.stamp)
+        if abs(made - message.step) <= MEMORY:
+            return None
+        topic = "swarm/desired_abstract_state" if isinstance(message, DesiredAbstractState) else "recording/basis"
+        return Difference(topic, message.step, None, "stamp", message.stamp, None, f"that is in step {made}")
+
+    def _judge_until(self, end: int) -> None:
+        """Judge all steps before one; that takes no longer where the clock was set far forward."""
+        begin = self._judged or 0
+        if begin >= end:
+            return
+        few = end - begin <= len(self._history.steps)
+        steps = range(begin, end) if few else sorted(s for s in self._history.steps if begin <= s < end)
+        for step in steps:
+            if self.difference is None:
+                self._judge(step)
+        self._judged = end
+
+    def _judge(self, step: int) -> None:
+        """Judge what there is of a step, in the order in which the nodes tick."""
+        found = False
+        for finding in self._findings(step):
+            found = True
+            if isinstance(finding, Difference):
+                self.difference = finding
+                return
+            if finding is None:
+                self.messages += 1
+            else:
+                self.not_checkable[finding] += 1
+        self.steps += found
+        self._history.forget(step)
+
+    def _findings(self, step: int) -> Iterator[Finding]:
+        for agent_id in self._history.robots():
+            stored = self._history.state(agent_id, step)
+            if stored is None:
+                continue
+            robot = self._robots.get(agent_id)
+            if robot is None:
+                yield surplus(stored, step, agent_id, "the scenario has no such robot")
+            else:
+                yield robot.check(stored)
+        plane = self._history.get(PLANE_STATE, step)
+        if self._simulated_plane:
+            yield from self._plane.check(step)
+        elif plane is not None:
+            yield MEASURED
+        yield from self._observer.check(step)
+        yield from self._controller.check(step)

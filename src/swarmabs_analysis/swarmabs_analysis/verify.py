@@ -1,0 +1,307 @@
+"""Verifying a bag: what it holds follows from its scenario, message by message."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_analysis.verification import Difference, Ending, Verification
+from swarmabs_analysis.verification.realtime import RealtimeVerification
+from swarmabs_bag import PROVENANCE_FILE, SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
+from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.provenance import plugin_versions, versions
+from swarmabs_bag.realtime import DRIVER, RealtimeWorld, realtime_world
+from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_config import configure
+from swarmabs_config.scenario.errors import show
+from swarmabs_core.errors import InputError
+from swarmabs_core.fingerprint import libm_fingerprints
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from swarmabs_bag import BagReader
+    from swarmabs_config.scenario import Scenario
+
+DRIVERS = ("lockstep", "simulate", DRIVER)
+"""What moved the state machines of a bag that can be verified, as its provenance says."""
+NOT_VERIFIED = "events, and when within its step a robot was measured, do not follow from other messages"
+"""What is never verified of a run in real time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What was found out about a bag.
+
+    Attributes
+    ----------
+    bag : str
+        The MCAP file.
+    scenario : str or None
+        Name of its scenario; None if nothing of the bag can be read.
+    difference : Difference or None
+        The first difference between what is recorded and what is recomputed.
+    problem : str or None
+        What is wrong with the file.
+    steps, messages : int
+        How many of them were found right.
+    expected_steps : int or None
+        How many steps a whole run of the scenario has: 0 to n are n + 1.
+    ended_early : str or None
+        Why the run ended before its last step.
+    digest : str or None
+        Digest of the run, if the whole bag was found right.
+    tolerance : float
+        As given to `BagToVerify.verify`.
+    notes : tuple of str
+        What people should know besides.
+    not_checkable : mapping of str to int
+        How many messages of a run in real time could not be checked, by the reason.
+    """
+
+    bag: str
+    scenario: str | None
+    difference: Difference | None
+    problem: str | None
+    steps: int = 0
+    messages: int = 0
+    expected_steps: int | None = None
+    ended_early: str | None = None
+    digest: str | None = None
+    tolerance: float = 0.0
+    notes: tuple[str, ...] = ()
+    not_checkable: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return self.difference is None and self.problem is None
+
+    @property
+    def complete(self) -> bool:
+        """Whether all of the run is there and right; in real time the bag says itself whether it ended early."""
+        whole = self.ended_early is None if self.expected_steps is None else self.steps == self.expected_steps
+        return self.ok and whole
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain data for JSON."""
+        return {
+            "ok": self.ok,
+            "first_difference": self.difference and self.difference.to_dict(),
+            "problem": self.problem,
+            "bag": self.bag,
+            "scenario": self.scenario,
+            "complete": self.complete,
+            "ended_early": self.ended_early,
+            "steps": self.steps,
+            "expected_steps": self.expected_steps,
+            "messages": self.messages,
+            "digest": self.digest,
+            "tolerance": self.tolerance,
+            "notes": list(self.notes),
+            "not_checkable": dict(self.not_checkable),
+        }
+
+
+class BagToVerify:
+    """A bag that was opened, and has what is needed to verify it.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to verify if the bag holds several.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a swarm, has no scenario, or it is not known how its messages were made.
+    DamagedBagError
+        If nothing of it can be read.
+    """
+
+    def __init__(self, path: Path, *, namespace: str | None = None) -> None:
+        self._bag = open_bag(path, namespace=namespace, damaged=True)
+        missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
+        if missing and not self._bag.problem:
+            raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
+        self.scenario, self._from_outside = _scenario(self._bag)
+        self._provenance = attached_provenance(self._bag)
+        driver = self._provenance.get("driver", DRIVERS[0])
+        if driver not in DRIVERS:
+            raise InputError(
+                f"{self._bag.path} was recorded by driver {show(driver)}, and it is not known how its messages follow "
+                f"from each other; this version knows {', '.join(DRIVERS)}"
+            )
+        self._realtime = realtime_world(self._bag) if driver == DRIVER else None
+
+    def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
+        """Verify the bag; damage does not raise, it is part of the answer.
+
+        Parameters
+        ----------
+        tolerance : float
+            A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
+        on_step : callable, optional
+            Told the first step that is not verified yet, at every message.
+        """
+        if self._realtime is not None:
+            return self._verify_realtime(self._realtime, tolerance, on_step)
+        bag, verification = self._bag, Verification(self.scenario, tolerance=tolerance)
+        problem = self._follow(verification, on_step)
+        cut, aborted = problem is not None, None
+        if not cut:
+            try:
+                aborted = bag.aborted()
+                bag.check()
+            except DamagedBagError as error:
+                problem = str(error)
+        verification.finish(Ending.CUT if cut else Ending.WHOLE if aborted is None else Ending.EARLY)
+        difference, digest = verification.difference, None
+        if difference is None and not cut:
+            digest = verification.digest()
+            difference = _other_digest(bag, digest)
+        return Verdict(
+            bag=str(bag.path),
+            scenario=self.scenario.name,
+            difference=difference,
+            problem=problem,
+            steps=verification.step,
+            messages=verification.messages,
+            expected_steps=self.scenario.steps + 1,
+            ended_early=aborted,
+            digest=digest,
+            tolerance=tolerance,
+            notes=(*self._from_outside, *self._unsaid(), *(() if difference is None else self._elsewhere())),
+        )
+
+    def _verify_realtime(
+        self, world: RealtimeWorld, tolerance: float, on_step: Callable[[int], None] | None
+    ) -> Verdict:
+        """Verify a bag of a run in real time."""
+        verification = RealtimeVerification(
+            self.scenario,
+            world.schedule,
+            simulated=world.robots,
+            simulated_plane=world.plane,
+            own_limits=world.own_limits,
+            tolerance=tolerance,
+        )
+        problem, aborted = self._follow(verification, on_step), None
+        if problem is None:
+            try:
+                aborted = self._bag.aborted()
+                self._bag.check()
+            except DamagedBagError as error:
+                problem = str(error)
+        verification.finish()
+        difference = verification.difference
+        measured = sorted(set(configure.members(self.scenario)) - set(world.robots))
+        notes = [NOT_VERIFIED]
+        if measured:
+            notes.append(f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured")
+        if not world.plane:
+            notes.append("not checked: the motion of the plane, which was measured")
+        return Verdict(
+            bag=str(self._bag.path),
+            scenario=self.scenario.name,
+            difference=difference,
+            problem=problem,
+            steps=verification.steps,
+            messages=verification.messages,
+            expected_steps=None,
+            ended_early=aborted,
+            tolerance=tolerance,
+            notes=(*notes, *(() if difference is None else self._elsewhere())),
+            not_checkable=dict(verification.not_checkable.most_common()),
+        )
+
+    def _follow(
+        self, verification: Verification | RealtimeVerification, on_step: Callable[[int], None] | None
+    ) -> str | None:
+        """Hand the bag's messages over, as long as they matter; return what is wrong with the file."""
+        try:
+            topics = RECORDED if isinstance(verification, RealtimeVerification) else (*MAIN_TOPICS, EVENTS)
+            for topic, time, published, payload in self._bag.published(topics):
+                verification.add(topic, time, payload, published)
+                if verification.decided:
+                    break
+                if on_step is not None:
+                    on_step(verification.step)
+        except DamagedBagError as error:
+            return str(error)
+        return self._bag.problem
+
+    def _unsaid(self) -> tuple[str, ...]:
+        """Return what the bag does not say of its origin."""
+        if self._provenance:
+            return ()
+        what = f"the bag has no {PROVENANCE_FILE} that can be read"
+        return (f"{what}: it does not say with what it was made, and was taken for a run in lockstep",)
+
+    def _elsewhere(self) -> tuple[str, ...]:
+        """Return what was different where the bag was recorded and may explain a difference."""
+        notes = []
+        recorded, here = self._provenance.get("libm_fingerprint"), libm_fingerprints()
+        if recorded is not None and recorded not in here:
+            notes.append(
+                f"the bag was recorded with another mathematical library (fingerprint {recorded}, here {here[0]}): "
+                "bits may differ for that alone; --tolerance 1e-9 compares numbers instead"
+            )
+        then = self._provenance.get("versions")
+        if isinstance(then, dict):
+            now = versions() | plugin_versions(self.scenario)
+            changed = [
+                f"{name} {then[name]}, here {now.get(name, 'none')}" for name in then if then[name] != now.get(name)
+            ]
+            if changed:
+                notes.append(f"the bag was recorded with {'; '.join(changed)}")
+        return tuple(notes)
+
+
+def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify | Verdict:
+    """Open a bag; a file so damaged that nothing can be compared is a verdict already. Parameters as of `BagToVerify`.
+
+    Raises
+    ------
+    InputError
+        As of `BagToVerify`.
+    """
+    try:
+        return BagToVerify(path, namespace=namespace)
+    except DamagedBagError as error:
+        return Verdict(str(path), None, None, str(error))
+
+
+def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
+    """Return the scenario of a bag, and a note on what of it was done from outside, which nothing can recompute."""
+    if bag.problem is not None and bag.attachment(SCENARIO_FILE) is None:
+        raise DamagedBagError(f"{bag.path}: {bag.problem}; with its end it has lost its scenario")
+    planned = attached_scenario(bag, steered=False)
+    try:
+        scenario = attached_scenario(bag)
+    except InputError:  # the events contradict the scenario: the first that does is a difference
+        return planned, ()
+    done = [fault for fault in scenario.faults if fault not in planned.faults]
+    shown = "; ".join(" ".join(f"{name} {value}" for name, value in fault if value is not None) for fault in done[:20])
+    more = f" and {len(done) - 20} more" if len(done) > 20 else ""
+    return scenario, (f"from outside, by the events in the bag: {shown}{more}",) if done else ()
+
+
+def _other_digest(bag: BagReader, digest: str) -> Difference | None:
+    """Return that the summary of the run, if the bag lies in its folder, tells another digest."""
+    summary = bag.path.parent.parent / "summary.json"
+    if bag.path.parent.name != "bag" or not summary.is_file():
+        return None
+    try:
+        found = json.loads(summary.read_bytes())
+        said = found["digest"]
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        return Difference("summary.json", None, None, "digest", None, digest, "it cannot be read")
+    if said is None or said == digest:
+        return None
+    return Difference("summary.json", None, None, "digest", str(said), digest)

@@ -1,0 +1,155 @@
+"""A recorded run as numpy arrays."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
+from swarmabs_bag.memory import available_memory
+from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_bag.realtime import is_realtime
+from swarmabs_core.arrays import LAYOUT, RunArrays, Tables, run_arrays, table
+from swarmabs_core.cdr import ENCAPSULATION, FRAME
+from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, Topic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_SPARSE = 50_000_000
+"""Most entries of an array (steps, agents) beyond four times the number of messages."""
+
+
+_MEMORY_FACTOR = 2.5
+"""Memory that loading takes at its peak, in parts of the messages' size."""
+
+_STEP = struct.Struct("<28xQ")
+
+
+def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool = False, every: int = 1) -> RunArrays:
+    """Load the main topics of a bag.
+
+    Parameters
+    ----------
+    path : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to read if the bag holds several.
+    damaged : bool
+        Whether a bag without its end is loaded too, as far as it can be read.
+    every : int
+        Only the steps that are multiples of it are loaded; the others take no memory.
+
+    Raises
+    ------
+    BagTooLargeError
+        If there is not enough memory for the arrays; nothing has been read then.
+    NotABagError
+        If it is no bag, or has not all five main topics.
+    DamagedBagError
+        If the bag is damaged, or a message is not as the contract says.
+    """
+    bag = open_bag(path, namespace=namespace, damaged=damaged)
+    return arrays_of(bag, load_tables(bag, every=every))
+
+
+def arrays_of(bag: BagReader, tables: Tables) -> RunArrays:
+    """Arrange the messages of a bag's run; in real time its time is that since its first step.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    tables : mapping
+        Its messages, as `load_tables` returns them.
+    """
+    return arrays_since(bag, tables)[0]
+
+
+def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
+    """Return the arrays, and the time (s) from which theirs counts; parameters as of `arrays_of`."""
+    arrays = run_arrays(tables)
+    if not is_realtime(bag) or not len(arrays.time):
+        return arrays, 0.0
+    start = float(arrays.time[0])
+    return replace(arrays, time=arrays.time - start), start
+
+
+def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:
+    """Load the messages of each main topic as rows of a structured array, in the order of the file.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    every : int
+        As of `load_arrays`.
+
+    Raises
+    ------
+    BagTooLargeError
+        As of `load_arrays`.
+    NotABagError
+        If the bag has its end, but not all five main topics.
+    DamagedBagError
+        If the bag is damaged, or a message is not as the contract says.
+    """
+    missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
+    if missing and not bag.problem:
+        raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
+    _check_memory(bag, every)
+    sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
+    gathered = {topic: bytearray() for topic in MAIN_TOPICS}
+    for topic, log_time, payload in bag.messages(MAIN_TOPICS):
+        size = sizes[topic]
+        # DDS may pad a payload to four bytes.
+        if not size <= len(payload) < size + 4:
+            raise DamagedBagError(
+                f"{bag.path}: /{topic.name} at {log_time / 1e9:.9g} s: {len(payload)} bytes, expected {size}"
+            )
+        if every == 1 or _STEP.unpack_from(payload)[0] % every == 0:
+            gathered[topic] += payload[:size]
+    tables = {topic: table(topic, data) for topic, data in gathered.items()}
+    for topic, rows in tables.items():
+        _check_heads(bag, topic, rows)
+    _check_density(bag, tables)
+    return tables
+
+
+def _check_memory(bag: BagReader, every: int) -> None:
+    size = sum(
+        LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
+    )
+    needed, available = int(_MEMORY_FACTOR * size / every), available_memory()
+    if needed > available:
+        enough = every * -(-needed // max(available, 1))
+        raise BagTooLargeError(
+            f"{bag.path}: its arrays take about {needed / 1e6:.0f} MB, but {available / 1e6:.0f} MB are free; load a"
+            f" part of the steps, such as load_arrays(..., every={enough}), or iterate over its messages"
+        )
+
+
+def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void]) -> None:
+    for field, value in (("encapsulation", ENCAPSULATION), ("frame", FRAME)):
+        wrong = np.flatnonzero(table[field] != np.void(value))
+        if len(wrong):
+            raise DamagedBagError(
+                f"{bag.path}: /{topic.name}, message {wrong[0] + 1}: its {field} is not that of a swarm's message"
+            )
+    if np.any(table["step"] > np.iinfo(np.int64).max):
+        raise DamagedBagError(f"{bag.path}: /{topic.name} has a step beyond 2^63")
+
+
+def _check_density(bag: BagReader, tables: Tables) -> None:
+    """Refuse a bag whose arrays would be out of all proportion to its messages."""
+    steps = len(np.unique(np.concatenate([table["step"] for table in tables.values()])))
+    states = tables[AGENT_STATE]
+    agents = len(np.unique(states["agent_id"]))
+    if steps * agents > _SPARSE + 4 * len(states):
+        raise DamagedBagError(
+            f"{bag.path}: {len(states)} states of {agents} agents over {steps} steps: too sparse to load"
+        )

@@ -1,0 +1,296 @@
+"""What a bag is about, at a glance: for people as a table, for programs as a dictionary."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Group
+from rich.markup import escape
+from rich.table import Table
+
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY
+from swarmabs_bag.reader import BagReader, load_yaml, open_bag
+from swarmabs_bag.swarms import named_swarms
+from swarmabs_config.scenario import ScenarioError, parse_scenario
+from swarmabs_config.scenario.errors import shorten, show
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from rich.console import RenderableType
+
+SCENARIO_FILE = "scenario.yaml"
+"""Name of the attachment with the resolved scenario."""
+
+PROVENANCE_FILE = "provenance.json"
+"""Name of the attachment that says with what the run was made."""
+
+_LONGEST_QOS = 200
+_CLOCK = 1e8
+"""Log time, s, from which on it is taken to be that of a clock, since 1970, and not that of a simulation."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a bag; `qos`: offered reliability, durability and depth, empty if they are not given."""
+
+    name: str
+    type: str
+    type_hash: str
+    message_count: int
+    qos: str
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioInfo:
+    """What the attached scenario says: name, seed, number of agents, duration and control period in s."""
+
+    name: str
+    seed: int
+    agents: int
+    duration: float
+    step: float
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """Everything `bag_info` finds out.
+
+    Attributes
+    ----------
+    file : str
+        The MCAP file.
+    size : int
+        Its size in bytes.
+    profile, library : str
+        What its writer says of itself.
+    start, duration : float
+        Log time of the first message, and from it to the last one, in s.
+    message_count : int
+        Number of messages.
+    topics : tuple of TopicInfo
+        All topics of the file.
+    namespace : str or None
+        Namespace of the swarm, None if the bag has no topic of a swarm, or of several.
+    swarms : tuple of str
+        Namespaces of all swarms.
+    chunks : int
+        Number of chunks.
+    compression : str
+        Compressions of the chunks.
+    uncompressed_size : int
+        Size of all chunks before compression in bytes.
+    attachments : dict
+        Sizes in bytes by name.
+    scenario : ScenarioInfo or None
+        What the attached scenario says, None if there is none that can be read.
+    versions : dict
+        Versions of what made the run, by name, from the attached provenance.
+    fingerprint : str or None
+        Fingerprint of the mathematical library the run was made with.
+    complete : bool
+        Whether the file has its end and every CRC and number in it is right.
+    problem : str or None
+        What is wrong if it is not complete.
+    aborted : str or None
+        Why the run ended early, None if it did not.
+    repaired : str or None
+        What a repair could not save, None if nothing is known to be lost.
+    """
+
+    file: str
+    size: int
+    profile: str
+    library: str
+    start: float
+    duration: float
+    message_count: int
+    topics: tuple[TopicInfo, ...]
+    namespace: str | None
+    swarms: tuple[str, ...]
+    chunks: int
+    compression: str
+    uncompressed_size: int
+    attachments: dict[str, int]
+    scenario: ScenarioInfo | None
+    versions: dict[str, str]
+    fingerprint: str | None
+    complete: bool
+    problem: str | None
+    aborted: str | None
+    repaired: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain data for JSON."""
+        return asdict(self)
+
+
+def bag_info(path: Path | str) -> BagInfo:
+    """Find out what a bag holds, and whether all of it is right.
+
+    The whole file is read once, chunk by chunk. Damage does not raise: it is what the answer is about.
+
+    Parameters
+    ----------
+    path : Path or str
+        A run folder, its ``bag/``, or an MCAP file.
+
+    Raises
+    ------
+    NotABagError
+        If there is nothing, or something that is no bag.
+    DamagedBagError
+        If the file is so damaged that nothing can be said of it.
+    """
+    bag = open_bag(path, damaged=True, several=True)
+    problem = bag.problem
+    if problem is None:
+        try:
+            bag.check()
+            several = len(bag.swarms) <= 1 and bag.contradicts_itself(SCENARIO_FILE)
+        except DamagedBagError as error:
+            problem = str(error)
+        else:
+            problem = "it holds several scenarios and does not say of which it is a run" if several else None
+    provenance = _provenance(_attachment(bag, PROVENANCE_FILE))
+    versions, fingerprint = provenance.get("versions"), provenance.get("libm_fingerprint")
+    return BagInfo(
+        file=str(bag.path),
+        size=bag.size,
+        profile=bag.index.header.profile,
+        library=bag.index.header.library,
+        start=bag.start / 1e9,
+        duration=(bag.end - bag.start) / 1e9,
+        message_count=bag.message_count,
+        topics=tuple(
+            TopicInfo(
+                channel.name,
+                channel.ros_type,
+                channel.type_hash,
+                channel.message_count,
+                _qos(channel.qos_profiles),
+            )
+            for channel in bag.channels
+        ),
+        namespace=bag.namespace,
+        swarms=bag.swarms,
+        chunks=len(bag.index.chunks),
+        compression=", ".join(sorted({chunk.compression or "none" for chunk in bag.index.chunks})),
+        uncompressed_size=sum(chunk.uncompressed_size for chunk in bag.index.chunks),
+        attachments={attachment.name: attachment.data_size for attachment in bag.index.attachments},
+        scenario=_scenario(_attachment(bag, SCENARIO_FILE)),
+        versions={name: value for name, value in versions.items() if isinstance(value, str)}
+        if isinstance(versions, dict)
+        else {},
+        fingerprint=fingerprint if isinstance(fingerprint, str) else None,
+        complete=problem is None,
+        problem=problem,
+        aborted=_custom(bag, ABORTED_KEY),
+        repaired=_custom(bag, REPAIRED_KEY),
+    )
+
+
+def render(info: BagInfo) -> RenderableType:
+    """Return the information as tables for a terminal."""
+    facts = Table(show_header=False, box=None, pad_edge=False)
+    facts.add_column(style="bold")
+    facts.add_column(overflow="fold")
+    for name, value in _facts(info).items():
+        facts.add_row(name, _shown(value))
+    topics = Table(box=box.SIMPLE, pad_edge=False)
+    for heading in ("topic", "type", "QoS offered"):
+        topics.add_column(heading, overflow="fold")
+    topics.add_column("messages", justify="right")
+    for topic in info.topics:
+        topics.add_row(_shown(topic.name), _shown(topic.type), _shown(topic.qos), f"{topic.message_count:,}")
+    return Group(facts, topics)
+
+
+def _facts(info: BagInfo) -> Mapping[str, str]:
+    facts = {
+        "file": info.file,
+        "state": "complete" if info.complete else f"damaged: {info.problem}",
+        "ended early": info.aborted or "",
+        "repaired": info.repaired or "",
+        "size": f"{info.size:,} bytes",
+        "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes without)",
+        "time": _times(info),
+        "messages": f"{info.message_count:,}",
+        "swarms in": named_swarms(info.swarms) if len(info.swarms) > 1 else "",
+        "written by": info.library,
+        "versions": ", ".join(f"{name} {value}" for name, value in info.versions.items()),
+        "fingerprint": info.fingerprint or "",
+        "attachments": ", ".join(f"{name} ({size:,} bytes)" for name, size in info.attachments.items()),
+    }
+    if info.scenario is not None:
+        scenario = info.scenario
+        facts["scenario"] = (
+            f"{scenario.name}, seed {scenario.seed}, {scenario.agents} agents, {scenario.duration:.9g} s"
+        )
+    return {name: value for name, value in facts.items() if value}
+
+
+def _times(info: BagInfo) -> str:
+    """Return from when to when; times of a clock with their date."""
+    if info.start < _CLOCK:
+        return f"{info.start:.9g} s to {info.start + info.duration:.9g} s"
+    try:
+        begin = datetime.fromtimestamp(info.start, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return f"{info.start:.9g} s and {info.duration:.9g} s more"
+    return f"{begin:%Y-%m-%d %H:%M:%S} UTC and {info.duration:.9g} s more"
+
+
+def _shown(text: str) -> str:
+    """Return text from a file such that it cannot steer the terminal."""
+    return escape("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text))
+
+
+def _attachment(bag: BagReader, name: str) -> bytes:
+    try:
+        return bag.attachment(name) or b""
+    except DamagedBagError:
+        return b""
+
+
+def _custom(bag: BagReader, key: str) -> str | None:
+    try:
+        custom = bag.rosbag2_metadata().get("custom_data")
+    except DamagedBagError:
+        return None
+    found = custom.get(key) if isinstance(custom, dict) else None
+    return found if isinstance(found, str) else None
+
+
+def _scenario(data: bytes) -> ScenarioInfo | None:
+    try:
+        scenario = parse_scenario(data.decode(), source=SCENARIO_FILE)
+    except (ScenarioError, UnicodeDecodeError):
+        return None
+    return ScenarioInfo(scenario.name, scenario.seed, len(scenario.agents), scenario.duration_ns / 1e9, scenario.period)
+
+
+def _provenance(data: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _qos(profiles: str) -> str:
+    found = load_yaml(profiles)
+    if not isinstance(found, list):
+        return ""
+    profiles_shown = [
+        " ".join(show(profile.get(key)).strip("'") for key in ("reliability", "durability", "depth"))
+        for profile in found
+        if isinstance(profile, dict)
+    ]
+    return shorten(", ".join(dict.fromkeys(profiles_shown)), _LONGEST_QOS)

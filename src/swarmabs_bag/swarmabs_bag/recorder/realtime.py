@@ -1,0 +1,228 @@
+"""Node ``recorder`` in real time: it writes what it hears to a bag. Nothing waits for it."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+
+from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_bag.recorder.node import GATHER_SECONDS, PARAMETERS as LOCKSTEP, REPORT_SECONDS, log_text
+from swarmabs_bag.recorder.realtime_recording import RealtimeRecording
+from swarmabs_bag.splitting import Split
+from swarmabs_config import configure
+from swarmabs_config.scenario import load_scenario
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import InputError, MalformedMessageError, RunError
+from swarmabs_core.messages import NEVER
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_ros import diagnostics
+from swarmabs_ros.endpoints import WaitSetReceiver
+from swarmabs_ros.parameters import declare
+from swarmabs_ros.qos import REALTIME, requested
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
+from swarmabs_ros.runner import COMMON, INTERRUPTED, Settings, SwarmNode, fail
+from swarmabs_ros.start import initialise
+from swarmabs_ros.status import StatusChannel
+from swarmabs_ros.systemd import notify, watchdog_interval
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from swarmabs_config.scenario import Scenario
+
+PARAMETERS = (
+    *choose(COMMON, "last_step"),
+    *choose(REALTIME_COMMON, "period_ns", "epoch_ns", "await_epoch", "clock_tolerance"),
+    *choose(LOCKSTEP, "scenario_file", "bag", "max_bag_size", "max_bag_duration_ns", "logs"),
+    Parameter("bags", "", "folder in which each start makes the folder of a bag of its own, instead of bag"),
+    Parameter(
+        "own_limits", (), "ids of the robots whose limits are not the scenario's", minimum=1, maximum=65535, item=0
+    ),
+    Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0),
+    Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
+)
+
+SLICE = 0.1
+"""Longest time, s, for which the node does not look whether it shall stop."""
+LINGER = 0.5
+"""Time, s, after the last step in which its messages still come."""
+_DEPTH = 5000
+"""Messages of a topic that may wait: the recorder may stand still for some seconds while the disk does."""
+
+
+class RealtimeRecorder:
+    """The loop of the node: waits for messages, lets them gather, and records what there is.
+
+    Parameters
+    ----------
+    node : Node
+        Whose subscriptions they are, and whose health is published.
+    status : StatusChannel
+        Where progress is reported.
+    """
+
+    def __init__(self, node: Node, status: StatusChannel) -> None:
+        subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True, offers=REALTIME) for topic in RECORDED}
+        self._receiver = WaitSetReceiver(node, subscriptions)
+        self._name = node.get_name()
+        self._diagnostics = node.create_publisher(DiagnosticArray, diagnostics.TOPIC, 10)
+        self._diagnosed = 0.0
+        self._status = status
+        self._reported = 0.0
+        self._told_fallen = False
+        self._interval, self._due = watchdog_interval(), 0
+        self._stopped = False
+        self.interrupted = False
+        self.malformed = 0
+
+    def stop(self, number: int, *_: Any) -> None:
+        """Let the loop end, for a signal."""
+        self._stopped = True
+        self.interrupted = number == signal.SIGINT
+
+    def run(self, recording: RealtimeRecording, end_ns: int) -> bool:
+        """Record until told to stop, or until a time (ns since 1970); return whether it is over."""
+        while time.time_ns() < end_ns:
+            if self._stopped:
+                self._drain(recording)
+                return False
+            if self._receiver.wait(RECORDED, SLICE):
+                time.sleep(GATHER_SECONDS)  # waking up for each costs more than recording it
+                self._drain(recording)
+            recording.poll()
+            self._report(recording)
+            self._diagnose(recording)
+            self._beat()
+        return True
+
+    def _diagnose(self, recording: RealtimeRecording) -> None:
+        now = time.monotonic()
+        if now - self._diagnosed >= diagnostics.PERIOD:
+            self._diagnosed = now
+            self._diagnostics.publish(diagnostics.diagnostic_array(self._name, recording.health(), time.time_ns()))
+
+    def _beat(self) -> None:
+        """Tell systemd, where it watches, that the loop goes round."""
+        now = time.monotonic_ns()
+        if self._interval and now >= self._due:
+            self._due = now + self._interval
+            notify("WATCHDOG=1")
+
+    def _drain(self, recording: RealtimeRecording) -> None:
+        for topic in RECORDED:
+            for _ in range(_DEPTH):
+                payload = self._receiver.take(topic)
+                if payload is None:
+                    break
+                try:
+                    message = decode(topic.message, payload)
+                except MalformedMessageError:
+                    self.malformed += 1
+                    continue
+                recording.add(message, time.time_ns())
+
+    def _report(self, recording: RealtimeRecording) -> None:
+        now = time.monotonic()
+        if now - self._reported < REPORT_SECONDS or recording.newest < 0:
+            return
+        self._reported = now
+        if recording.fallen and not self._told_fallen:
+            self._told_fallen = True
+            self._status.send("failed", reason=recording.fallen)
+        latest = recording.latest
+        angle, error = (None, None) if latest is None else (latest.angle, latest.error)
+        seen = recording.glance()
+        told = None if seen is None else seen.report()
+        self._status.send("progress", step=recording.newest, angle=angle, error=error, glance=told)
+
+
+def _scenario(settings: Settings) -> Scenario:
+    if not settings.text("scenario_file"):
+        raise InputError("parameter scenario_file: give the file of the resolved scenario")
+    return load_scenario(Path(settings.text("scenario_file")))
+
+
+def _folder(settings: Settings, scenario: Scenario) -> Path | None:
+    """Return the folder of the bag; one of many is named after the time at which it is begun."""
+    bag, bags = settings.text("bag"), settings.text("bags")
+    if bags:
+        return Path(bags) / f"{scenario.name}-{datetime.now(timezone.utc):%Y%m%dT%H%M%S.%fZ}"
+    return Path(bag) if bag else None
+
+
+def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
+    scenario = _scenario(settings)
+    recorder = RealtimeRecorder(node, status)
+    epoch = settings.integer("epoch_ns")
+    if settings.flag("await_epoch"):
+        status.send("ready")
+        epoch = status.wait_for_epoch()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, recorder.stop)
+    schedule = Schedule(scenario.step_ns, epoch)
+    if settings.integer("period_ns") != scenario.step_ns:
+        raise InputError(f"parameter period_ns: the scenario's is {scenario.step_ns} ns")
+    last = settings.last_step()
+    recording = RealtimeRecording(
+        scenario,
+        _folder(settings, scenario),
+        schedule,
+        own_limits=settings.integers("own_limits"),
+        simulated=set(configure.members(scenario)) - set(settings.integers("driven")),
+        simulated_plane=settings.flag("simulated_plane"),
+        last_step=last,
+        namespace=settings.namespace,
+        split=Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns")),
+    )
+    status.send("ready")
+    notify("READY=1\nSTATUS=records")
+    problem: str | None = "the node failed"
+    over = False
+    try:
+        over = recorder.run(recording, NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9))
+        # A run has a last step, and fails with its plane. Without one it is a fleet that is recorded, whatever happens.
+        lost = recording.fallen if last is not None else None
+        problem = lost or (INTERRUPTED if recorder.interrupted else None)
+    except RunError as error:
+        problem = str(error)
+        raise
+    finally:
+        log = {"run.log": log_text(settings.text("logs"))}
+        complete = problem in {None, INTERRUPTED} and (over or last is None)
+        figures = recording.close(log) if complete else recording.abort(problem or "stopped before the end", log)
+        status.send("done", complete=complete, problem=None if problem == INTERRUPTED else problem, figures=figures)
+        if recorder.malformed:
+            node.get_logger().warning(f"{recorder.malformed} messages were malformed and are not recorded")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop (SIGINT, SIGTERM), or `last_step` is over; return its exit code."""
+    try:
+        initialise("recorder", args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    node = SwarmNode("recorder")
+    status = StatusChannel(node.get_name())
+    try:
+        _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)
+    except InputError as error:
+        return fail(status, error, 2)
+    except RunError as error:
+        return fail(status, error, 1)
+    finally:
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""``summary.json``: what a run came to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rich.table import Table
+
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.progress import Outcome
+
+_SHOWN_FROM = 0.05
+"""Shortest set-up that the table shows, s: of a checkout that is set up, the look whether it is takes less."""
+FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """What took how long.
+
+    Parameters
+    ----------
+    wall : float
+        The whole command, s.
+    setup : float
+        Of this, the set-up of the checkout, s.
+    startup : float, optional
+        From the end of the set-up to the first step, s.
+    """
+
+    wall: float
+    setup: float = 0.0
+    startup: float | None = None
+
+
+def summarise(
+    scenario: Scenario, outcome: Outcome, times: Times, *, rerun_of: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return the content of ``summary.json``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    outcome : Outcome
+        How it ended.
+    times : Times
+        What took how long.
+    rerun_of : mapping, optional
+        What came of running a bag again, see `swarmabs_analysis.rerun`.
+    """
+    figures, run = outcome.figures, outcome.stepping_seconds
+    complete = outcome.status == "ok" and run
+    return {
+        "scenario": scenario.name,
+        "steps": scenario.steps,
+        "duration": scenario.duration_ns / 1e9,
+        "wall_time": round(times.wall, 3),
+        "setup_time": round(times.setup, 3),
+        "startup_time": None if times.startup is None else round(times.startup, 3),
+        "run_time": None if run is None else round(run, 3),
+        "real_time_factor": round(scenario.duration_ns / 1e9 / run, 3) if complete and run else None,
+        "agents": len(scenario.agents),
+        **{name: figures.get(name) for name in FIGURES},
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "rerun_of": dict(rerun_of) if rerun_of is not None else None,
+        **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
+    }
+
+
+def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
+    """Return the summary as a table for people."""
+    from rich.table import Table  # noqa: PLC0415 - not needed with --json
+    from rich.text import Text  # noqa: PLC0415
+
+    def number(key: str, unit: str) -> str:
+        value = summary[key]
+        return "-" if value is None else f"{value:.4g} {unit}"
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    settled = summary["settled_at"]
+    rows = {
+        "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",
+        "status": summary["status"],
+        "wall time": _wall_time(summary),
+        "settled": "not within 0.01 rad" if settled is None else f"within 0.01 rad from t = {settled:g} s",
+        "final error": number("final_error", "rad"),
+        "rms error": number("rms_error", "rad"),
+        "max |position|": number("max_abs_position", "m"),
+        "messages": str(summary["messages"] or 0),
+        "digest": summary["digest"] or "-",
+        "folder": str(folder.path),
+    }
+    if "realtime" in summary:
+        del rows["digest"]  # nobody expects one
+        rows |= _realtime_rows(summary["realtime"])
+    if summary["rerun_of"] is not None:
+        rows["rerun of"] = _rerun(summary["rerun_of"])
+    if (folder.bag / "metadata.yaml").exists():
+        rows["bag"] = str(folder.bag)
+    for name, value in rows.items():
+        table.add_row(name, Text(str(value)))
+    return table
+
+
+def _wall_time(summary: Mapping[str, Any]) -> str:
+    """Return the time of the whole command and of its parts, as far as there were any."""
+    parts = {"set-up": summary["setup_time"], "start": summary["startup_time"], "run": summary["run_time"]}
+    if parts["set-up"] < _SHOWN_FROM:
+        del parts["set-up"]
+    known = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
+    if summary["real_time_factor"]:
+        known.append(f"{summary['real_time_factor']:.1f} x real time")
+    return f"{summary['wall_time']:.1f} s" + (f": {', '.join(known)}" if known else "")
+
+
+def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
+    """Return what there is to say of a run in real time only."""
+    missed, longest = realtime.get("missed_periods", {}), realtime.get("longest_us", {})
+    losses, ages = realtime.get("losses", {}), realtime.get("broadcast_ages", {})
+    missing = {topic: found["missing"] for topic, found in losses.items() if found["missing"]}
+    rows = {
+        "missed periods": ", ".join(f"{name} {n}" for name, n in missed.items() if n) or "none",
+        "latest step": f"{max(longest.values()) / 1000:.1f} ms late" if longest else "-",
+        "missing messages": ", ".join(f"{topic} {n}" for topic, n in missing.items()) or "none",
+        "broadcasts used": ", ".join(f"{n} after {age} steps" for age, n in ages.items()) or "none",
+        "safe stops": str(realtime.get("safe_stops", 0)),
+    }
+    if realtime.get("died"):
+        rows["died"] = ", ".join(f"{name} {how}" for name, how in realtime["died"].items())
+    return rows
+
+
+def _rerun(rerun: Mapping[str, Any]) -> str:
+    came_of_it = {True: "the same digest", False: "not the same digest", None: "digests not comparable"}[rerun["same"]]
+    if rerun["same"] and rerun["compared"] == "prefix":
+        came_of_it = f"the same up to its last step, {rerun['last_step']}"
+    return f"{rerun['bag']}: {came_of_it}"

@@ -1,0 +1,453 @@
+"""Writing a run into a bag: an MCAP file that ROS tools open, crash-safe while it is written."""
+
+from __future__ import annotations
+
+import errno
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, cast
+
+from mcap.records import Metadata
+from mcap.writer import CompressionType, Writer
+
+from swarmabs_bag.errors import BagFolderError, BagWriteError
+from swarmabs_bag.index import scan_index, tail
+from swarmabs_bag.metadata import (
+    ABORTED_KEY,
+    RECORD_KEY,
+    RECORD_NAME,
+    FileRecord,
+    TopicRecord,
+    bag_metadata,
+    dump_yaml,
+    qos_profile,
+    write_metadata,
+)
+from swarmabs_bag.output import RecordFile, Reserve
+from swarmabs_bag.records import RecordError
+from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_ros.qos import OFFERED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from swarmabs_core.messages import Topic
+    from swarmabs_ros.qos import Qos
+
+BAG_FILE = "bag_0.mcap"
+"""Name of the first MCAP file in a bag's folder; those that follow when it is split count on."""
+
+CHUNK_SECONDS = 0.8
+"""Age of a chunk, s, at which it is closed: with the pause until the next look at the clock less than 1 s."""
+
+CHUNK_BYTES = 2**20
+
+_PROFILE = "ros2"
+_SEQUENCE_MASK = 2**32 - 1
+_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
+
+# What is kept back for the end of the file and metadata.yaml: they grow with the number of chunks.
+_RESERVE_BASE = 2**18
+_RESERVE_PER_CHUNK = 256
+_MAX_CHUNKS_GIVEN_UP = 8
+
+
+class BagWriter:
+    """Writer of a bag: one MCAP file, or several, each complete in itself.
+
+    Messages are gathered in chunks. A chunk is compressed and handed to the operating system when it holds
+    `chunk_bytes` or when its first message was written `chunk_seconds` ago, so a SIGKILL costs at most the
+    current chunk. Only `close` and `abort` write the summary section and ``metadata.yaml``.
+
+    Use it as a context manager: leaving the block closes the bag, an exception in the block aborts it.
+
+    Parameters
+    ----------
+    folder : Path
+        The bag's folder; it is created, or must be empty.
+    topics : sequence of Topic
+        All topics that may be written, also those on which nothing may ever come.
+    attachments : mapping of str to bytes
+        What is attached at once, by name: the resolved scenario, the provenance.
+    namespace : str
+        Namespace of the swarm: the bag holds ``/plane/state`` by default.
+    qos : mapping of Topic to Qos
+        What the publishers of each topic offer.
+    chunk_seconds : float
+        Longest time in s until a message is with the operating system; when writes pause, `poll` keeps it.
+    chunk_bytes : int
+        Size of a chunk before compression.
+    split : Split
+        When the next file is begun, by default never.
+    monotonic : callable
+        The clock for `chunk_seconds`.
+
+    Raises
+    ------
+    BagFolderError
+        If the folder is not empty or cannot be written; nothing is left behind.
+    UnknownTypeError
+        If the definition of a topic's type is not installed; nothing is left behind.
+    BagWriteError
+        If the disk is full or fails; nothing is left behind.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        topics: Sequence[Topic],
+        attachments: Mapping[str, bytes],
+        namespace: str = "/",
+        qos: Mapping[Topic, Qos] = OFFERED,
+        chunk_seconds: float = CHUNK_SECONDS,
+        chunk_bytes: int = CHUNK_BYTES,
+        split: Split = ONE_FILE,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.folder = folder
+        self.path = folder / BAG_FILE
+        self._attachments = dict(attachments)
+        self._chunk_seconds = chunk_seconds
+        self._chunk_bytes = chunk_bytes
+        self._split = split
+        self._monotonic = monotonic
+        self._chunk_opened: float | None = None
+        self._chunks = 0
+        self._chunks_in_file = 0
+        self._first: int | None = None
+        self._last = 0
+        # Of the files before the current one: what they are, and their numbers of messages by channel.
+        self._complete: list[tuple[FileRecord, Mapping[int, int]]] = []
+        self._error: BagWriteError | None = None
+        self._closed = False
+        with self._remembering_errors():  # also their definitions are files
+            self._schemas = schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
+        self._topics = [
+            TopicRecord(
+                name=f"{namespace.rstrip('/')}/{topic.name}",
+                ros_type=topic.ros_type,
+                type_hash=schemas[topic.ros_type].type_hash,
+                profiles=(qos_profile(qos[topic]),),
+            )
+            for topic in topics
+        ]
+        with _new_folder(folder, self.path) as undo:
+            self._file = RecordFile(self.path)
+            undo.callback(self.path.unlink)
+            undo.callback(self._file.close)
+            self._reserve = Reserve(folder)
+            undo.callback(self._reserve.release)
+            self._reserve.hold(_RESERVE_BASE)
+            self._writer = self._begin(self._file)
+            # From here on all of it stays.
+            undo.pop_all()
+        channels = self._register()
+        self._channels = {topic.name: channel for topic, channel in zip(topics, channels, strict=True)}
+        self._counts = dict.fromkeys(channels, 0)
+
+    def _begin(self, file: RecordFile) -> Writer:
+        """Write the beginning of a file."""
+        writer = Writer(
+            cast("IO[bytes]", file),  # of a file, the library uses `write`, `tell` and `flush`
+            chunk_size=self._chunk_bytes,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        writer.start(profile=_PROFILE, library=_library())
+        _attach(writer, self._attachments, 0)
+        file.commit()
+        return writer
+
+    def _register(self) -> list[int]:
+        ids = {
+            name: self._writer.register_schema(name=name, encoding="ros2msg", data=schema.text.encode())
+            for name, schema in self._schemas.items()
+        }
+        return [
+            self._writer.register_channel(
+                topic=topic.name,
+                message_encoding="cdr",
+                schema_id=ids[topic.ros_type],
+                metadata={
+                    "offered_qos_profiles": dump_yaml(list(topic.profiles)),
+                    "topic_type_hash": topic.type_hash,
+                },
+            )
+            for topic in self._topics
+        ]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._closed:
+            return
+        if error is None:
+            self.close()
+        else:
+            self.abort(reason=str(error) or type(error).__name__)
+
+    def write(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None) -> None:
+        """Write a message.
+
+        Parameters
+        ----------
+        topic : Topic
+            One of those named at opening.
+        log_time_ns : int
+            Time in ns, not negative; in lockstep that of the message's header.
+        payload : bytes
+            CDR with its encapsulation header.
+        publish_time_ns : int, optional
+            Time in ns, not negative; by default the log time.
+
+        Raises
+        ------
+        BagWriteError
+            If the disk is full or fails. The messages of the current chunk are lost; call `abort`.
+        """
+        self._check_open()
+        channel = self._channels[topic.name]
+        if log_time_ns < 0:
+            raise ValueError(f"{topic.name}: log time {log_time_ns} ns is negative")
+        if self._first is not None and log_time_ns > self._last and self._is_full(log_time_ns):
+            self._next_file()
+        if self._chunk_opened is None:
+            self._chunk_opened = self._monotonic()
+        self._writer.add_message(
+            channel_id=channel,
+            log_time=log_time_ns,
+            data=payload,
+            publish_time=log_time_ns if publish_time_ns is None else publish_time_ns,
+            sequence=self._counts[channel] & _SEQUENCE_MASK,
+        )
+        self._counts[channel] += 1
+        self._first = log_time_ns if self._first is None else min(self._first, log_time_ns)
+        self._last = max(self._last, log_time_ns)
+        if self._file.pending:  # the library has closed a full chunk
+            self._end_chunk()
+        else:
+            self.poll()
+
+    def _is_full(self, log_time_ns: int) -> bool:
+        """Tell whether a step of this time belongs into the next file."""
+        split, first = self._split, self._first or 0
+        by_size = 0 < split.bytes <= self._file.committed and self._chunks_in_file > 0
+        return by_size or 0 < split.nanoseconds <= log_time_ns - first
+
+    def _next_file(self) -> None:
+        """Begin the next file and complete the current one; if either fails, the current one remains the last."""
+        path = self.folder / f"bag_{len(self._complete) + 1}.mcap"
+        with self._remembering_errors(path):
+            file = RecordFile(path)
+        try:
+            with self._remembering_errors(path):
+                writer = self._begin(file)
+            self._finish_file({}, aborted=None)
+        except BagWriteError:
+            file.close()
+            path.unlink(missing_ok=True)
+            raise
+        self.path, self._file, self._writer = path, file, writer
+        self._first, self._last, self._chunks_in_file = None, 0, 0
+        self._counts = dict.fromkeys(self._counts, 0)
+        self._register()
+
+    def poll(self) -> None:
+        """Close the current chunk and hand it to the operating system if it is older than `chunk_seconds`.
+
+        Raises
+        ------
+        BagWriteError
+            As `write`.
+        """
+        self._check_open()
+        if self._chunk_opened is not None and self._monotonic() - self._chunk_opened >= self._chunk_seconds:
+            self._writer.flush()
+            self._end_chunk()
+
+    def close(self, attachments: Mapping[str, bytes] | None = None) -> None:
+        """Write what is left, the summary section, and ``metadata.yaml``.
+
+        Parameters
+        ----------
+        attachments : mapping of str to bytes, optional
+            What is attached at the end, by name: the run's log.
+
+        Raises
+        ------
+        BagWriteError
+            If the disk is full or fails. What was written before was then already completed as by `abort`.
+        """
+        self._check_open()
+        try:
+            self._finish(attachments or {}, aborted=None)
+        except BagWriteError as error:
+            self.abort(reason=str(error))
+            raise
+
+    def abort(self, reason: str = "aborted", attachments: Mapping[str, bytes] | None = None) -> None:
+        """Complete the bag of a run that failed, as far as possible, so that it can be read.
+
+        After a write error, the file is completed with what was written before. Where not even the space kept
+        back for this is enough, the last chunks are given up for it. No error is raised; if nothing helps,
+        the file ends behind its last whole record, without summary section and without ``metadata.yaml``.
+
+        Parameters
+        ----------
+        reason : str
+            Why the run failed; it stands under ``custom_data`` of ``metadata.yaml``.
+        attachments : mapping of str to bytes, optional
+            What is attached at the end, unless writing failed before.
+        """
+        if self._closed:
+            return
+        if self._error is None:
+            with suppress(BagWriteError):
+                self._finish(attachments or {}, aborted=reason)
+        self._finish_after_error(reason)
+
+    def _check_open(self) -> None:
+        if self._error is not None:
+            raise self._error
+        if self._closed:
+            raise ValueError(f"{self.path} is closed")
+
+    @contextmanager
+    def _remembering_errors(self, path: Path | None = None) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._error = BagWriteError(path or self.path, error)
+            raise self._error from error
+
+    def _end_chunk(self) -> None:
+        self._chunk_opened = None
+        self._chunks += 1
+        self._chunks_in_file += 1
+        with self._remembering_errors():
+            self._file.commit()
+            self._reserve.hold(_RESERVE_BASE + self._chunks * _RESERVE_PER_CHUNK)
+
+    def _finish(self, attachments: Mapping[str, bytes], *, aborted: str | None) -> None:
+        self._finish_file(attachments, aborted=aborted)
+        with self._remembering_errors():
+            self._closed = True
+            self._reserve.release()
+            write_metadata(self.folder, self._description(self._complete, aborted))
+
+    def _finish_file(self, attachments: Mapping[str, bytes], *, aborted: str | None) -> None:
+        with self._remembering_errors():
+            self._chunk_opened = None
+            self._writer.flush()
+            self._file.commit()
+            _attach(self._writer, attachments, self._last)
+            self._file.commit()
+            record = FileRecord(self.path.name, self._first or 0, self._last, sum(self._counts.values()))
+            description = self._description([(record, self._counts)], aborted)
+            self._writer.add_metadata(RECORD_NAME, {RECORD_KEY: dump_yaml(description)})
+            self._writer.finish()
+            self._file.commit()
+            self._file.sync()
+            self._file.close()
+            self._complete.append((record, self._counts))
+
+    def _finish_after_error(self, reason: str) -> None:
+        if self._closed:  # the file was complete before the error
+            return
+        self._closed = True
+        self._reserve.release()
+        with suppress(OSError, RecordError):
+            self._salvage(reason)
+        with suppress(OSError):
+            self._file.close()
+
+    def _salvage(self, reason: str) -> None:
+        for _ in range(_MAX_CHUNKS_GIVEN_UP):
+            with self.path.open("rb") as stream:
+                index = scan_index(stream, self._file.committed)
+            self._file.cut(index.data_end)
+            statistics = index.statistics
+            file = FileRecord(
+                self.path.name, statistics.message_start_time, statistics.message_end_time, statistics.message_count
+            )
+            parts = [(file, statistics.channel_message_counts)]
+            try:
+                description = self._description(parts, reason)
+                record = Metadata(name=RECORD_NAME, metadata={RECORD_KEY: dump_yaml(description)})
+                self._file.write(index.add_metadata(record))
+                for piece in tail(index):
+                    self._file.write(piece)
+                self._file.commit()
+            except OSError:
+                if not index.chunks:
+                    raise
+                self._file.cut(index.chunks[-1].chunk_start_offset)
+            else:
+                self._file.cut(self._file.committed)
+                self._file.sync()
+                write_metadata(self.folder, self._description([*self._complete, *parts], reason))
+                return
+
+    def _description(
+        self, parts: Sequence[tuple[FileRecord, Mapping[int, int]]], aborted: str | None
+    ) -> dict[str, Any]:
+        return bag_metadata(
+            [
+                (topic, sum(counts.get(channel, 0) for _, counts in parts))
+                for channel, topic in enumerate(self._topics, start=1)
+            ],
+            files=[file for file, _ in parts],
+            custom_data={} if aborted is None else {ABORTED_KEY: aborted},
+        )
+
+
+@contextmanager
+def _new_folder(folder: Path, file: Path) -> Iterator[ExitStack]:
+    """Create the folder of a bag; an error in the block undoes this and what the block adds to the stack."""
+    with ExitStack() as undo:
+        try:
+            for place in reversed([place for place in (folder, *folder.parents) if not place.exists()]):
+                place.mkdir()
+                undo.callback(place.rmdir)
+            if any(folder.iterdir()):
+                raise BagFolderError(f"{folder} is not empty: name a new folder for the bag")
+            yield undo
+        except OSError as error:
+            if error.errno in {
+                errno.ENOSPC,
+                errno.EDQUOT,
+                errno.EIO,
+                errno.EFBIG,
+                errno.EMFILE,
+                errno.ENFILE,
+            }:
+                raise BagWriteError(file, error) from error
+            raise BagFolderError(f"cannot create {file}: {error.strerror}; name another folder for the bag") from error
+
+
+def _attach(writer: Writer, attachments: Mapping[str, bytes], log_time: int) -> None:
+    for name, data in attachments.items():
+        writer.add_attachment(
+            create_time=0,
+            log_time=log_time,
+            name=name,
+            media_type=_MEDIA_TYPES.get(Path(name).suffix, "text/plain"),
+            data=data,
+        )
+
+
+def _library() -> str:
+    try:
+        return f"swarmabs {version('swarmabs_core')}"
+    except PackageNotFoundError:  # run from the source tree without having been built
+        return "swarmabs"

@@ -1,1 +1,0 @@
-"""Scenarios, orchestration, recorder and command line of swarmabs."""

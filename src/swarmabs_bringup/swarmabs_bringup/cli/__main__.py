@@ -1,8 +1,0 @@
-"""``python -m swarmabs_bringup.cli``."""
-
-import sys
-
-from swarmabs_bringup.cli import main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,93 @@
+"""Node ``feeder``: sends a run's messages, made beforehand, as fast as a recorder takes them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmabs_config.scenario import load_scenario
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, RECORDING_PROGRESS, RecordingProgress
+from swarmabs_core.parameters import Parameter
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_run.simulation import Simulation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from swarmabs_core.messages import Message, Messages, Topic
+    from swarmabs_ros.status import StatusChannel
+
+PARAMETERS = (Parameter("scenario_file", "", "file of the resolved scenario"),)
+
+IN_FLIGHT = 3000
+"""Messages that may be on their way: what a socket's buffer holds."""
+FEWEST, MOST = 12, 100
+"""Bounds of the steps that the recorder may lag behind: it tells its progress every ten."""
+
+
+class Feeder:
+    """Keeps a recorder supplied.
+
+    Parameters
+    ----------
+    steps : sequence
+        The messages of each step.
+    """
+
+    def __init__(self, steps: Sequence[Sequence[Message]]) -> None:
+        self._steps = steps
+        self._sent = 0
+        self._written = -1
+        self._window = min(MOST, max(FEWEST, IN_FLIGHT // len(steps[0])))
+
+    def start(self) -> Messages:
+        """Send the first steps."""
+        return self._go_on()
+
+    def handle(self, message: Message) -> Messages:
+        """Send as many steps as have been recorded."""
+        if isinstance(message, RecordingProgress) and message.written_step != NEVER:
+            self._written = max(self._written, message.written_step)
+        return self._go_on()
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for the recorder until it has everything."""
+        return () if self._written + 1 == len(self._steps) else (RECORDING_PROGRESS,)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the first step that is not recorded."""
+        return self._written + 1, ("recorder",)
+
+    def _go_on(self) -> Messages:
+        until = min(len(self._steps), self._written + 1 + self._window)
+        messages = tuple(message for step in self._steps[self._sent : until] for message in step)
+        self._sent = max(self._sent, until)
+        return messages
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+    """Return behaviour and endpoints.
+
+    Raises
+    ------
+    InputError
+        If there is no scenario.
+    """
+    if not settings.text("scenario_file"):
+        raise InputError("parameter scenario_file: give the file of the resolved scenario")
+    scenario = load_scenario(Path(settings.text("scenario_file")))
+    steps = [[record.message for record in step.records] for step in Simulation(scenario).steps()]
+    subscriptions = {RECORDING_PROGRESS: requested(RECORDING_PROGRESS, depth=1)}
+    return NodeSpec(Feeder(steps), (*MAIN_TOPICS, EVENTS), subscriptions)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("feeder", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,393 @@
+"""A result for people: tables, a picture, and the comparison of two results."""
+
+from __future__ import annotations
+
+from statistics import median
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from swarmabs_cli.bench_framework.floors import FLOORS
+from swarmabs_cli.bench_framework.model import AGENTS, ROUND_TRIP, costs, model, spread_out
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    Document = Mapping[str, Any]
+
+PRODUCT, PACKED = "product", "packed"
+_NAMES = {
+    "rclpy_best_effort": "bare rclpy",
+    "rclpy_reliable": "bare rclpy, reliable",
+    "zeromq": "ZeroMQ",
+    "datagrams": "Unix datagrams",
+    PRODUCT: "swarm run",
+    PACKED: "swarm run --packed",
+}
+# Okabe and Ito's colours, which people with any colour vision tell apart; marks and dashes differ too.
+_LOOKS = {
+    PRODUCT: ("#d55e00", "o", "-"),
+    PACKED: ("#e69f00", "P", "-"),
+    "rclpy_best_effort": ("#0072b2", "s", "--"),
+    "rclpy_reliable": ("#56b4e9", "D", "--"),
+    "zeromq": ("#009e73", "^", "-."),
+    "datagrams": ("#666666", "v", ":"),
+}
+_MIB = 2**20
+_DEPLOYMENTS = ((1000, 10), (1000, 50), (1000, 1000), (10_000, 50), (10_000, 200), (10_000, 10_000))
+"""Robots and hosts for which the steps per second are derived."""
+_MB = 1e6
+
+
+class Table(NamedTuple):
+    """A table: its name, what it shows, its headings, its rows."""
+
+    name: str
+    caption: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def shown(spread: Mapping[str, float] | None, unit: float = 1.0) -> str:
+    """Say a median with the smallest and the largest value."""
+    if spread is None:
+        return "-"
+    middle, low, high = (f"{_short(spread[key] / unit)}" for key in ("median", "smallest", "largest"))
+    return middle if low == high else f"{middle} ({low}-{high})"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def tables(document: Document) -> tuple[Table, ...]:
+    """Return the tables of a result, of those suites that were measured."""
+    made = (
+        ("product", _speed),
+        ("product", _cost),
+        ("start", _start),
+        ("memory", _memory),
+        ("large", _large),
+        ("simulate", _simulate),
+        ("recorder", _recorder),
+        ("reading", _reading),
+    )
+    return (*(make(document[suite]) for suite, make in made if suite in document), *_modelled(document))
+
+
+def _speed(rows: list[dict[str, Any]]) -> Table:
+    order = (PRODUCT, PACKED, *FLOORS)
+    ratios = ("ratio_to_floor", "packed_ratio_to_floor", "ratio_to_zeromq", "packed_ratio_to_zeromq")
+    return Table(
+        "speed",
+        "steps per second, and those of swarm run without and with packed broadcasts in parts of the better bare"
+        " rclpy's and of ZeroMQ's",
+        ("robots", *(_NAMES[key] for key in order), "of rclpy", "packed of rclpy", "of ZeroMQ", "packed of ZeroMQ"),
+        tuple(
+            (
+                str(row["robots"]),
+                *(shown(row["summary"]["steps_per_second"].get(key)) for key in order),
+                *(shown(row["summary"].get(key)) for key in ratios),
+            )
+            for row in rows
+        ),
+    )
+
+
+def _cost(rows: list[dict[str, Any]]) -> Table:
+    roles = ("plane", "observer", "controller", "recorder")
+    found = []
+    for row in rows:
+        for key in (PRODUCT, PACKED, row["summary"]["floor"], "zeromq"):
+            loads = [
+                repeat[key]["load"] for repeat in row["repeats"] if key in repeat and repeat[key]["load"] is not None
+            ]
+            if loads:
+                shares = [f"{median(load['cpu_share'].get(role, 0.0) for load in loads):.0%}" for role in roles]
+                measures = ("cpu_ms_per_step", "switches_per_agent_step")
+                values = [_short(median(load[measure] for load in loads)) for measure in measures]
+                other = f"{median(load['other_load'] for load in loads):.0%}"
+                found.append((str(row["robots"]), _NAMES[key], *values, *shares, other))
+    return Table(
+        "cost",
+        "processor time of all processes, ms per step; context switches per robot and step; shares of one core, and of"
+        " the machine what others took",
+        ("robots", "what", "CPU ms", "switches", *roles, "others"),
+        tuple(found),
+    )
+
+
+def _start(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "start",
+        "starts in which all processes have met and made the first step, the time (s) from the command to that step"
+        " and from Ctrl-C to the end of all processes, and other processes that kept the machine busy",
+        ("robots", "clean starts", "processes retried", "first step", "end", "busy beside"),
+        tuple(
+            (
+                str(row["robots"]),
+                _clean(row),
+                str(row.get("retried", "-")),
+                *(shown(row["summary"][key]) for key in ("start_seconds", "shut_down_seconds")),
+                str(row.get("busy_processes", "-")),
+            )
+            for row in rows
+        ),
+    )
+
+
+def _clean(row: Mapping[str, Any]) -> str:
+    """Say how many starts were clean; results from before these were counted have none."""
+    return f"{row['clean']} of {row['starts']}" if "starts" in row else "-"
+
+
+def _memory(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "memory",
+        "of a robot's process and of all processes, what is shared counted once (PSS), MiB",
+        ("robots", "a robot", "all"),
+        _rows(rows, ("agent_bytes", "total_bytes"), _MIB),
+    )
+
+
+def _large(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "large",
+        "several robots in a process, recording on: the time (s) to the first step, steps per second, processor time of"
+        " all processes per step (ms), memory of all processes (PSS, MiB), and runs that failed",
+        ("robots", "in a process", "first step", "steps/s", "CPU ms", "memory", "failed"),
+        tuple(
+            (
+                str(row["robots"]),
+                str(row["agents_per_process"]),
+                *(shown(row["summary"][key]) for key in ("start_seconds", "steps_per_second", "cpu_ms_per_step")),
+                shown(row["summary"]["total_bytes"], _MIB),
+                str(len(row["failures"])),
+            )
+            for row in rows
+        ),
+    )
+
+
+def _modelled(document: Document) -> tuple[Table, ...]:
+    """Return the model of cost, and what it says of robots on many hosts; nothing if no run was looked at twice."""
+    found = costs(document.get("product", ()))
+    known, cores = model(found), document["machine"]["usable_cores"]
+    if known is None:
+        return ()
+    fit = f"{_short(known.step.a)} ms + {_short(1000.0 * known.step.b)} us per robot"
+    cost = Table(
+        "model",
+        f"wall time of a step, measured and as {fit}; processor time of a step; and how much of {cores} cores that is",
+        (
+            "robots",
+            "step, ms",
+            "fitted, ms",
+            "CPU of robots, ms",
+            "of coordinators, ms",
+            "busiest of them, ms",
+            "of cores",
+        ),
+        tuple(
+            (
+                str(c.robots),
+                _short(c.step),
+                _short(known.step.at(c.robots)),
+                _short(c.cpu.get(AGENTS, 0.0)),
+                _short(c.coordinators),
+                _short(max((cost for role, cost in c.cpu.items() if role != AGENTS), default=0.0)),
+                f"{(c.coordinators + c.cpu.get(AGENTS, 0.0)) / (c.step * cores):.0%}",
+            )
+            for c in found
+        ),
+    )
+    hosts = Table(
+        "hosts",
+        f"derived, not measured: steps per second on hosts of {cores} such cores and one for the coordinators, with"
+        f" {ROUND_TRIP:g} ms on the network",
+        ("robots", "hosts", "robots per host", "one message per robot", "one message per host"),
+        tuple(
+            (
+                str(robots),
+                str(number),
+                str(robots // number),
+                *(_short(1000.0 / spread_out(known, robots, number, cores, relays=relays)) for relays in (False, True)),
+            )
+            for robots, number in _DEPLOYMENTS
+        ),
+    )
+    return cost, hosts
+
+
+def _simulate(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "simulate",
+        "simulated seconds per second",
+        ("robots", "without a bag", "with a bag"),
+        _rows(rows, ("real_time_factor_without_bag", "real_time_factor")),
+    )
+
+
+def _recorder(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "recorder",
+        "messages per second from DDS to the bag, the share of one core meanwhile, and messages per second of"
+        " its processor time",
+        ("robots", "messages/s", "of a core", "messages/CPU s"),
+        _rows(rows, ("messages_per_second", "core_share", "messages_per_core_second")),
+    )
+
+
+def _reading(rows: list[dict[str, Any]]) -> Table:
+    found = []
+    for row in rows:
+        summary = row["summary"]
+        sizes = (shown(summary[key], _MB) for key in ("bag_bytes", "arrays_bytes_per_second"))
+        found.append((str(row["robots"]), *sizes, shown(summary["ratio_to_iteration"])))
+    return Table(
+        "reading",
+        "from a bag to arrays: size of the bag before compression, speed, and the time in parts of that in which the"
+        " mcap library passes over the raw messages",
+        ("robots", "MB", "MB/s", "of the raw messages"),
+        tuple(found),
+    )
+
+
+def _rows(rows: list[dict[str, Any]], keys: tuple[str, ...], unit: float = 1.0) -> tuple[tuple[str, ...], ...]:
+    """Return rows that show these spreads."""
+    return tuple((str(row["robots"]), *(shown(row["summary"][key], unit) for key in keys)) for row in rows)
+
+
+def notes(document: Document) -> list[str]:
+    """Return what a reader of the tables must know besides."""
+    machine, settings = document["machine"], document["settings"]
+    found = [
+        f"measured {document['created']}",
+        f"on {machine['usable_cores']} of {machine['cores']} cores, {machine['processor']}, Linux {machine['kernel']}",
+        f"load average before: {machine['load_before']}",
+        f"median (smallest-largest) of {settings['repeat']} windows of {settings['window']:g} s",
+    ]
+    if "solver" in document:
+        solver = document["solver"]
+        angle = max(repeat["largest_difference"] for repeat in solver["repeats"])
+        found += [
+            f"simulate takes {shown(solver['ratio'])} of the time of {solver['solver']}",
+            f"  for {solver['problem']}; their angles differ by {angle:.1g} rad at most",
+        ]
+    return found
+
+
+def markdown(table: Table) -> str:
+    """Return a table in Markdown, without its caption."""
+    lines = [table.headings, ("---",) * len(table.headings), *table.rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def draw(document: Document, picture: Path) -> None:
+    """Draw the steps per second by the number of robots."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
+    figure = Figure(figsize=(7.2, 4.6), dpi=130, layout="constrained")
+    axes = figure.subplots()
+    rows = document["product"]
+    for key in _LOOKS:
+        points = [(row["robots"], row["summary"]["steps_per_second"].get(key)) for row in rows]
+        _curve(axes, [(robots, speed) for robots, speed in points if speed], key, _NAMES[key])
+    axes.set(xlabel="robots, one process each", ylabel="steps per second")
+    _finish(axes, [row["robots"] for row in rows])
+    axes.legend(frameon=False)
+    figure.savefig(picture, facecolor="white")
+
+
+def draw_large(document: Document, picture: Path) -> None:
+    """Draw start and speed of large simulations by the number of robots."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
+    figure = Figure(figsize=(7.2, 3.4), dpi=130, layout="constrained")
+    rows = document["large"]
+    panels = (("start_seconds", "s to the first step", "zeromq"), ("steps_per_second", "steps per second", PRODUCT))
+    for axes, (measure, label, look) in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        axes.set(xlabel=f"robots, {rows[0]['agents_per_process']} in a process", ylabel=label)
+        points = [(row["robots"], row["summary"][measure]) for row in rows if row["summary"][measure] is not None]
+        if points:  # logarithmic axes cannot be empty
+            _curve(axes, points, look, label)
+            _finish(axes, [row["robots"] for row in rows])
+    figure.savefig(picture, facecolor="white")
+
+
+def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str, label: str) -> None:
+    """Draw medians with their spreads."""
+    colour, mark, dashes = _LOOKS[look]
+    spreads = [spread for _, spread in points]
+    middle = [spread["median"] for spread in spreads]
+    below = [spread["median"] - spread["smallest"] for spread in spreads]
+    above = [spread["largest"] - spread["median"] for spread in spreads]
+    axes.errorbar(
+        [robots for robots, _ in points],
+        middle,
+        yerr=(below, above),
+        label=label,
+        color=colour,
+        marker=mark,
+        linestyle=dashes,
+        linewidth=2.2 if look in {PRODUCT, PACKED} else 1.4,
+        capsize=3,
+    )
+
+
+def _finish(axes: Axes, numbers: list[int]) -> None:
+    """Give both axes logarithmic scales with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter  # noqa: PLC0415 - slow to import
+
+    axes.set(xscale="log", yscale="log")
+    axes.set_xticks(numbers, [str(number) for number in numbers])
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.grid(which="both", color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, float]]]:
+    """Yield suite, robots, name and spread of all that was measured."""
+    for suite in ("product", "start", "memory", "large", "simulate", "recorder", "reading"):
+        for row in document.get(suite, ()):
+            summary = dict(row["summary"])
+            if suite == PRODUCT:
+                summary |= summary.pop("steps_per_second")
+            for name, spread in summary.items():
+                if isinstance(spread, dict):
+                    yield suite, row["robots"], name, spread
+
+
+def comparison(old: Document, new: Document) -> Table:
+    """Return what two results have in common, as new by old; ranges that overlap are no difference."""
+    before = {(suite, robots, name): spread for suite, robots, name, spread in _measures(old)}
+    rows = []
+    for suite, robots, name, spread in _measures(new):
+        known = before.get((suite, robots, name))
+        if known is not None and known["median"]:
+            apart = spread["smallest"] > known["largest"] or spread["largest"] < known["smallest"]
+            ratio = f"{spread['median'] / known['median']:.2f}"
+            verdict = "" if apart else "within the spread"
+            rows.append((suite, str(robots), name, shown(known), shown(spread), ratio, verdict))
+    rows.extend(_compared_starts(old, new))
+    return Table(
+        "comparison",
+        "medians (smallest-largest) of two results",
+        ("suite", "robots", "measure", "old", "new", "new/old", ""),
+        tuple(rows),
+    )
+
+
+def _compared_starts(old: Document, new: Document) -> Iterator[tuple[str, str, str, str, str, str, str]]:
+    """Yield how many starts were clean, where both results have counted."""
+    counted = {row["robots"]: row for row in old.get("start", ()) if row.get("clean")}
+    for row in new.get("start", ()):
+        known = counted.get(row["robots"])
+        if known is not None and "starts" in row:
+            ratio = (row["clean"] / row["starts"]) / (known["clean"] / known["starts"])
+            yield ("start", str(row["robots"]), "clean starts", _clean(known), _clean(row), f"{ratio:.2f}", "")

@@ -1,0 +1,71 @@
+"""``swarm env`` and ``swarm doctor``."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+
+import click
+
+from swarmabs_cli.output import json_option, print_json
+
+WORKSPACE = (
+    "PATH",
+    "LD_LIBRARY_PATH",
+    "PYTHONPATH",
+    "AMENT_PREFIX_PATH",
+    "CMAKE_PREFIX_PATH",
+    "ROS_DISTRO",
+    "ROS_VERSION",
+    "ROS_PYTHON_VERSION",
+    "RMW_IMPLEMENTATION",
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+)
+"""What makes a shell find this workspace."""
+SOURCED = "SWARMABS_SOURCED_"
+"""Before the names of variables by which ``scripts/swarm`` says what lets a ROS that was sourced find it too."""
+
+
+@click.command()
+@click.argument("run", required=False, type=click.Path(path_type=Path))
+@json_option
+def env(run: Path | None, *, as_json: bool) -> None:
+    """Print what a shell needs to find the nodes and messages.
+
+    With RUN, the folder of a run that is going on, also what ROS tools need to see that run. Those of a ROS that is
+    sourced stay usable: the workspace is then only added to it.
+
+    Use it as: eval "$(./scripts/swarm env RUN)"
+    """
+    from swarmabs_run.orchestration.looking_in import environment_of_run  # noqa: PLC0415 - slow, not for --help
+
+    variables = {name: os.environ[name] for name in WORKSPACE if name in os.environ}
+    if run is not None:
+        sourced = {name[len(SOURCED) :]: value for name, value in os.environ.items() if name.startswith(SOURCED)}
+        variables = (sourced or variables) | environment_of_run(run)
+    if as_json:
+        print_json(variables)
+        return
+    for name, value in variables.items():
+        click.echo(f"export {name}={shlex.quote(value)}")
+
+
+@click.command()
+@json_option
+def doctor(*, as_json: bool) -> int:
+    """Check whether this machine can run swarms, and say what to do where it cannot."""
+    from dataclasses import asdict  # noqa: PLC0415 - slow, not for --help
+
+    from swarmabs_run.doctor import examine  # noqa: PLC0415
+    from swarmabs_run.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
+
+    with tracing_files_removed():
+        findings = examine()
+    if as_json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        signs = {"ok": "ok  ", "note": "note", "bad": "BAD "}
+        for finding in findings:
+            click.echo(f"{signs[finding.verdict]}  {finding.check}: {finding.text}")
+    return 1 if any(finding.verdict == "bad" for finding in findings) else 0

@@ -1,0 +1,136 @@
+"""``swarm figures``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmabs_cli.output import json_option, print_json
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_view.display import shown_progress
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_analysis.figures.runs import Execute
+    from swarmabs_analysis.figures.style import Format
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.progress import Outcome, Progress
+
+
+@click.command()
+@click.argument("names", nargs=-1, metavar="[FIGURE]...")
+@click.option(
+    "-o", "--output", default="figures", show_default=True, type=click.Path(path_type=Path), help="Folder of the files."
+)
+@click.option(
+    "--from",
+    "bags",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="BAG|FOLDER",
+    help="Draw from this bag, or from the runs in this folder; repeatable.",
+)
+@click.option("--simulate", "make", flag_value="simulate", help="Make missing runs in this process.")
+@click.option("--run", "make", flag_value="run", help="Make missing runs with one process per robot over DDS.")
+@click.option(
+    "--format", "formats", multiple=True, type=click.Choice(("png", "svg")), help="Repeatable.  [default: png, svg]"
+)
+@json_option
+def figures(
+    names: tuple[str, ...],
+    output: Path,
+    bags: tuple[Path, ...],
+    make: str | None,
+    formats: tuple[Format, ...],
+    *,
+    as_json: bool,
+) -> int:
+    """Draw the figures of the paper, all or those named, from recorded runs.
+
+    FIGURE is a label of the paper's source: mappingEx, posMapping, PD_res, ARISE_res or ARISE_lg_swarm. Without --from
+    the runs are simulated, which gives the same bits as `run`, and kept in DIR/runs for the next time. With --from
+    every run that a figure needs must be there, unless --simulate or --run makes those that are missing.
+    """
+    from swarmabs_analysis.figures import FIGURES, draw_files  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_analysis.figures.runs import find_made, find_runs, make_run, missing_text  # noqa: PLC0415
+    from swarmabs_analysis.figures.style import FORMATS  # noqa: PLC0415
+    from swarmabs_config.scenarios import find_scenario  # noqa: PLC0415
+
+    for name in names:
+        if name not in FIGURES:
+            raise click.UsageError(f"no figure {name!r}; there are {', '.join(FIGURES)}")
+    chosen = {name: figure.scenarios for name, figure in FIGURES.items() if name in names or not names}
+    needed = [name for scenarios in chosen.values() for name in scenarios]
+    sources = find_runs(bags, needed, lambda reason: click.echo(f"warning: left out: {reason}", err=True))
+    if not bags or make is not None:
+        make = make or "simulate"
+        sources = find_made(output / "runs", [name for name in needed if name not in sources]) | sources
+    missing = [name for name in needed if name not in sources]
+    if missing and make is None:
+        raise InputError(
+            f"--from has no bag of {missing_text(missing, chosen)}; add it, name the figures to draw, "
+            "or make it with --simulate or --run"
+        )
+    for source in sources.values():
+        if source.altered:
+            click.echo(f"warning: {source.bag}: not the built-in {source.scenario.name}, but a variant", err=True)
+    runs = output / "runs"
+    _make_folder(runs if missing else output)
+    try:
+        for name in missing:
+            scenario = find_scenario(name)
+            with shown_progress(scenario) as show:
+                sources[name] = make_run(scenario, runs, _executed(make == "run", show))
+        files: dict[str, bytes] = {}
+        for name in chosen:
+            click.echo(f"drawing {name}", err=True)
+            files |= draw_files(name, sources, formats or FORMATS)
+        written = [_write_whole(output / name, content) for name, content in files.items()]
+    except OSError as error:
+        raise RunError(f"{output}: {error.strerror or error}; free space or choose another folder with -o") from error
+    if as_json:
+        bags_used = {name: str(sources[name].bag) for name in needed}
+        print_json({"files": [str(path) for path in written], "bags": bags_used, "made": missing})
+    else:
+        for path in written:
+            click.echo(path)
+    return 0
+
+
+def _executed(processes: bool, show: Callable[[Progress], None]) -> Execute:  # noqa: FBT001
+    """Return what carries a run out: with real processes, or in this one."""
+
+    def execute(scenario: Scenario, folder: RunFolder) -> Outcome:
+        if processes:
+            from swarmabs_run.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
+
+            return LockstepRun(scenario, folder, on_progress=show).run()
+        from swarmabs_run.simulated_run import simulate_run  # noqa: PLC0415 - as above
+
+        return simulate_run(scenario, folder, on_progress=show)
+
+    return execute
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{folder} cannot be written; choose another folder with -o")
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made: {error.strerror}; choose another folder with -o") from error
+
+
+def _write_whole(path: Path, content: bytes) -> Path:
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_bytes(content)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,69 @@
+"""``swarm repair``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmabs_cli.output import json_option, print_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from swarmabs_bag import RepairReport
+
+
+@click.command()
+@click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the whole bag.  [default: BAG_repaired]"
+)
+@click.option("--in-place", is_flag=True, help="Replace the damaged files; they are kept as NAME.damaged.")
+@json_option
+def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> int:
+    """Make a whole bag of a damaged one, and say what was lost.
+
+    BAG is a run's folder, its bag folder, or an .mcap file. A bag that is whole stays as it is. The exit code is 0
+    whenever there is a whole bag afterwards, also if something was lost.
+    """
+    from swarmabs_bag import repair_bag  # noqa: PLC0415 - slow, not for --help
+
+    report = repair_bag(bag, output, in_place=in_place)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        for line in _lines(report):
+            click.echo("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line))
+    return 0
+
+
+def _lines(report: RepairReport) -> Iterator[str]:
+    yield from report.problems
+    for file in report.files:
+        for problem in file.problems:
+            yield f"{file.file}: {problem}"
+        for part in file.lost:
+            span = "" if part.start is None else f", said to be of {part.start:.9g} s to {part.end:.9g} s"
+            yield f"lost: {part.bytes} bytes at byte {part.offset} of {Path(file.file).name}{span}"
+    for topic in report.topics:
+        lost = f", {topic.lost} known to be lost" if topic.lost else ""
+        last = topic.last_complete_step
+        step = "" if last is None or last < (report.first_step or 0) else f", complete up to step {last}"
+        yield f"{topic.name}: {topic.messages} messages{lost}{step}"
+    for name in report.lost_attachments:
+        yield f"lost: attachment {name}"
+    if report.last_complete_step is not None:
+        yield f"{_complete_steps(report)}, of 0 to {report.last_planned_step}"
+    if report.output is None:
+        yield f"{report.bag} is whole: nothing to do"
+    else:
+        yield f"{report.messages} messages are in {report.output}"
+
+
+def _complete_steps(report: RepairReport) -> str:
+    first, last = report.first_step, report.last_complete_step
+    if first is None or last is None or last < first:
+        return "no step is complete"
+    return f"steps {first} to {last} are complete"

@@ -1,0 +1,169 @@
+"""``swarm replay``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from swarmabs_cli.elapsed import setup_seconds, since_start, startup_seconds
+from swarmabs_cli.interrupts import no_more_interrupts
+from swarmabs_cli.namespace import namespace_option
+from swarmabs_cli.output import json_option, print_json, print_tables
+from swarmabs_cli.run import RUNS
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_view.display import shown_progress
+
+_POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
+_WITH_NODE = ("output", "overrides", "in_process", "expect_same")
+_WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
+
+
+@click.command()
+@click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
+@click.option(
+    "--node", "nodes", multiple=True, metavar="NODE", help="controller, observer, plane or agent:N; repeatable."
+)
+@click.option("--in-process", is_flag=True, help="Replay in one process without DDS, as fast as possible.")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value for the nodes; repeatable."
+)
+@click.option("--expect-same", is_flag=True, help="Exit with code 1 if the digest is another one.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the replay.  [default: runs/NAME-replay-NNN]"
+)
+@click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="How much to replay, in recorded time.")
+@click.option("--rate", type=_POSITIVE, help="Without --node: recorded time per real time.  [default: 1]")
+@click.option(
+    "--start", type=click.FloatRange(0.0), metavar="SECONDS", help="Without --node: where in the bag to begin."
+)
+@click.option("--loop", is_flag=True, help="Without --node: begin again at the end, until Ctrl-C.")
+@click.option("--topics", metavar="NAME,NAME", help="Without --node: what to play.  [default: all]")
+@click.option("--wait", is_flag=True, help="Without --node: begin when every topic has a reader.")
+@click.option("--network", is_flag=True, help="Without --node: play to other machines too, not to this one alone.")
+@namespace_option
+@json_option
+def replay(bag: Path, nodes: tuple[str, ...], *, as_json: bool, **options: Any) -> int:
+    """Replay a bag: to nodes under test, or, without --node, to whoever listens.
+
+    With --node the nodes named are computed anew from what was recorded of all others, in lockstep and without loss;
+    the result is a new bag and how it differs. This is open loop: nothing reacts to the new answers but the other nodes
+    under test.
+
+    Without --node every message is published at its time in the caller's ROS domain.
+    """
+    wrong = next((name for name in (_WITHOUT_NODE if nodes else _WITH_NODE) if options[name]), None)
+    if wrong is not None:
+        option = {"overrides": "--set", "output": "--output"}.get(wrong, "--" + wrong.replace("_", "-"))
+        raise InputError(f"{option} is for a replay {'without' if nodes else 'with'} --node; leave one of them out")
+    return _replay(bag, nodes, as_json=as_json, **options) if nodes else _play(bag, as_json=as_json, **options)
+
+
+def _replay(
+    bag: Path,
+    names: tuple[str, ...],
+    *,
+    overrides: tuple[str, ...],
+    output: Path | None,
+    duration: float | None,
+    in_process: bool,
+    expect_same: bool,
+    namespace: str | None,
+    as_json: bool,
+    **_: object,
+) -> int:
+    """Try nodes out on a recording; return the exit code."""
+    from swarmabs_analysis.replay.run import ReplayRun  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_analysis.replay.source import open_source  # noqa: PLC0415
+    from swarmabs_bag.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
+    from swarmabs_bag.summary import Times, summarise, summary_table  # noqa: PLC0415
+    from swarmabs_core.behaviours.player import NodeName  # noqa: PLC0415
+
+    nodes = tuple(dict.fromkeys(NodeName.parse(name) for name in names))
+    source = open_source(bag, namespace=namespace)
+    if duration is not None:
+        overrides = (*overrides, f"duration={duration!r}")
+    made = ReplayRun(source, nodes, overrides, source.scenario(nodes, overrides))
+    scenario = made.scenario
+    folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, f"{scenario.name}-replay")
+    try:
+        loading = since_start()
+        with shown_progress(scenario) as show:
+            outcome = (made.in_process if in_process else made.live)(folder, show)
+            no_more_interrupts()
+        summary = summarise(
+            scenario,
+            outcome,
+            Times(since_start(), setup_seconds(), startup_seconds(loading, outcome)),
+        )
+        result = made.result(folder, summary["digest"]) if outcome.status == "ok" else None
+        summary["replay"] = result
+        folder.write_summary(summary)
+    except OSError as error:
+        raise RunError(
+            f"{folder.path}: {error.strerror or error}; free space or choose another folder with -o"
+        ) from error
+    if as_json:
+        print_json(summary)
+    else:
+        from rich.console import Console  # noqa: PLC0415 - slow to import
+
+        from swarmabs_analysis.replay.table import result_parts  # noqa: PLC0415
+
+        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
+        if result is not None:
+            print_tables(*result_parts(result))
+    if outcome.reason is not None:
+        click.echo(f"error: {outcome.reason}", err=True)
+    failed = outcome.status != "ok" or (expect_same and result is not None and not result["same"])
+    return 1 if failed else 0
+
+
+def _play(
+    path: Path,
+    *,
+    duration: float | None,
+    rate: float | None,
+    start: float | None,
+    loop: bool,
+    topics: str | None,
+    wait: bool,
+    network: bool,
+    namespace: str | None,
+    as_json: bool,
+    **_: object,
+) -> int:
+    """Play a bag to whoever listens; return the exit code."""
+    from swarmabs_analysis.replay.pace import Pace  # noqa: PLC0415
+    from swarmabs_bag import open_bag  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_run.interruption import end_asked  # noqa: PLC0415
+    from swarmabs_run.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
+
+    pace = Pace(1.0 if rate is None else rate, start or 0.0, duration, loop)
+    bag = open_bag(path, namespace=namespace, several=True)
+    if not network:  # who has set a range has decided already, such as the environment of a run
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with tracing_files_removed():
+        from swarmabs_analysis.replay.playback import (  # noqa: PLC0415 - needs the whole of ROS
+            choose_topics,
+            play,
+            shown,
+        )
+
+        wanted = topics.split(",") if topics else ()
+        playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)
+        for warning in warnings:
+            click.echo(f"warning: {warning}", err=True)
+        names = [topic.channel.name for topic in playable]
+        with end_asked() as asked:
+            click.echo(
+                f"playing {', '.join(map(shown, names))} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True
+            )
+            count = play(bag, playable, pace, wait=wait, asked_to_end=asked)
+    if as_json:
+        print_json({"bag": str(bag.path), "topics": names, "messages": count})
+    else:
+        click.echo(f"{count} messages published")
+    return 0

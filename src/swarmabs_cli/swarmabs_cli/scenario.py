@@ -1,0 +1,71 @@
+"""``swarm scenario``."""
+
+from __future__ import annotations
+
+import click
+
+from swarmabs_cli.output import json_option, print_json
+
+
+@click.group()
+def scenario() -> None:
+    """List and show scenarios, and their schema for editors."""
+
+
+@scenario.command("list")
+@json_option
+def list_scenarios(*, as_json: bool) -> None:
+    """List the built-in scenarios."""
+    from swarmabs_config.scenario import load_scenario  # noqa: PLC0415
+    from swarmabs_config.scenarios import builtin_scenarios  # noqa: PLC0415 - slow, not for --help
+
+    rows = []
+    for name, path in builtin_scenarios().items():
+        loaded = load_scenario(path)
+        kinds = [agent.kind for agent in loaded.agents]
+        rows.append(
+            {
+                "name": name,
+                "controller": loaded.controller.type,
+                "single_integrators": kinds.count("single_integrator"),
+                "double_integrators": kinds.count("double_integrator"),
+                "duration": loaded.duration,
+                "step": loaded.step,
+                "file": str(path),
+            }
+        )
+    if as_json:
+        print_json(rows)
+        return
+    for row in rows:
+        click.echo(
+            f"{row['name']:<14} {row['controller']:<6} "
+            f"{row['single_integrators']:>3} SI + {row['double_integrators']:>3} DI"
+            f"  {row['duration']:g} s in steps of {row['step']:g} s"
+        )
+
+
+@scenario.command("show")
+@click.argument("name", metavar="SCENARIO|FILE.yaml|BAG")
+@click.option("--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value; repeatable.")
+@json_option
+def show(name: str, overrides: tuple[str, ...], *, as_json: bool) -> None:
+    """Print a scenario with every default filled in and every robot listed."""
+    from swarmabs_config.scenario import dump_scenario  # noqa: PLC0415
+    from swarmabs_config.scenarios import find_scenario  # noqa: PLC0415 - slow, not for --help
+
+    loaded = find_scenario(name, overrides).resolved()
+    for warning in loaded.warnings():
+        click.echo(f"warning: {warning}", err=True)
+    if as_json:
+        print_json(loaded.model_dump(mode="json", by_alias=True))
+    else:
+        click.echo(dump_scenario(loaded), nl=False)
+
+
+@scenario.command("schema")
+def schema() -> None:
+    """Print the JSON Schema of scenario files."""
+    from swarmabs_config.scenario import json_schema  # noqa: PLC0415 - slow, not for --help
+
+    print_json(json_schema())

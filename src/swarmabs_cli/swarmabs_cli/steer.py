@@ -1,0 +1,71 @@
+"""``swarm steer``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from swarmabs_cli.output import json_option, print_json
+from swarmabs_core.errors import InputError
+
+ACTIONS = ("reference", "disturbance", "kill", "freeze", "remove", "leave", "add", "status")
+
+
+@click.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
+@click.argument("run", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("action", type=click.Choice(ACTIONS))
+@click.argument("value", required=False, metavar="[VALUE|ROBOT]")
+@json_option
+def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
+    """Change something in a run that was started with --steer, and say from which step on it holds.
+
+    RUN is its folder. `reference` offsets the angle wanted (rad), `disturbance` is a torque on the plane (N m); both
+    hold until they are set again. The others take the id of a robot; `leave` is the same as `remove`. `status` says
+    what holds.
+    """
+    from swarmabs_run.steering.client import SteeringClient  # noqa: PLC0415 - slow, not for --help
+
+    wish = {"action": action, **_argument(action, value)}
+    with SteeringClient(run) as client:
+        answer = client.ask(wish)
+    if as_json:
+        print_json(answer)
+    if not answer["ok"]:
+        raise InputError(str(answer["reason"]))
+    if not as_json:
+        click.echo(
+            _status(answer) if action == "status" else f"from step {answer['step']} on, t = {answer['time']:g} s"
+        )
+    return 0
+
+
+def _argument(action: str, value: str | None) -> dict[str, Any]:
+    if action == "status":
+        if value is not None:
+            raise InputError("status takes no value")
+        return {}
+    of_robot = action not in ("reference", "disturbance")
+    try:
+        if of_robot:
+            return {"agent": int(value or "")}
+        return {"value": float(value or "")}
+    except ValueError:
+        wanted = "the id of a robot, e.g. 3" if of_robot else "a number, e.g. 0.1"
+        raise InputError(f"{action}: give {wanted}, and not {value!r}") from None
+
+
+def _status(answer: dict[str, Any]) -> str:
+    def ids(name: str) -> str:
+        return ", ".join(map(str, answer[name])) or "none"
+
+    return "\n".join(
+        (
+            f"step {answer['step']} of {answer['steps']}, t = {answer['time']:g} s",
+            f"reference {answer['reference']:+g} rad, at most {answer['largest_reference']:g}",
+            f"disturbance {answer['disturbance']:+g} N m, at most {answer['largest_disturbance']:g}",
+            f"robots that take part: {ids('members')}",
+            f"robots that can be added: {ids('absent')}",
+        )
+    )

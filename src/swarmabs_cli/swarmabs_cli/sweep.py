@@ -1,0 +1,145 @@
+"""``swarm sweep``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmabs_cli.output import json_option, print_json
+from swarmabs_core.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from swarmabs_analysis.sweep.engine import Engine
+    from swarmabs_analysis.sweep.run import SweepProgress
+
+RUNS = Path("runs")
+_TERMINAL_INTERVAL = 0.1
+_LINE_INTERVAL = 5.0
+
+
+@click.command()
+@click.argument("file", metavar="SWEEP.yaml", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the results.  [default: runs/NAME-NNN]"
+)
+@click.option(
+    "--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value of the scenario; repeatable."
+)
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes on this machine.  [default: one per core]")
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler, tcp://HOST:PORT.")
+@click.option("--resume", is_flag=True, help="Go on with the sweep in the folder, if there is one.")
+@json_option
+def sweep(
+    file: Path,
+    output: Path | None,
+    overrides: tuple[str, ...],
+    jobs: int | None,
+    scheduler: str | None,
+    *,
+    resume: bool,
+    as_json: bool,
+) -> int:
+    """Run many variants of a scenario: a grid of parameters, or parameters drawn at random.
+
+    SWEEP.yaml names the scenario and what varies. The folder gets results.parquet with one row per case, summary.json
+    and a picture. An interrupted sweep goes on with --resume.
+    """
+    if resume and output is None:
+        raise click.UsageError("--resume needs the folder of the sweep: -o DIR")
+    if jobs is not None and scheduler is not None:
+        raise click.UsageError("--jobs is for this machine; a scheduler has workers of its own")
+    try:
+        from swarmabs_analysis.sweep.folder import find_folder, make_folder  # noqa: PLC0415 - slow, not for --help
+        from swarmabs_analysis.sweep.run import run_sweep  # noqa: PLC0415
+        from swarmabs_analysis.sweep.study import load_sweep  # noqa: PLC0415
+
+        study = load_sweep(file, overrides)
+        engine = _engine(jobs, scheduler)
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error}; `swarm sweep` needs dask, distributed and pyarrow: install them") from error
+    try:
+        begun = resume and output is not None and output.exists() and any(output.iterdir())
+        folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
+        summary = folder.complete()
+        if summary is None:
+            with folder, _shown(study.sweep.name) as show:
+                summary = run_sweep(study, folder, engine, show)
+    finally:
+        engine.close()
+    if as_json:
+        print_json(summary)
+    else:
+        outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items() if count)
+        click.echo(f"{summary['finished']} of {summary['cases']} cases: {outcomes or 'none'}")
+        click.echo(f"folder: {folder.path}")
+    if summary["reason"] is not None:
+        click.echo(f"error: {summary['reason']}", err=True)
+    return 0 if summary["status"] == "ok" else 1
+
+
+def _engine(jobs: int | None, scheduler: str | None) -> Engine:
+    """Return what the user has asked to compute with."""
+    if scheduler is None:
+        from swarmabs_analysis.sweep.local import LocalEngine  # noqa: PLC0415 - as above
+
+        return LocalEngine(jobs)
+    from swarmabs_analysis.sweep.scheduler import SchedulerEngine  # noqa: PLC0415
+
+    engine = SchedulerEngine(scheduler)
+    if engine.differing:
+        workers = ", ".join(engine.differing)
+        click.echo(f"warning: other mathematical library on {workers}: digests differ from those made here", err=True)
+    return engine
+
+
+@contextmanager
+def _shown(name: str) -> Iterator[Callable[[SweepProgress], None]]:
+    """Show how far a sweep is on standard error: a bar on a terminal, now and then a line elsewhere."""
+    if sys.stderr.isatty():
+        from rich.console import Console  # noqa: PLC0415 - slow to import, and needed on a terminal only
+        from rich.progress import (  # noqa: PLC0415
+            BarColumn,
+            MofNCompleteColumn,
+            Progress as Bar,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn())
+        text = TextColumn("{task.description}", markup=False)
+        with Bar(*columns, text, console=Console(stderr=True), auto_refresh=False, transient=True) as bar:
+            task = bar.add_task(name)
+
+            def update(progress: SweepProgress) -> None:
+                bar.update(task, total=progress.cases, completed=progress.done, description=describe(name, progress))
+                bar.refresh()
+
+            yield _at_most_every(_TERMINAL_INTERVAL, update)
+    else:
+        yield _at_most_every(_LINE_INTERVAL, lambda progress: click.echo(describe(name, progress), err=True))
+
+
+def describe(name: str, progress: SweepProgress) -> str:
+    """Say in a line how far a sweep is."""
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in sorted(progress.outcomes.items()))
+    return f"{name}: {progress.done} of {progress.cases} cases" + (f"; {outcomes}" if outcomes else "")
+
+
+def _at_most_every(interval: float, show: Callable[[SweepProgress], None]) -> Callable[[SweepProgress], None]:
+    shown = -interval
+
+    def update(progress: SweepProgress) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown >= interval or progress.done == progress.cases:
+            shown = now
+            show(progress)
+
+    return update

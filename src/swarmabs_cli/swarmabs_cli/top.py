@@ -1,0 +1,111 @@
+"""``swarm top``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmabs_cli.output import json_option, print_json, print_tables
+from swarmabs_cli.run import RUNS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rich.console import Group
+
+    from swarmabs_fleet.operate.processes import Look
+
+SAMPLE = 0.5
+"""Time, s, over which a single look takes the processor time."""
+_SLICE = 0.1
+
+
+@click.command()
+@click.argument("run", required=False, metavar="[RUN]", type=click.Path(path_type=Path))
+@click.option("--once", is_flag=True, help="Look once and end.")
+@click.option(
+    "--interval",
+    type=click.FloatRange(0.2, 3600.0),
+    default=2.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time between two looks.",
+)
+@json_option
+def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None:
+    """Show the processes of a run that is going on, and its step rate, until it ends.
+
+    RUN is the folder of the run; without it, the newest one in runs/ that goes on. With --json the command looks once.
+    """
+    from swarmabs_fleet.operate.processes import RunProcesses, document, newest_run  # noqa: PLC0415 - slow
+
+    folder = newest_run(RUNS) if run is None else run
+    processes = RunProcesses(folder)
+    processes.look(time.monotonic(), shares=0)  # from here on processor time counts
+    if once or as_json:
+        time.sleep(SAMPLE)
+        look = processes.look(time.monotonic(), shares=None)
+        if as_json:
+            print_json(document(folder, look))
+        else:
+            print_tables(_table(folder, look))
+        return
+    if not sys.stdout.isatty():
+        while _wait(processes.going_on, interval):
+            print_tables(_table(folder, processes.look(time.monotonic())))
+        return
+    from rich.live import Live  # noqa: PLC0415 - as above
+
+    with Live(auto_refresh=False, transient=True) as live:
+        wait = SAMPLE
+        while _wait(processes.going_on, wait):
+            live.update(_table(folder, processes.look(time.monotonic())), refresh=True)
+            wait = interval
+    click.echo(f"{folder}: the run is over")
+
+
+def _wait(going_on: Callable[[], bool], seconds: float) -> bool:
+    """Wait as long as the run goes on; tell whether it still does."""
+    deadline = time.monotonic() + seconds
+    while going_on():
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            return True
+        time.sleep(min(left, _SLICE))
+    return False
+
+
+def _table(folder: Path, look: Look) -> Group:
+    from rich.console import Group  # noqa: PLC0415 - slow to import
+    from rich.table import Table  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("process", no_wrap=True)
+    for name in ("pid", "CPU %", "PSS MB", "RSS MB"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("state", no_wrap=True)
+    for row in look.rows:
+        cpu = "?" if row.cpu is None else f"{row.cpu:.1f}"
+        table.add_row(Text(row.name), str(row.pid), cpu, _megabytes(row.pss), _megabytes(row.rss), row.state)
+    cpu_sum = sum(row.cpu or 0.0 for row in look.rows)
+    shares = [row.pss for row in look.rows if row.pss is not None]
+    pss_sum = sum(shares) if len(shares) == len(look.rows) else None
+    table.add_row("all", str(len(look.rows)), f"{cpu_sum:.1f}", _megabytes(pss_sum), "", "", style="bold")
+    return Group(Text(_title(folder, look), style="bold"), table)
+
+
+def _title(folder: Path, look: Look) -> str:
+    told = look.told
+    if told is None:
+        return f"{folder}: starting"
+    rate = "" if look.step_rate is None else f", {look.step_rate:.0f} steps/s"
+    return f"{folder}: {told.phase}, step {told.step} of {told.steps}{rate}"
+
+
+def _megabytes(number: int | None) -> str:
+    return "?" if number is None else f"{number / 1e6:.1f}"

@@ -1,0 +1,96 @@
+"""``swarm verify``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmabs_cli.namespace import namespace_option
+from swarmabs_cli.output import json_option, print_json
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_analysis.verify import Verdict
+
+_LINE_INTERVAL = 2.0
+
+
+@click.command()
+@click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="BAG...")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0.0, max=1.0, max_open=True),
+    default=0.0,
+    metavar="T",
+    help="Let a number differ from the recomputed b by T (1 + |b|).  [default: 0, every bit counts]",
+)
+@namespace_option
+@json_option
+def verify(bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, as_json: bool) -> int:
+    """Recompute every message of a bag from its scenario and the messages before it, and compare bit for bit.
+
+    BAG is a run's folder, its bag folder, or an .mcap file. The first difference is named by topic, step, robot and
+    field.
+    """
+    from swarmabs_analysis.verify import Verdict, open_to_verify  # noqa: PLC0415 - slow, not for --help
+
+    # What is refused is refused before anything is started.
+    opened = [open_to_verify(path, namespace=namespace) for path in bags]
+    verdicts = [
+        bag if isinstance(bag, Verdict) else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
+        for bag in opened
+    ]
+    if as_json:
+        documents = [verdict.to_dict() for verdict in verdicts]
+        print_json(documents[0] if len(documents) == 1 else documents)
+    else:
+        for verdict in verdicts:
+            click.echo(describe(verdict))
+    return 0 if all(verdict.ok for verdict in verdicts) else 1
+
+
+def describe(verdict: Verdict) -> str:
+    """Say in a few lines what was found out."""
+    lines = [f"{verdict.bag}: {'ok' if verdict.ok else 'NOT ok'}"]
+    if verdict.scenario is not None:
+        how = f"agree within {verdict.tolerance:g}" if verdict.tolerance else "agree bit for bit"
+        of = "" if verdict.expected_steps is None else f" of {verdict.expected_steps}"
+        lines.append(f"  {verdict.messages} messages of {verdict.steps}{of} steps {how}")
+    if verdict.not_checkable:
+        lines.append(f"  not checkable: {sum(verdict.not_checkable.values())} messages")
+        lines.extend(f"    {number}: {reason}" for reason, number in verdict.not_checkable.items())
+    if verdict.difference is not None:
+        lines.append(f"  first difference: {verdict.difference}")
+    if verdict.problem is not None:
+        lines.append(f"  damaged: {verdict.problem}")
+    if verdict.ended_early is not None:
+        lines.append(f"  the run ended early: {verdict.ended_early}")
+    if verdict.digest is not None:
+        lines.append(f"  digest {verdict.digest}")
+    lines.extend(f"  note: {note}" for note in verdict.notes)
+    return "\n".join(_printable(line) for line in lines)
+
+
+def _printable(line: str) -> str:
+    """Return a line such that text from a file cannot steer the terminal."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
+
+
+def _shown(name: str, steps: int) -> Callable[[int], None]:
+    """Return what tells on standard error now and then how far the verification is."""
+    told, latest = time.monotonic(), -1
+
+    def show(step: int) -> None:
+        nonlocal told, latest
+        if step == latest:
+            return
+        latest, now = step, time.monotonic()
+        if now - told >= _LINE_INTERVAL:
+            told = now
+            click.echo(f"{name}: step {step} of {steps} verified", err=True)
+
+    return show

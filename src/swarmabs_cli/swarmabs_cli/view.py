@@ -1,0 +1,50 @@
+"""``swarm view``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from swarmabs_cli.namespace import namespace_option
+
+
+def open_page(url: str) -> None:
+    """Show the page in the user's browser, where there is one."""
+    import webbrowser  # noqa: PLC0415 - slow, not for --help
+
+    if not webbrowser.open(url):
+        click.echo("warning: no browser could be started; open the address yourself", err=True)
+
+
+@click.command()
+@click.argument("bag", required=False, type=click.Path(path_type=Path), metavar="[BAG]")
+@click.option(
+    "--live", metavar="RUN|NAMESPACE", help="Show a run that goes on, by its folder, or a swarm of this ROS domain."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page.  [default: any free one]")
+@click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
+@namespace_option
+def view(bag: Path | None, live: str | None, port: int, *, open_browser: bool, namespace: str | None) -> int:
+    """Show a bag, or a swarm that is running, as a page in the browser.
+
+    The page is served on 127.0.0.1 only and needs no network. Nothing that looks on changes or delays a run. Ctrl-C
+    ends the view.
+    """
+    if (bag is None) == (live is None):
+        raise click.UsageError("Name a bag, or a swarm by --live.")
+    if live is not None and namespace is not None:
+        raise click.UsageError("--namespace is for bags; give --live the namespace itself.")
+    from swarmabs_view.main import view_bag, view_live  # noqa: PLC0415 - slow, not for --help
+
+    def ready(url: str) -> None:
+        click.echo(url)
+        click.echo("Ctrl-C ends the view", err=True)
+        if open_browser:
+            open_page(url)
+
+    if bag is not None:
+        view_bag(bag, namespace=namespace, port=port, ready=ready)
+    else:
+        view_live(str(live), port=port, ready=ready)
+    return 0

@@ -1,0 +1,1 @@
+"""Scenario, fleet file and graph of swarmabs: everything that is declared."""

@@ -1,0 +1,240 @@
+"""From a scenario to the configurations of the nodes."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING, cast
+
+from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, Limits, ObserverConfig, PlaneConfig
+from swarmabs_core.controllers import ParentContext, make_controller
+from swarmabs_core.faults import FaultKind, Lie, RobotFault
+from swarmabs_core.friction import Friction
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.messages import Kind
+from swarmabs_core.parent_response import ParentModel
+from swarmabs_core.plant import Disturbance
+from swarmabs_core.sensing import Sensor
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Stair, Staircase
+from swarmabs_core.swarm_law import SwarmGains
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pydantic import BaseModel
+
+    from swarmabs_config.scenario import ParentResponseObserver, Scenario
+    from swarmabs_core.controllers import ParentController
+    from swarmabs_core.parameters import Settings, Value
+
+RECORDING_STEPS = 100
+RECORDING_MESSAGES = 20_000
+"""How many steps, and how many states of robots, a recorded run may be ahead of what is on disk."""
+SHORTEST_RECORDING_WINDOW = 4
+
+KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
+
+
+def members(scenario: Scenario) -> tuple[int, ...]:
+    """Return the ids of all robots, ascending."""
+    return tuple(agent.id for agent in scenario.agents)
+
+
+def schedule(scenario: Scenario) -> tuple[Change, ...]:
+    """Return the scheduled membership changes by step."""
+    return tuple(
+        sorted(
+            Change(scenario.fault_step(fault.at), fault.agent, ChangeKind(fault.kind))
+            for fault in scenario.membership_faults
+        )
+    )
+
+
+def robot_faults(scenario: Scenario, agent_id: int) -> tuple[RobotFault, ...]:
+    """Return what is injected into a robot besides changes of the membership."""
+    return tuple(
+        RobotFault(FaultKind(fault.kind), fault.values, *scenario.fault_steps(fault))
+        for fault in scenario.robot_faults
+        if fault.hits(agent_id)
+    )
+
+
+def lies(scenario: Scenario) -> tuple[Lie, ...]:
+    """Return the injected lies of all robots, by robot."""
+    return tuple(
+        Lie(agent.id, fault)
+        for agent in scenario.agents
+        for fault in robot_faults(scenario, agent.id)
+        if fault.kind is FaultKind.LIE
+    )
+
+
+def stairs(scenario: Scenario, kind: str) -> tuple[Stair, ...]:
+    """Return the changes of a setting (`REFERENCE` or `DISTURBANCE`) by step; one that ends is 0 from then on."""
+    found: dict[int, float] = {}
+    for fault in scenario.setting_faults:
+        if fault.kind == kind:
+            if fault.until is not None:
+                found.setdefault(scenario.fault_step(fault.until), 0.0)
+            found[scenario.fault_step(fault.at)] = fault.value
+    return tuple(Stair(step, found[step]) for step in sorted(found))
+
+
+def recording_window(scenario: Scenario) -> int:
+    """Return how many steps a recorded run may be ahead of what is on disk: few where a step has many messages."""
+    fitting = RECORDING_MESSAGES // len(scenario.agents)
+    return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, fitting))
+
+
+def friction(scenario: Scenario) -> Friction:
+    """Return the friction of the bearing."""
+    return Friction(*scenario.plane.friction)
+
+
+def manifold(scenario: Scenario) -> Manifold:
+    """Return the manifold of the desired abstract state."""
+    m = scenario.manifold
+    return Manifold(m.curvature, m.offset, m.torque_max)
+
+
+def plane_sensor(scenario: Scenario) -> Sensor:
+    """Return the sensor of the plane's motion."""
+    return Sensor(scenario.plane.sensor.noise, scenario.plane.sensor.resolution)
+
+
+def robot_sensor(scenario: Scenario) -> Sensor:
+    """Return the sensors by which the robots know their own motion."""
+    return Sensor(scenario.swarm.sensor.noise, scenario.swarm.sensor.resolution)
+
+
+def observer_config(scenario: Scenario) -> ObserverConfig:
+    """Return the observer's configuration."""
+    return ObserverConfig(
+        members=members(scenario),
+        period_ns=scenario.step_ns,
+        gravity=scenario.plane.gravity,
+        ksd=scenario.swarm.gains.ksd,
+        schedule=schedule(scenario),
+        last_step=scenario.steps,
+    )
+
+
+def parent_model(scenario: Scenario) -> ParentModel | None:
+    """Return what an observer of the plane's response knows of the plane; None if the robots are summed up."""
+    if scenario.observer.type != "parent_response":
+        return None
+    observer = cast("ParentResponseObserver", scenario.observer)
+    return ParentModel(scenario.plane.inertia, friction(scenario), observer.bandwidth)
+
+
+def plane_config(scenario: Scenario) -> PlaneConfig:
+    """Return the simulated plane's configuration."""
+    plane = scenario.plane
+    return PlaneConfig(
+        members=members(scenario),
+        period_ns=scenario.step_ns,
+        inertia=plane.inertia,
+        length=plane.length,
+        gravity=plane.gravity,
+        friction=friction(scenario),
+        substep=plane.substep,
+        angle=plane.angle,
+        angular_velocity=plane.angular_velocity,
+        disturbance=Disturbance(plane.disturbance.amplitude, plane.disturbance.angular_frequency),
+        schedule=schedule(scenario),
+        last_step=scenario.steps,
+        end_stop=inf if plane.end_stop is None else plane.end_stop,
+        sensor=plane_sensor(scenario),
+        seed=scenario.seed,
+        actuator_lag=scenario.swarm.actuator_lag,
+        lies=lies(scenario),
+        torques=stairs(scenario, DISTURBANCE),
+    )
+
+
+def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig:
+    """Return the configuration of the parent controller's node."""
+    return ControllerConfig(
+        period_ns=scenario.step_ns,
+        manifold=manifold(scenario),
+        recording_window=recording_window,
+        last_step=scenario.steps,
+        offsets=stairs(scenario, REFERENCE),
+    )
+
+
+def controller_settings(scenario: Scenario) -> Settings:
+    """Return the settings of the control law, nested names joined by dots."""
+    return _settings(scenario.controller)
+
+
+def law_settings(scenario: Scenario) -> Settings:
+    """Return the settings of the swarm's law besides the gains, nested names joined by dots."""
+    return _settings(scenario.swarm.law)
+
+
+def _settings(part: BaseModel) -> Settings:
+    found: dict[str, Value] = {}
+
+    def flatten(prefix: str, values: Mapping[str, object]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                flatten(f"{prefix}{key}.", value)
+            else:
+                found[prefix + key] = cast("Value", value)
+
+    flatten("", part.model_dump(exclude={"type"}, by_alias=True))
+    return found
+
+
+def parent_controller(scenario: Scenario) -> ParentController:
+    """Return the control law of the plane."""
+    context = ParentContext(scenario.period, scenario.plane.inertia, friction(scenario), manifold(scenario))
+    return make_controller(scenario.controller.type, controller_settings(scenario), context)
+
+
+def reference(scenario: Scenario) -> OffsetReference:
+    """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
+    offsets = Staircase(stairs(scenario, REFERENCE))
+    return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
+
+
+def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
+    """Return the robots' configurations by ascending id."""
+    g = scenario.swarm.gains
+    gains = SwarmGains(g.k, g.kp, g.kd, g.ksd)
+    law = law_settings(scenario)
+    limits = Limits(scenario.limits.velocity or inf, scenario.limits.force or inf)
+    sensor = robot_sensor(scenario)
+    lives: dict[int, LifeSpan] = {}
+    for change in schedule(scenario):
+        life = lives.get(change.agent_id, LifeSpan())
+        if change.kind is ChangeKind.JOIN:
+            lives[change.agent_id] = LifeSpan(change.step, life.end, life.end_step)
+        else:
+            lives[change.agent_id] = LifeSpan(life.first_step, change.kind, change.step)
+    return tuple(
+        AgentConfig(
+            agent_id=agent.id,
+            kind=KINDS[agent.kind],
+            mass=agent.mass,
+            position=agent.position,
+            velocity=agent.velocity,
+            gains=gains,
+            period_ns=scenario.step_ns,
+            gravity=scenario.plane.gravity,
+            plane_length=scenario.plane.length,
+            damping=agent.damping,
+            limits=limits,
+            life=lives.get(agent.id, LifeSpan()),
+            faults=robot_faults(scenario, agent.id),
+            seed=scenario.seed,
+            feels_gravity=scenario.plane.robot_gravity,
+            law=scenario.swarm.law.type,
+            law_settings=law,
+            last_step=scenario.steps,
+            sensor=sensor,
+            actuator_lag=scenario.swarm.actuator_lag,
+        )
+        for agent in scenario.agents
+    )

@@ -1,0 +1,1 @@
+"""The fleet file: robots, hosts, coordinators, network, security."""

@@ -1,0 +1,201 @@
+"""Checks that look at several fields of a fleet at once, and warnings about legal but doubtful ones."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+from typing import TYPE_CHECKING
+
+from swarmabs_config.fleet import participants
+from swarmabs_config.scenario.fields import Finding, Location, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Iterator
+
+    from swarmabs_config.fleet.model import Fleet
+
+_TUNNEL = ("security", "level")
+_LOOPBACK = "lo"
+
+
+def findings(fleet: Fleet) -> list[Finding]:
+    """Return every error of a fleet whose fields are valid one by one."""
+    # A later check relies on the earlier ones.
+    for group in ((_hosts, _ids), (_references,), (_network, _loopback, _security, _installation, _participants)):
+        if found := [finding for check in group for finding in check(fleet)]:
+            return found
+    return []
+
+
+def warnings(fleet: Fleet) -> tuple[str, ...]:
+    """Return what is legal but likely to go wrong, one line each."""
+    found = []
+    used = {node.host for node in participants.node_plans(fleet)}
+    idle = [host.name for host in fleet.hosts if host.name not in used]
+    if idle:
+        found.append(f"nothing runs on the host {idle[0]}; leave it out, or use it")
+    if fleet.security.level == "none":
+        found.append(
+            "security is none: whoever is in the network can read everything and command the swarm within its limits"
+        )
+    if fleet.coordinators.controller.start_mode == "run":
+        found.append("coordinators.controller.start_mode is run: robots move as soon as all is there, unasked")
+    return tuple(found)
+
+
+def _twice(kind: str, values: Iterable[tuple[Location, Hashable]], remedy: str) -> Iterator[Finding]:
+    first: dict[Hashable, Location] = {}
+    for location, value in values:
+        if value in first:
+            yield Finding.of(location, f"{kind} {value} is there twice", remedy, see=first[value])
+        first.setdefault(value, location)
+
+
+def _hosts(fleet: Fleet) -> Iterator[Finding]:
+    if not fleet.hosts:
+        yield Finding.of(("hosts",), "no hosts", "list at least one, e.g. {name: base, address: 192.168.10.1}")
+    listed = list(enumerate(fleet.hosts))
+    yield from _twice("host", ((("hosts", n, "name"), h.name) for n, h in listed), "give every host its own name")
+    yield from _twice(
+        "address", ((("hosts", n, "address"), h.address) for n, h in listed), "every host has an address of its own"
+    )
+    tunnels: list[tuple[Location, Hashable]] = [
+        (("hosts", n, "tunnel_address"), h.tunnel_address) for n, h in listed if h.tunnel_address is not None
+    ]
+    yield from _twice("tunnel address", tunnels, "every host has an address of its own")
+    for n, host in listed:
+        if host.interface is None and fleet.network.interface is None:
+            yield Finding.of(("hosts", n), f"no interface for {host.name}", "add 'interface: ...' here or in 'network'")
+
+
+def _ids(fleet: Fleet) -> Iterator[Finding]:
+    if len(fleet.robots) < 2:
+        yield Finding.of(
+            ("robots",),
+            f"a swarm needs at least two robots, found {len(fleet.robots)}",
+            "add robots: torque and inertia are two quantities",
+        )
+    mass = math.fsum(robot.mass for robot in fleet.robots)
+    if fleet.swarm_mass is not None and fleet.swarm_mass < mass:
+        yield Finding.of(
+            ("swarm_mass",), f"{fleet.swarm_mass!r} kg is less than the {mass!r} kg of the robots listed", "give more"
+        )
+    ids: list[tuple[Location, Hashable]] = [(("robots", n, "id"), robot.id) for n, robot in enumerate(fleet.robots)]
+    yield from _twice("robot", ids, "give every robot its own id")
+
+
+def _references(fleet: Fleet) -> Iterator[Finding]:
+    known = [host.name for host in fleet.hosts]
+    parts = fleet.coordinators
+    named: list[tuple[Location, str | None]] = [
+        *((("robots", n, "host"), robot.host) for n, robot in enumerate(fleet.robots)),
+        (("coordinators", "plane", "host"), parts.plane.host),
+        (("coordinators", "observer", "host"), parts.observer.host),
+        (("coordinators", "controller", "host"), parts.controller.host),
+        (("coordinators", "recorder", "host"), parts.recorder.host if parts.recorder else None),
+        (("network", "server"), fleet.network.server),
+    ]
+    for location, name in named:
+        if name is not None and name not in known:
+            yield Finding.of(location, f"unknown host '{name}'", nearest(name, known))
+
+
+def _network(fleet: Fleet) -> Iterator[Finding]:
+    network = fleet.network
+    if network.discovery == "server" and network.server is None:
+        yield Finding.of(("network", "discovery"), "no server", "add 'server: HOST' to 'network'")
+    if network.discovery != "server" and network.server is not None:
+        yield Finding.of(
+            ("network", "server"),
+            f"there is no server with the discovery {network.discovery}",
+            "remove it, or write 'discovery: server'",
+            see=("network", "discovery"),
+        )
+    if network.discovery == "multicast" and fleet.tunnel is not None:
+        yield Finding.of(
+            ("network", "discovery"),
+            "a tunnel carries no multicast",
+            "use the discovery static or server",
+            see=_TUNNEL,
+        )
+    if len(fleet.hosts) > 1:
+        for n, host in enumerate(fleet.hosts):
+            if ipaddress.IPv4Address(host.address).is_loopback:
+                yield Finding.of(
+                    ("hosts", n, "address"),
+                    f"{host.address} is on loopback, where the other hosts are not",
+                    "give the address of an interface",
+                )
+
+
+def _loopback(fleet: Fleet) -> Iterator[Finding]:
+    """Refuse the loopback interface where others have to be met; a fleet on one host may be on it."""
+    for n, host in enumerate(fleet.hosts):
+        alone = len(fleet.hosts) == 1 and ipaddress.IPv4Address(host.address).is_loopback
+        if fleet.host_interface(host.name) == _LOOPBACK and not alone:
+            location = ("hosts", n, "interface") if host.interface else ("network", "interface")
+            yield Finding.of(
+                location,
+                f"{_LOOPBACK} of {host.name} leads to no other host",
+                f"name the interface that has the address {host.address}",
+            )
+    if fleet.tunnel is not None and fleet.tunnel.interface == _LOOPBACK:
+        yield Finding.of(
+            ("security", "interface"), f"{_LOOPBACK} is on every host and no tunnel", "name another, e.g. swarmabs0"
+        )
+
+
+def _installation(fleet: Fleet) -> Iterator[Finding]:
+    """Refuse to install a bundle where the checkout is, or around it."""
+    place = fleet.installation
+    installed = f"{place.prefix}/{fleet.name}"
+    if f"{place.checkout}/".startswith(f"{installed}/"):
+        yield Finding.of(
+            ("installation", "prefix"),
+            f"the bundle would take the place of {installed}, where the checkout is",
+            "name another folder, e.g. /etc/swarmabs",
+            see=("name",),
+        )
+
+
+def _security(fleet: Fleet) -> Iterator[Finding]:
+    level = fleet.security.level
+    for n, host in enumerate(fleet.hosts):
+        if fleet.tunnel is not None and host.tunnel_address is None:
+            yield Finding.of(
+                ("hosts", n), f"no tunnel_address for {host.name}", "add e.g. 'tunnel_address: 10.83.0.1'", see=_TUNNEL
+            )
+        if fleet.tunnel is None and host.tunnel_address is not None:
+            yield Finding.of(
+                ("hosts", n, "tunnel_address"),
+                f"there is no tunnel with the security {level}",
+                "remove it, or write 'security: {level: tunnel}'",
+                see=_TUNNEL,
+            )
+        if fleet.tunnel is not None and fleet.tunnel.interface == fleet.host_interface(host.name):
+            yield Finding.of(
+                ("security", "interface"),
+                f"{fleet.tunnel.interface} is the interface beneath the tunnel",
+                "name the tunnel's otherwise",
+                see=("hosts", n),
+            )
+        if level == "sros2" and fleet.ros(host.name) == "wheels":
+            yield Finding.of(
+                _TUNNEL,
+                f"Fast DDS of the wheels on {host.name} has no security plugins",
+                "install ROS 2 Jazzy there and write 'ros: sourced', or use 'level: tunnel'",
+                see=("hosts", n),
+            )
+
+
+def _participants(fleet: Fleet) -> Iterator[Finding]:
+    for host in fleet.hosts:
+        highest = max((node.participant for node in participants.nodes_on(fleet, host.name)), default=0)
+        if highest > participants.LARGEST_PARTICIPANT:
+            robots = sum(robot.host == host.name for robot in fleet.robots)
+            most = robots - (highest - participants.LARGEST_PARTICIPANT)
+            yield Finding.of(
+                ("robots",),
+                f"{robots} robots on the host {host.name} take ports of the next domain",
+                f"put at most {most} robots on one host",
+            )

@@ -1,0 +1,178 @@
+"""Reading fleet files: text to a checked fleet with its scenario, every error with file, line, field and remedy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmabs_analysis.sweep.study import as_override, at_parameter, named_scenario
+from swarmabs_config.fleet.model import Fleet
+from swarmabs_config.fleet.names import LONGEST
+from swarmabs_config.fleet.robots import SimulatedDrive
+from swarmabs_config.realtime import check_realtime
+from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
+from swarmabs_config.scenario.dump import dump_tree
+from swarmabs_config.scenario.loader import read_mapping, validated
+from swarmabs_config.scenario.text_file import read_text
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.errors import InputError
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator
+
+    from swarmabs_config.fleet.robots import Robot
+    from swarmabs_config.scenario.fields import Location
+    from swarmabs_config.scenario.yaml_tree import Node, Plain
+
+FLEET_FILE = "fleet.yaml"
+SCENARIO_FILE = "scenario.yaml"
+_PLACEHOLDER = 0.25
+"""Where the scenario has a robot whose position is measured, in lengths of the plane, on both sides in turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedFleet:
+    """A fleet with its scenario.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        The fleet.
+    scenario : Scenario
+        Plane, controller, gains and limits, with the fleet's robots; the position of a robot whose drive is not
+        simulated is a placeholder.
+    """
+
+    fleet: Fleet
+    scenario: Scenario
+
+    @property
+    def fleet_text(self) -> str:
+        """The fleet in YAML with every default filled in; it belongs beside the scenario's text."""
+        data = self.fleet.model_dump(mode="json", by_alias=True, exclude={"settings"})
+        data["scenario"] = SCENARIO_FILE
+        return dump_tree(data)
+
+    @property
+    def scenario_text(self) -> str:
+        """The scenario in canonical YAML."""
+        return dump_scenario(self.scenario)
+
+
+def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
+    """Read a fleet file and its scenario.
+
+    Parameters
+    ----------
+    path : path-like
+        A YAML file in UTF-8; its stem is the default of ``name``.
+
+    Raises
+    ------
+    InputError
+        If the fleet or its scenario is invalid.
+    """
+    path = Path(path)
+    root = read_mapping(read_text(path, "fleet"), str(path), "fleet")
+    data = root.plain()
+    if isinstance(data, dict):
+        data.setdefault("name", _default_name(path.stem))
+    fleet = validated(Fleet, data, root)
+    settings = [as_override(name, value) for name, value in fleet.settings.items()]
+    try:
+        scenario = find_scenario(named_scenario(fleet.scenario, path.parent), settings)
+    except ScenarioError as error:
+        raise at_parameter(error, root, {"set": fleet.settings}) from error
+    except InputError as error:
+        mark, _ = root.locate(("scenario",))
+        problem, _, remedy = str(error).partition("; ")
+        raise mark.error(problem, remedy, ("scenario",)) from error
+    loaded = LoadedFleet(fleet, _with_robots(scenario, fleet, root))
+    _check_against_scenario(loaded, root)
+    return loaded
+
+
+def json_schema() -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of a fleet file.
+
+    It covers names, types, units and ranges. What involves several fields at once is checked when a file is loaded.
+    """
+    schema = Fleet.model_json_schema(by_alias=True, mode="validation")
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "swarmabs fleet"
+    return schema
+
+
+def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
+    """Check what fleet and scenario must agree on."""
+    fleet, scenario = loaded.fleet, loaded.scenario
+    tolerance, half = scenario.realtime.clock_tolerance, scenario.plane.length / 2.0
+    if tolerance < 2.0 * fleet.time.max_offset:
+        mark, _ = root.locate(("time", "max_offset"))
+        raise mark.error(
+            f"two clocks may differ by {2.0 * fleet.time.max_offset!r} s, robots tolerate {tolerance!r} s only",
+            f"give at most {tolerance / 2.0!r}, or raise realtime.clock_tolerance by 'set'",
+            ("time", "max_offset"),
+        )
+    for index, robot in enumerate(fleet.robots):
+        lane = robot.limits.lane
+        if lane is not None and lane > half:
+            location = ("robots", index, "limits", "lane")
+            mark, _ = root.locate(location)
+            raise mark.error(
+                f"{lane!r} m is beyond the plane, whose half length is {half!r} m", f"give at most {half!r}", location
+            )
+
+
+def _default_name(stem: str) -> str:
+    name = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in stem)[:LONGEST]
+    return name if name[:1].isalnum() else f"fleet{name}"[:LONGEST]
+
+
+def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
+    """Return the scenario with the fleet's robots, checked as any other scenario."""
+    try:
+        check_realtime(scenario)
+    except InputError as error:
+        mark, _ = root.locate(("scenario",))
+        problem, _, remedy = str(error).partition("; ")
+        raise mark.error(problem, f"{remedy} ('set' changes values)", ("scenario",)) from error
+    data: dict[str, Plain] = scenario.model_dump(mode="json", by_alias=True)
+    sides = cycle((_PLACEHOLDER * scenario.plane.length, -_PLACEHOLDER * scenario.plane.length))
+    agents: Plain = [dict(_agent(robot, side)) for robot, side in zip(fleet.members, sides, strict=False)]
+    data |= {"name": fleet.name, "swarm": {**_mapping(data["swarm"]), "agents": agents}}
+    data["swarm"] = {key: value for key, value in _mapping(data["swarm"]).items() if key != "generate"}
+    try:
+        return parse_scenario(dump_tree(data), source=str(root.mark.source))
+    except ScenarioError as error:
+        raise _at_robot(error, fleet, root) from error
+
+
+def _mapping(value: Plain) -> dict[str, Plain]:
+    return value if isinstance(value, dict) else {}
+
+
+def _agent(robot: Robot, placeholder: float) -> Iterator[tuple[str, Plain]]:
+    yield from (("id", robot.id), ("kind", robot.kind), ("mass", robot.mass))
+    yield "position", robot.drive.position if isinstance(robot.drive, SimulatedDrive) else placeholder
+    if robot.kind == "double_integrator":
+        yield "damping", robot.damping
+        if isinstance(robot.drive, SimulatedDrive):
+            yield "velocity", robot.drive.velocity
+
+
+def _at_robot(error: ScenarioError, fleet: Fleet, root: Node) -> ScenarioError:
+    """Return an error of the scenario with the fleet's robots at the field of the fleet file that it comes from."""
+    parts = error.field.split(".")
+    location: Location = ("scenario",)
+    if parts[:2] == ["swarm", "agents"]:
+        location = ("robots",)
+        if len(parts) > 2:
+            robot = fleet.members[int(parts[2])]
+            location = ("robots", fleet.robots.index(robot))
+            location = (*location, "drive", *parts[3:]) if parts[3:] in (["position"], ["velocity"]) else location
+    mark, _ = root.locate(location)
+    return mark.error(error.problem, error.remedy, location)

@@ -1,0 +1,133 @@
+"""The fleet file: robots, hosts, coordinators, network, security; checked once and then immutable."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, timedelta, timezone
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from swarmabs_analysis.sweep.model import DottedPath
+from swarmabs_config.fleet import checks
+from swarmabs_config.fleet.names import Name, Namespace
+from swarmabs_config.fleet.parts import (
+    LEVELS,
+    Coordinators,
+    Host,
+    Installation,
+    NetworkConfig,
+    Security,
+    Time,
+    TunnelSecurity,
+)
+from swarmabs_config.fleet.robots import ROBOT_KINDS, Robot
+from swarmabs_config.scenario.errors import show
+from swarmabs_config.scenario.fields import AsTuple, Model, Positive, Tagged, problem, raise_findings
+from swarmabs_config.scenario.versions import known_version
+
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+_UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
+
+
+class Fleet(Model):
+    """A fleet, completely described apart from its scenario. Build it with `load_fleet`, which names file and line."""
+
+    schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
+        alias="schema", description="version of this file format: 1"
+    )
+    name: Name = Field(default="fleet", description="name of the fleet, by default the file's stem")
+    namespace: Namespace = Field(default="/", description="ROS namespace of the swarm")
+    epoch: str = Field(
+        default="2026-01-01T00:00:00Z", description="time of step 0 in UTC; the same on all hosts, in the past"
+    )
+    scenario: str = Field(
+        default="pd_het_4",
+        description="plane, controller, gains and realtime limits: a built-in scenario, or a file, relative to this",
+    )
+    settings: dict[DottedPath, Any] = Field(
+        default={}, alias="set", description="values that differ from the scenario's, by dotted path"
+    )
+    hosts: Annotated[tuple[Host, ...], AsTuple] = Field(description="the computers")
+    robots: Annotated[tuple[Annotated[Robot, Tagged("kind", ROBOT_KINDS)], ...], AsTuple] = Field(
+        description="the robots; they replace those of the scenario"
+    )
+    swarm_mass: Positive | None = Field(
+        default=None,
+        description="mass of all robots that ever take part, kg, which bounds what is believed; null: of those listed",
+    )
+    coordinators: Coordinators = Field(description="where plane, observer, controller and recorder run")
+    network: NetworkConfig = Field(description="how the nodes find each other")
+    security: Annotated[Security, Tagged("level", LEVELS)] = Field(
+        description="what protects the traffic: {level: none}, {level: tunnel} or {level: sros2}"
+    )
+    time: Time = Field(default=Time(), description="how well clocks must agree")
+    installation: Installation = Field(default=Installation(), description="what bundles find on a host")
+
+    @field_validator("epoch")
+    @classmethod
+    def _check_epoch(cls, text: str) -> str:
+        error = problem(f"{show(text)} is no time in UTC", "write e.g. 2026-01-01T00:00:00Z")
+        if not _TIME.fullmatch(text):
+            raise error
+        try:
+            begin = datetime.fromisoformat(f"{text[:-1]}+00:00")
+        except ValueError:
+            raise error from None
+        if begin < _UNIX:
+            raise problem(f"{show(text)} is before 1970, from when on nodes count", "give one in the past since 1970")
+        if begin > datetime.now(timezone.utc):
+            raise problem(
+                f"{show(text)} has not begun by this machine's clock", "give a time in the past, or set the clock"
+            )
+        return text
+
+    @model_validator(mode="after")
+    def _check_together(self) -> Fleet:
+        raise_findings("Fleet", checks.findings(self))
+        return self
+
+    @cached_property
+    def epoch_ns(self) -> int:
+        """Time of step 0, Unix time in ns."""
+        return (datetime.fromisoformat(f"{self.epoch[:-1]}+00:00") - _UNIX) // timedelta(seconds=1) * 10**9
+
+    @cached_property
+    def members(self) -> tuple[Robot, ...]:
+        """The robots in order of their ids."""
+        return tuple(sorted(self.robots, key=lambda robot: robot.id))
+
+    def host(self, name: str) -> Host:
+        """Return a host by name."""
+        return next(host for host in self.hosts if host.name == name)
+
+    def address(self, name: str) -> str:
+        """Return the address at which DDS reaches a host: in a tunnel, if there is one."""
+        host = self.host(name)
+        return host.tunnel_address if self.tunnel and host.tunnel_address else host.address
+
+    def interface(self, name: str) -> str:
+        """Return the interface that DDS uses on a host."""
+        return self.tunnel.interface if self.tunnel else self.host_interface(name)
+
+    def host_interface(self, name: str) -> str:
+        """Return the interface of a host in the fleet's network, beneath the tunnel if there is one."""
+        return self.host(name).interface or self.network.interface or ""
+
+    def user(self, name: str) -> str:
+        """Return the account under which a host's nodes run."""
+        return self.host(name).user or self.installation.user
+
+    def ros(self, name: str) -> str:
+        """Return where a host has its ROS 2 from: ``wheels`` or ``sourced``."""
+        return self.host(name).ros or self.installation.ros
+
+    @property
+    def tunnel(self) -> TunnelSecurity | None:
+        """The tunnel, if there is one."""
+        return self.security if isinstance(self.security, TunnelSecurity) else None
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what is legal but likely to go wrong, one line each."""
+        return checks.warnings(self)

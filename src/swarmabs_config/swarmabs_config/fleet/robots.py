@@ -1,0 +1,133 @@
+"""The robots of a fleet: dynamics, limits, and the drive between the law and the body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, TypeAlias
+
+from pydantic import Field, JsonValue, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from swarmabs_config.fleet.names import Name, PluginName, SettingName
+from swarmabs_config.scenario.agents import AgentId
+from swarmabs_config.scenario.declared import model_of
+from swarmabs_config.scenario.errors import describe
+from swarmabs_config.scenario.fields import LARGEST, Model, NonNegative, Number, Positive, Tagged, problem
+from swarmabs_core.realtime.topic_drive import TopicSettings
+
+
+class SimulatedDrive(Model):
+    """A body that exists on paper only; its motion is computed from the commands."""
+
+    type: Literal["simulated"] = Field(default="simulated", description="the body is computed")
+    position: Number = Field(description="initial position on the plane, 0 at the axis, m")
+    velocity: Number = Field(default=0.0, description="initial velocity of a double integrator, m/s")
+
+
+class PluginDrive(Model):
+    """A body that a package's own code moves, such as a vendor's library."""
+
+    type: Literal["plugin"] = Field(default="plugin", description="the body is moved by a package's own code")
+    name: PluginName = Field(description="name of the drive, an entry point in the group swarmabs.drives")
+    settings: dict[SettingName, JsonValue] = Field(default={}, description="what the drive is given, by name")
+
+    @field_validator("name")
+    @classmethod
+    def _check_name(cls, name: str) -> str:
+        if name in {"simulated", "topic", "plugin"}:
+            raise problem(f"'{name}' is no drive of a package", f"write 'type: {name}', or the name of the entry point")
+        return name
+
+    @field_validator("settings")
+    @classmethod
+    def _check_settings(cls, settings: dict[str, JsonValue]) -> dict[str, JsonValue]:
+        for name, value in settings.items():
+            if name in {"type", "name"}:
+                raise problem(f"a setting cannot be called {name}", "the drive is named by 'name'")
+            items = value if isinstance(value, list) and value else [value]
+            kinds = {type(item) for item in items}
+            if len(kinds) != 1 or not kinds <= {bool, int, float, str}:
+                raise problem(f"{name}: {describe(value)} is no parameter", "give a number, text, flag, or list of one")
+            if any(type(item) is int and not -(2**63) <= item < 2**63 for item in items):
+                raise problem(f"{name}: {describe(value)} is out of range", "give a whole number of 64 bits")
+            if any(isinstance(item, float) and abs(item) > LARGEST for item in items):
+                raise problem(f"{name}: {describe(value)} is out of range", f"give a number within +-{LARGEST:g}")
+        return settings
+
+
+Drive: TypeAlias = SimulatedDrive | TopicSettings | PluginDrive
+DRIVES: dict[str, type[Model]] = {
+    "simulated": SimulatedDrive,
+    "topic": model_of(TopicSettings, tag="type"),
+    "plugin": PluginDrive,
+}
+
+
+class RobotLimits(Model):
+    """What a robot may do at most; what is left out is as in the scenario."""
+
+    velocity: Positive | None = Field(default=None, description="largest speed, m/s; null: as in the scenario")
+    force: Positive | None = Field(default=None, description="largest force of a double integrator, N; null: as there")
+    deceleration: Positive | None = Field(
+        default=None, description="how hard the base of a single integrator brakes, m/s^2; null: it stops at once"
+    )
+    lane: Positive | None = Field(
+        default=None, description="largest distance from the axis, m; null: half the plane less realtime.lane_margin"
+    )
+
+
+class SingleIntegratorRobot(Model):
+    """A robot whose command is its velocity."""
+
+    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    host: Name = Field(description="host on which its node runs")
+    kind: Literal["single_integrator"] = Field(default="single_integrator", description="p' = u")
+    mass: Positive = Field(description="mass, kg")
+    limits: RobotLimits = Field(default=RobotLimits(), description="what it may do at most")
+    drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="what is between the law and the body")
+
+    damping: ClassVar[float] = 0.0
+
+    @field_validator("drive", mode="before")
+    @classmethod
+    def _check_weight(cls, drive: object) -> object:
+        """Ask for no IMU where there is no weight to hold: a single integrator's base holds it itself."""
+        if not isinstance(drive, Mapping) or drive.get("type") != TopicSettings.type:
+            return drive
+        if drive.get("gravity") == "imu":
+            raise problem("gravity does not act on a single integrator", "remove 'gravity: imu'")
+        return {**drive, "gravity": drive.get("gravity", "none")}
+
+    @classmethod
+    def unknown_key(cls, key: str) -> PydanticCustomError:
+        """Explain which kind of robot has the key."""
+        if key == "damping":
+            return problem("a single integrator has no damping", "remove it, or use 'kind: double_integrator'")
+        return super().unknown_key(key)
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> SingleIntegratorRobot:
+        if isinstance(self.drive, SimulatedDrive) and self.drive.velocity:
+            raise problem("a single integrator starts at velocity 0", "remove the drive's velocity")
+        if self.limits.force is not None:
+            raise problem("a single integrator has no force to limit", "remove limits.force")
+        return self
+
+
+class DoubleIntegratorRobot(Model):
+    """A robot whose command is its force."""
+
+    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    host: Name = Field(description="host on which its node runs")
+    kind: Literal["double_integrator"] = Field(default="double_integrator", description="m v' = u - c v")
+    mass: Positive = Field(description="mass, kg")
+    damping: NonNegative = Field(description="viscous damping c of its motion, N s/m; 0 is legal")
+    limits: RobotLimits = Field(default=RobotLimits(), description="what it may do at most")
+    drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="what is between the law and the body")
+
+
+Robot: TypeAlias = SingleIntegratorRobot | DoubleIntegratorRobot
+ROBOT_KINDS: dict[str, type[Model]] = {
+    "single_integrator": SingleIntegratorRobot,
+    "double_integrator": DoubleIntegratorRobot,
+}

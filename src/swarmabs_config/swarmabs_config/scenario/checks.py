@@ -1,0 +1,296 @@
+"""Checks that look at several fields of a scenario at once, and warnings about legal but doubtful ones."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from fractions import Fraction
+from functools import partial
+from typing import TYPE_CHECKING
+
+from swarmabs_config import configure
+from swarmabs_core import behaviours
+from swarmabs_core.errors import InputError
+from swarmabs_core.law_registry import LAWS
+from swarmabs_core.theory.constraint_sets import largest_position
+from swarmabs_core.theory.error_dynamics import deepest_swing
+
+from .controllers import CONTROLLER_CONFIGS
+from .fault_checks import faults, lasting_faults, offset_law, settings
+from .faults import AgentFault, JoinFault, LeaveFault, RemoveFault
+from .fields import SMALLEST, Finding, Location
+from .timing import NANOSECONDS
+
+if TYPE_CHECKING:
+    from .agents import Agent
+    from .model import Manifold, Scenario
+
+SMALLEST_SPREAD = 1e-12
+"""S3 must exceed this many S0^2 L^2: below, the robots cannot tell torque from inertia."""
+
+
+def findings(scenario: "Scenario") -> list[Finding]:
+    """Return every error of a scenario whose fields are valid one by one."""
+    # A later check relies on, or is only of interest after, the earlier ones.
+    for checks in (
+        (_timing,),
+        (_ids, _positions, faults, lasting_faults, settings, _plane),
+        (_spread,),
+        (_preimage,),
+        (_brought,),
+        (offset_law,),
+    ):
+        if found := [finding for check in checks for finding in check(scenario)]:
+            return found
+    return []
+
+
+def warnings(scenario: "Scenario") -> tuple[str, ...]:
+    """Return what is legal but likely to go wrong, one line each."""
+    checks = (_outside_reachable_set, _underdamped, _wrong_feedback, _membership)
+    return tuple(text for check in checks for text in check(scenario))
+
+
+def spread(agents: Iterable["Agent"]) -> tuple[float, float]:
+    """Return S0 (kg^2) and S3 = S0 sum m^2 (p - S1/S0)^2 (kg^4 m^2) of `agents`, from centred positions."""
+    members = [(agent.mass * agent.mass, agent.position) for agent in agents]
+    s0 = math.fsum(square for square, _ in members)
+    centre = math.fsum(square * position for square, position in members) / s0
+    return s0, s0 * math.fsum(square * (position - centre) ** 2 for square, position in members)
+
+
+def _timing(scenario: "Scenario") -> Iterator[Finding]:
+    if scenario.duration_ns % scenario.step_ns:
+        below = scenario.duration_ns // scenario.step_ns * scenario.step_ns
+        near = [ns for ns in (below, below + scenario.step_ns) if ns > 0]
+        yield Finding.of(
+            ("duration",),
+            f"the duration {scenario.duration!r} s is not a multiple of the step {scenario.step!r} s",
+            f"use a duration of {' or '.join(repr(ns / NANOSECONDS) for ns in near)} s, or another step",
+            see=("step",),
+        )
+
+
+def _ids(scenario: "Scenario") -> Iterator[Finding]:
+    if len(scenario.agents) < 2:
+        count = len(scenario.agents)
+        yield Finding.of(
+            _swarm_location(scenario),
+            f"a swarm needs at least two robots, found {count}",
+            "add robots: torque and inertia are two quantities",
+        )
+    first: dict[int, Location] = {}
+    for index, agent in enumerate(scenario.swarm.agents or ()):
+        location: Location = ("swarm", "agents", index, "id")
+        if agent.id in first:
+            free = next(number for number in range(1, 65537) if number not in first)
+            yield Finding.of(
+                location,
+                f"robot {agent.id} is listed twice",
+                f"give every robot its own id, e.g. {free}",
+                see=first[agent.id],
+            )
+        first.setdefault(agent.id, location)
+
+
+def _positions(scenario: "Scenario") -> Iterator[Finding]:
+    half = scenario.plane.length / 2
+    remedy = f"keep it within +-{half!r} m, or lengthen the plane ('plane.length')"
+    if scenario.swarm.generate is not None:
+        distance = max((abs(agent.position) for agent in scenario.agents), default=0.0)
+        if distance > half:
+            yield Finding.of(
+                ("swarm", "generate", "position"),
+                f"{distance!r} m is off the plane, whose half length is {half!r} m",
+                remedy,
+            )
+        return
+    for index, agent in enumerate(scenario.swarm.agents or ()):
+        if abs(agent.position) > half:
+            yield Finding.of(
+                ("swarm", "agents", index, "position"),
+                f"{agent.position!r} m is off the plane, whose half length is {half!r} m",
+                remedy,
+            )
+
+
+def _plane(scenario: "Scenario") -> Iterator[Finding]:
+    plane = scenario.plane
+    if plane.end_stop is not None and abs(plane.angle) > plane.end_stop:
+        yield Finding.of(
+            ("plane", "angle"),
+            f"{plane.angle!r} rad is beyond the end stop at {plane.end_stop!r} rad",
+            "begin between the stops, or move them",
+            see=("plane", "end_stop"),
+        )
+    if plane.robot_gravity and (any(plane.sensor.noise) or any(plane.sensor.resolution)):
+        yield Finding.of(
+            ("plane", "sensor"),
+            "with robot_gravity the robots feel the plane's true angle, which its sensor would hide",
+            "leave out one of them",
+            see=("plane", "robot_gravity"),
+        )
+
+
+def _spread(scenario: "Scenario") -> Iterator[Finding]:
+    where = _swarm_location(scenario)
+    present = scenario.initial_agents
+    if len(present) < 2:
+        yield Finding.of(
+            where,
+            f"a swarm needs at least two robots at step 0, found {len(present)}: the others join later",
+            "let fewer robots join later, or add robots",
+        )
+        return
+    s0, s3 = spread(present)
+    if s3 <= SMALLEST_SPREAD * s0 * s0 * scenario.plane.length * scenario.plane.length:
+        yield Finding.of(
+            where,
+            f"the robots stand at one point (S3 = {s3:.3g} kg^4 m^2), "
+            "where torque and inertia cannot be steered independently",
+            "give them different positions, e.g. alternating +0.125 and -0.125",
+        )
+
+
+def _preimage(scenario: "Scenario") -> Iterator[Finding]:
+    # A tau^2 + B - tau^2/(g^2 M) is linear in tau^2, positive at 0: if negative anywhere, then at torque_max.
+    manifold, mass = scenario.manifold, _total_mass(scenario.agents)
+    if (failing := _empty_from(manifold, mass, scenario.plane.gravity)) is None:
+        return
+    weight = scenario.plane.gravity**2 * (manifold.curvature + manifold.offset / manifold.torque_max**2)
+    yield Finding.of(
+        ("manifold",),
+        f"no positions of the robots ({mass:.6g} kg in all) have the inertia curvature*tau^2 + offset "
+        f"for |tau| > {failing:.6g} N m, and torque_max is {manifold.torque_max!r}",
+        f"lower torque_max to {_rounded_down(failing)!r}, or use at least {_rounded_up(1 / weight)!r} kg of robots",
+    )
+
+
+def _empty_from(manifold: "Manifold", mass: float, gravity: float) -> float | None:
+    """Return the torque (N m) above which the preimage of the manifold is empty, None if it never is."""
+    curvature, offset, largest = (Fraction(x) for x in (manifold.curvature, manifold.offset, manifold.torque_max))
+    needed = 1 / (Fraction(gravity) ** 2 * Fraction(mass))
+    if curvature * largest**2 + offset >= needed * largest**2:
+        return None
+    return math.sqrt(offset / (needed - curvature))
+
+
+def _rounded_down(value: float) -> float:
+    return float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal_from_float(value))
+
+
+def _rounded_up(value: float) -> float:
+    return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal_from_float(value))
+
+
+def _brought(scenario: "Scenario") -> Iterator[Finding]:
+    """Make what installed packages bring, so that what they refuse is refused before anything starts."""
+    made: list[tuple[Location, Callable[[], object]]] = []
+    if scenario.controller.type not in CONTROLLER_CONFIGS:
+        made.append((("controller",), partial(configure.parent_controller, scenario)))
+    if scenario.swarm.law.type not in LAWS:
+        made += [(("swarm", "law"), partial(behaviours.Agent, config)) for config in configure.agent_configs(scenario)]
+    for location, make in made:
+        try:
+            make()
+        except InputError as error:
+            problem, _, remedy = str(error).rpartition("; ")
+            yield Finding.of(location, problem or remedy, remedy if problem else "see what its package says")
+            return
+
+
+def _swarm_location(scenario: "Scenario") -> Location:
+    return ("swarm", "agents" if scenario.swarm.agents is not None else "generate")
+
+
+def _total_mass(agents: Iterable["Agent"]) -> float:
+    return math.fsum(agent.mass for agent in agents)
+
+
+def _outside_reachable_set(scenario: "Scenario") -> Iterator[str]:
+    manifold, half = scenario.manifold, scenario.plane.length / 2
+    masses = [agent.mass for agent in scenario.agents]
+
+    def reach(torque: float) -> float:
+        inertia = manifold.curvature * torque * torque + manifold.offset
+        return largest_position(torque, inertia, masses, scenario.plane.gravity)
+
+    leaves = _first_crossing(reach, half, manifold.torque_max)
+    if leaves is not None:
+        yield (
+            f"manifold: from |tau| = {leaves:.4g} N m on, below torque_max = {manifold.torque_max!r}, "
+            "some positions with the wanted torque and inertia are off the plane (the manifold leaves A_A); "
+            "lower torque_max, or lengthen the plane"
+        )
+
+
+def _first_crossing(function: Callable[[float], float], bound: float, end: float) -> float | None:
+    """Return the first argument in [0, end] at which `function` exceeds `bound`, None if it never does."""
+    grid = 1000
+    low = 0.0
+    for index in range(grid + 1):
+        high = end * index / grid
+        if function(high) > bound:
+            while high - low > 1e-9 * end:
+                middle = (low + high) / 2
+                low, high = (low, middle) if function(middle) > bound else (middle, high)
+            return high
+        low = high
+    return None
+
+
+def _underdamped(scenario: "Scenario") -> Iterator[str]:
+    if all(agent.kind != "double_integrator" for agent in scenario.initial_agents):
+        return
+    kp, kd = scenario.swarm.gains.kp[1], scenario.swarm.gains.kd[1]
+    initial = math.fsum(agent.mass * agent.position**2 for agent in scenario.initial_agents)
+    undershoot = -deepest_swing(kp, kd, initial - scenario.manifold.offset, 0.0)
+    if kd >= 2 * math.sqrt(kp) or initial <= scenario.manifold.offset:
+        return
+    if undershoot >= scenario.manifold.offset / 2:
+        yield (
+            f"swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, {initial:.4g} kg m^2 at the start, undershoot "
+            f"the {scenario.manifold.offset!r} it should reach by {undershoot:.3g}, and near 0 the swarm is "
+            f"flung apart; use a kd of at least {_rounded_up(2 * math.sqrt(kp))!r}, or smaller positions"
+        )
+
+
+def _wrong_feedback(scenario: "Scenario") -> Iterator[str]:
+    gains = getattr(scenario.controller, "gains", None)
+    if scenario.controller.type == "pd" and isinstance(gains, tuple) and gains[0] <= 0:
+        yield f"controller.gains: k1 = {gains[0]!r} does not level the plane; use a positive gain"
+
+
+def _membership(scenario: "Scenario") -> Iterator[str]:
+    """Follow the robots that are there through all faults: their number, and the preimage of the manifold."""
+    active = {agent.id for agent in scenario.initial_agents}
+    heavy = set(active)
+    by_step: dict[int, list[AgentFault]] = {}
+    for fault in scenario.faults:
+        if isinstance(fault, AgentFault):
+            # A robot that joins is there in the fault step, one that goes is so for the last time.
+            first = scenario.fault_step(fault.at) + (not isinstance(fault, JoinFault))
+            if first <= scenario.steps:
+                by_step.setdefault(first, []).append(fault)
+    states = [(0, len(active), frozenset(heavy))]
+    for step in sorted(by_step):
+        for change in by_step[step]:
+            if isinstance(change, JoinFault):
+                active.add(change.agent)
+                heavy.add(change.agent)
+            else:
+                active.discard(change.agent)
+                if isinstance(change, LeaveFault | RemoveFault):
+                    heavy.discard(change.agent)
+        states.append((step, len(active), frozenset(heavy)))
+    few = next(((step, count) for step, count, _ in states if count < 2), None)
+    if few is not None:
+        yield f"faults: from step {few[0]} on only {few[1]} robots are active; torque and inertia need two"
+    for step, _, present in states:
+        mass = _total_mass(agent for agent in scenario.agents if agent.id in present)
+        failing = None if mass < SMALLEST else _empty_from(scenario.manifold, mass, scenario.plane.gravity)
+        if failing is not None:
+            yield (
+                f"faults: from step {step} on the robots present weigh {mass:.4g} kg, too little for the "
+                f"manifold beyond |tau| = {failing:.4g} N m; lower manifold.torque_max, or keep more robots"
+            )
+            return

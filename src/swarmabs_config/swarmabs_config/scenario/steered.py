@@ -1,0 +1,118 @@
+"""The scenario of a run that was steered: what was done to it from outside, as if it had been planned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from swarmabs_config import configure
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import UNPLANNED, Change, ChangeKind
+from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE
+
+from .faults import FAULT_KINDS
+from .loader import parse_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from .model import Scenario
+
+_VALUE = {REFERENCE: "offset", DISTURBANCE: "torque"}
+_ENDS = {kind.value: kind for kind in ENDS.values()}
+
+
+def as_planned(
+    scenario: Scenario,
+    events: Iterable[SwarmEvent],
+    *,
+    ends: Iterable[Change] = (),
+    source: str = "scenario of the steered run",
+    overrides: Sequence[str] = (),
+) -> Scenario:
+    """Return a scenario whose run is that of a scenario and what was done from outside.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was planned.
+    events : iterable of SwarmEvent
+        The events of the run; among them those of what was planned, which change nothing.
+    ends : iterable of Change
+        Further ends of robots that were not planned.
+    source : str
+        What errors call it.
+    overrides : sequence of str
+        Changes ``a.b=v`` of the scenario that is returned.
+
+    Raises
+    ------
+    InputError
+        If the events tell of what cannot be planned, or contradict the scenario.
+    """
+    settings = {kind: {stair.step: stair.value for stair in configure.stairs(scenario, kind)} for kind in _VALUE}
+    joined: dict[int, int] = {}
+    ended = {change.agent_id: change for change in ends}
+    absent = {change.agent_id for change in configure.schedule(scenario) if change.step == UNPLANNED}
+    for event in events:
+        if event.kind == EventKind.STEERING:
+            if event.detail not in settings:
+                raise InputError(
+                    f"{source}: a setting was changed from outside at step {event.step} ({event.detail!r:.80}), "
+                    "which this version does not know"
+                )
+            settings[event.detail][event.step] = event.value
+        elif event.kind == EventKind.JOINED and event.agent_id in absent:
+            joined[event.agent_id] = event.step
+        elif event.kind in (EventKind.DEAD, EventKind.LEFT) and event.detail in _ENDS:
+            ended[event.agent_id] = Change(event.step - 1, event.agent_id, _ENDS[event.detail])
+    faults = _planned(scenario, settings, joined, ended)
+    if faults is None and not overrides:
+        return scenario
+    text = scenario.model_dump(mode="json", by_alias=True)
+    if faults is not None:
+        text["faults"] = faults
+    return parse_scenario(yaml.safe_dump(text), source=source, overrides=overrides)
+
+
+def _planned(
+    scenario: Scenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
+) -> list[dict[str, Any]] | None:
+    """Return the faults of the scenario with what was done from outside; None if that is nothing."""
+
+    def at(step: int) -> float:
+        return step * scenario.step_ns / 1e9
+
+    steered = {
+        kind
+        for kind, values in settings.items()
+        if values != {stair.step: stair.value for stair in configure.stairs(scenario, kind)}
+    }
+    schedule = set(configure.schedule(scenario))
+    ended = {agent_id: change for agent_id, change in ended.items() if change not in schedule}
+    if not (steered or joined or ended):
+        return None
+    faults = []
+    for fault in scenario.faults:
+        data = fault.model_dump(mode="json", by_alias=True)
+        agent_id = data.get("agent")
+        if data["kind"] in steered or (agent_id in ended and data["kind"] in _ENDING):
+            continue
+        if data["kind"] == ChangeKind.JOIN.value and agent_id in joined:
+            data["at"] = at(joined[agent_id])
+        faults.append(data)
+    faults += [
+        {"kind": kind, "at": at(step), _VALUE[kind]: settings[kind][step]}
+        for kind in sorted(steered)
+        for step in sorted(settings[kind])
+    ]
+    faults += [
+        {"kind": change.kind.value, "at": at(change.step), "agent": change.agent_id}
+        for change in sorted(ended.values())
+    ]
+    return faults
+
+
+_ENDING = {kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN} & FAULT_KINDS.keys()

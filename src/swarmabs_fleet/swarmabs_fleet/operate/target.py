@@ -1,0 +1,123 @@
+"""Which swarm an operator means: a fleet by its file, or a run in real time by its folder."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from swarmabs_core.errors import InputError
+from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from swarmabs_config.fleet.model import Fleet
+
+
+def _always() -> bool:
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A swarm that can be spoken to.
+
+    Parameters
+    ----------
+    name : str
+        What people call it.
+    namespace : str
+        ROS namespace of its nodes.
+    hosts : mapping
+        Host by node, in the order in which they are shown.
+    robots : tuple of int
+        Ids of the robots, ascending.
+    environment : mapping
+        Environment variables by which a process joins its network.
+    goes_on : callable
+        Tells whether the network is still that of this swarm: the domain of a run that is over is given to another.
+    """
+
+    name: str
+    namespace: str
+    hosts: Mapping[str, str]
+    robots: tuple[int, ...]
+    environment: Mapping[str, str]
+    goes_on: Callable[[], bool] = _always
+
+    def robot(self, agent_id: int) -> str:
+        """Return the node of a robot.
+
+        Raises
+        ------
+        InputError
+            If the swarm has none of this id.
+        """
+        if agent_id not in self.robots:
+            known = ", ".join(map(str, self.robots[:20]))
+            raise InputError(f"{self.name} has no robot {agent_id}; it has {known}")
+        return agent_name(agent_id)
+
+
+@contextmanager
+def target(path: Path) -> Iterator[Target]:
+    """Find out how to speak to a swarm; files that this needs are removed at the end.
+
+    Parameters
+    ----------
+    path : Path
+        A fleet file, or the folder of a run in real time.
+
+    Raises
+    ------
+    InputError
+        If it is neither, a run that is over, or one in lockstep.
+    """
+    if path.is_dir():
+        yield _run(path)
+        return
+    from swarmabs_config.fleet.loader import load_fleet  # noqa: PLC0415 - not needed for runs
+
+    fleet = load_fleet(path).fleet
+    with TemporaryDirectory(prefix="swarmabs-operator-") as folder:
+        yield _fleet(fleet, Path(folder))
+
+
+def _run(folder: Path) -> Target:
+    from swarmabs_config.scenario import load_scenario  # noqa: PLC0415
+    from swarmabs_run.orchestration.looking_in import (  # noqa: PLC0415 - as above
+        environment_of_run,
+        goes_on,
+        is_realtime,
+    )
+
+    environment = environment_of_run(folder)
+    if not is_realtime(folder):
+        raise InputError(
+            f"{folder}: a run in lockstep has no operator; look at it with top, change it with run --steer"
+        )
+    scenario = load_scenario(folder / "scenario.yaml")
+    robots = tuple(agent.id for agent in scenario.agents)
+    nodes = (PLANE, OBSERVER, CONTROLLER, RECORDER, *map(agent_name, robots))
+    hosts = dict.fromkeys(nodes, "this one")
+    return Target(scenario.name, "/", hosts, robots, environment, partial(goes_on, folder))
+
+
+def _fleet(fleet: Fleet, folder: Path) -> Target:
+    from swarmabs_config.fleet.participants import DISCOVERY, node_plans  # noqa: PLC0415
+    from swarmabs_fleet.environment import tool_environment  # noqa: PLC0415
+    from swarmabs_fleet.profile import fleet_profile  # noqa: PLC0415
+    from swarmabs_run.orchestration.dds_profile import dds_environment  # noqa: PLC0415
+
+    host = fleet.coordinators.controller.host
+    profile = folder / "operator.xml"
+    profile.write_text(fleet_profile(fleet, host, "operator"), encoding="utf-8")
+    # Everything as in the installed bundle, whose keys may be needed, but the profile: it is made anew.
+    environment = tool_environment(fleet, host, "operator") | dds_environment(fleet.network.domain, str(profile))
+    hosts = {node.name: node.host for node in node_plans(fleet) if node.name != DISCOVERY}
+    robots = tuple(robot.id for robot in fleet.members)
+    return Target(fleet.name, fleet.namespace, hosts, robots, environment)

@@ -1,0 +1,245 @@
+"""What each node may do under DDS Security: governance of the domain, and the topics that an enclave may use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import escape
+
+from swarmabs_config.fleet.names import path_of
+from swarmabs_config.fleet.participants import DISCOVERY, PLANE_DRIVER, node_plans, nodes_on
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BASIS,
+    BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    MAIN_TOPICS,
+    PLANE_STATE,
+    Topic,
+)
+from swarmabs_core.realtime.topic_drive import TopicSettings
+from swarmabs_fleet.environment import tool_enclave
+from swarmabs_fleet.profile import profile_roles
+from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_config.fleet.participants import NodePlan
+
+_DISCOVERY_INFO = "ros_discovery_info"
+"""The topic by which ROS nodes say which endpoints are theirs."""
+_PARAMETER_EVENTS, _LOG = "rt/parameter_events", "rt/rosout"
+_DRIVERS_DIAGNOSTICS = "rt/diagnostics"
+"""Where nodes that are not the swarm's say how they are."""
+_PLAIN = (RECORDER, DISCOVERY)
+"""Nodes without a life cycle and a log by topic."""
+_COMMAND_LINE = "_ros2cli"
+"""With what the names of nodes of ROS's command line begin."""
+_MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
+_COMMANDED = {"twist": "cmd_vel", "force": "force", "joint": "joint_command"}
+"""Names of topics below a node's own where the fleet file gives none."""
+DIAGNOSTICS = "diagnostics"
+"""Where the swarm's nodes say how they are, as in `swarmabs_ros.diagnostics`, which needs ROS."""
+_PUBLISHED: dict[str, tuple[Topic, ...]] = {
+    PLANE: (PLANE_STATE, BASIS, EVENTS),
+    PLANE_DRIVER: (PLANE_STATE, EVENTS),
+    OBSERVER: (ABSTRACT_STATE, AUXILIARY_STATE, BASIS, EVENTS),
+    CONTROLLER: (DESIRED_ABSTRACT_STATE, BASIS, EVENTS),
+    RECORDER: (),
+    DISCOVERY: (),
+}
+_HEARD: dict[str, tuple[Topic, ...]] = {
+    PLANE: (AGENT_STATE,),
+    PLANE_DRIVER: (),
+    OBSERVER: (AGENT_STATE, EVENTS),
+    CONTROLLER: (PLANE_STATE, ABSTRACT_STATE),
+    RECORDER: (*MAIN_TOPICS, EVENTS, BASIS),
+    DISCOVERY: (),
+}
+_SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset")}
+"""Services that are not below the node's own name."""
+
+_GOVERNANCE = """\
+<?xml version="1.0" encoding="utf-8"?>
+<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
+xsi:noNamespaceSchemaLocation="http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_governance.xsd">
+  <domain_access_rules>
+    <domain_rule>
+      <domains>
+        <id>{domain}</id>
+      </domains>
+      <allow_unauthenticated_participants>false</allow_unauthenticated_participants>
+      <enable_join_access_control>true</enable_join_access_control>
+      <discovery_protection_kind>ENCRYPT</discovery_protection_kind>
+      <liveliness_protection_kind>ENCRYPT</liveliness_protection_kind>
+      <rtps_protection_kind>SIGN</rtps_protection_kind>
+      <topic_access_rules>
+        <topic_rule>
+          <topic_expression>*</topic_expression>
+          <enable_discovery_protection>true</enable_discovery_protection>
+          <enable_liveliness_protection>true</enable_liveliness_protection>
+          <enable_read_access_control>true</enable_read_access_control>
+          <enable_write_access_control>true</enable_write_access_control>
+          <metadata_protection_kind>ENCRYPT</metadata_protection_kind>
+          <data_protection_kind>ENCRYPT</data_protection_kind>
+        </topic_rule>
+      </topic_access_rules>
+    </domain_rule>
+  </domain_access_rules>
+</dds>
+"""
+
+_PERMISSIONS = """\
+<?xml version="1.0" encoding="utf-8"?>
+<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
+xsi:noNamespaceSchemaLocation="http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd">
+  <permissions>
+    <grant name="{enclave}">
+      <subject_name>CN={enclave}</subject_name>
+      <validity>
+        <not_before>{not_before}</not_before>
+        <not_after>{not_after}</not_after>
+      </validity>
+      <allow_rule>
+        <domains>
+          <id>{domain}</id>
+        </domains>
+        <publish>
+          <topics>
+{publish}
+          </topics>
+        </publish>
+        <subscribe>
+          <topics>
+{subscribe}
+          </topics>
+        </subscribe>
+      </allow_rule>
+      <default>DENY</default>
+    </grant>
+  </permissions>
+</dds>
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Rights:
+    """Topics of DDS, some with the wildcard ``*``, that an enclave may publish and subscribe to; nothing else."""
+
+    publish: tuple[str, ...]
+    subscribe: tuple[str, ...]
+
+
+def governance(domain: int) -> str:
+    """Return the rules of a domain: nobody without a certificate, everything encrypted, every topic controlled."""
+    return _GOVERNANCE.format(domain=domain)
+
+
+def permissions(domain: int, enclave: str, rights: Rights, not_before: str, not_after: str) -> str:
+    """Return the permissions of an enclave."""
+    return _PERMISSIONS.format(
+        domain=domain,
+        enclave=escape(enclave),
+        not_before=not_before,
+        not_after=not_after,
+        publish=_topics(rights.publish),
+        subscribe=_topics(rights.subscribe),
+    )
+
+
+def host_enclaves(fleet: Fleet, host: str) -> dict[str, Rights]:
+    """Return the enclaves of a host by name: one per node, and those of tools."""
+    found = {node.name: node_rights(fleet, node) for node in node_plans(fleet) if node.host == host}
+    for role in ("driver", "operator"):
+        if role in profile_roles(fleet, host):
+            rights = _driver_rights(fleet, host) if role == "driver" else _operator_rights(fleet)
+            found[tool_enclave(role, host)] = rights
+    return found
+
+
+def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
+    """Return what a node may do: a robot publishes its own state, and nobody but the controller the desired one."""
+    ns, own = fleet.namespace, path_of(fleet.namespace, node.name)
+    managed = node.name not in _PLAIN
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS]
+    subscribe = [_DISCOVERY_INFO]
+    if managed:  # it has a log, and a life cycle, whose topic is its own
+        publish += [_LOG, f"rt{own}/*"]
+    if node.name != DISCOVERY:
+        publish.append(_topic(ns, DIAGNOSTICS))
+    publish += [_topic(ns, topic.name) for topic in _published(node)]
+    subscribe += [_topic(ns, topic.name) for topic in _heard(node)]
+    if node.name != RECORDER:  # services: those of its parameters and its life cycle among them
+        publish.append(f"rr{own}/*Reply")
+        subscribe.append(f"rq{own}/*Request")
+    for service in _SERVICES.get(node.name, ()):
+        publish.append(f"rr{path_of(ns, service)}Reply")
+        subscribe.append(f"rq{path_of(ns, service)}Request")
+    measured, commanded = _body_topics(fleet, node)
+    publish += [topic for topic in commanded if not topic.startswith(f"rt{own}/")]
+    return Rights(tuple(publish), (*subscribe, *measured))
+
+
+def _published(node: NodePlan) -> tuple[Topic, ...]:
+    return (AGENT_STATE, EVENTS) if node.robot else _PUBLISHED[node.name]
+
+
+def _heard(node: NodePlan) -> tuple[Topic, ...]:
+    return BROADCASTS if node.robot else _HEARD[node.name]
+
+
+def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
+    """Return the topics by which a node learns of its body, or of the plane, and those by which it commands it."""
+    own = path_of(fleet.namespace, node.name)
+    plane = fleet.coordinators.plane
+    if node.name == PLANE_DRIVER and plane.type == "driver":
+        return [_topic(fleet.namespace, plane.topic or f"{own}/{_MEASURED[plane.source]}")], []
+    if node.robot is None or not isinstance(node.robot.drive, TopicSettings):
+        return [], []
+    drive = node.robot.drive
+    measured = [drive.topic or f"{own}/{_MEASURED[drive.source]}"]
+    if drive.gravity == "imu":
+        measured.append(drive.imu.topic or f"{own}/{_MEASURED['imu']}")
+    by_kind = "twist" if node.robot.kind == "single_integrator" else "force"
+    command = by_kind if drive.command == "auto" else drive.command
+    commanded = [drive.command_topic or f"{own}/{_COMMANDED[command]}"]
+    return [_topic(fleet.namespace, name) for name in measured], [_topic(fleet.namespace, name) for name in commanded]
+
+
+def _driver_rights(fleet: Fleet, host: str) -> Rights:
+    """Return what the robots' own nodes behind topic drives may do: the other side of these drives.
+
+    What a node has of its own, such as the services of its parameters, must be below the name of the enclave.
+    """
+    own = path_of(fleet.namespace, tool_enclave("driver", host))
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _DRIVERS_DIAGNOSTICS, f"rt{own}/*", f"rr{own}/*Reply"]
+    subscribe = [_DISCOVERY_INFO, _PARAMETER_EVENTS, f"rt{own}/*", f"rq{own}/*Request"]
+    for node in nodes_on(fleet, host):
+        measured, commanded = _body_topics(fleet, node)
+        publish += measured
+        subscribe += commanded
+    return Rights(tuple(dict.fromkeys(publish)), tuple(dict.fromkeys(subscribe)))
+
+
+def _operator_rights(fleet: Fleet) -> Rights:
+    """Return what an operator's tools may do: see everything, call every service, say of a robot that it is gone."""
+    ns = fleet.namespace.rstrip("/")
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, EVENTS.name), f"rq{ns}/*Request"]
+    subscribe = [_DISCOVERY_INFO, "rt/*", f"rr{ns}/*Reply"]
+    # Those of ROS's own command line have services themselves.
+    publish.append(f"rr/{_COMMAND_LINE}*Reply")
+    subscribe.append(f"rq/{_COMMAND_LINE}*Request")
+    return Rights(tuple(publish), tuple(subscribe))
+
+
+def _topic(namespace: str, name: str) -> str:
+    return f"rt{path_of(namespace, name)}"
+
+
+def _topics(names: Iterable[str]) -> str:
+    return "\n".join(f"            <topic>{escape(name)}</topic>" for name in names)

@@ -1,0 +1,76 @@
+"""WireGuard: a key pair per host, and for each host the peers it has to meet and no others."""
+
+from __future__ import annotations
+
+import base64
+from typing import TYPE_CHECKING
+
+from swarmabs_config.fleet.participants import node_plans
+from swarmabs_fleet.places import Places
+
+if TYPE_CHECKING:
+    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_fleet.keys import Keys
+
+FENCE = "fence.sh"
+"""Script of a bundle that lets in by the tunnel only what is for the address in it."""
+
+
+def heading(fleet: Fleet) -> str:
+    """Return the first line of a configuration, by which scripts know it as their own."""
+    return f"# swarmabs fleet {fleet.name}"
+
+
+def tunnel_peers(fleet: Fleet, host: str) -> list[str]:
+    """Return the hosts that a host has a tunnel to: robots to the coordinators, coordinators to all."""
+    central = {node.host for node in node_plans(fleet) if node.robot is None}
+    return [other.name for other in fleet.hosts if other.name != host and (host in central or other.name in central)]
+
+
+def configuration(fleet: Fleet, host: str, keys: Keys) -> str:
+    """Return the configuration of a host, as wg-quick reads it; it holds the host's private key."""
+    tunnel = fleet.tunnel
+    if tunnel is None:
+        raise ValueError("the fleet has no tunnel")
+    fence = f"{Places.of(fleet, host).installed}/{FENCE}"
+    lines = [
+        heading(fleet),
+        "[Interface]",
+        f"PrivateKey = {private_key(keys, host)}",
+        f"Address = {fleet.address(host)}/32",
+        f"ListenPort = {tunnel.port}",
+        # Before the address is there; without the fence there is no tunnel.
+        f"PreUp = {fence} up",
+        f"PostDown = {fence} down",
+    ]
+    for peer in tunnel_peers(fleet, host):
+        lines += [
+            "",
+            f"# {peer}",
+            "[Peer]",
+            f"PublicKey = {public_key(keys, peer)}",
+            f"AllowedIPs = {fleet.address(peer)}/32",
+            f"Endpoint = {fleet.host(peer).address}:{tunnel.port}",
+        ]
+        if tunnel.keepalive:
+            lines.append(f"PersistentKeepalive = {tunnel.keepalive}")
+    return "\n".join(lines) + "\n"
+
+
+def private_key(keys: Keys, host: str) -> str:
+    """Return the private key of a host in base64, made at the first call."""
+    return keys.kept(f"wireguard/{host}.key", _new_key).decode().strip()
+
+
+def public_key(keys: Keys, host: str) -> str:
+    """Return the public key of a host in base64."""
+    from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey  # noqa: PLC0415 - see keys.py
+
+    secret = X25519PrivateKey.from_private_bytes(base64.b64decode(private_key(keys, host), validate=True))
+    return base64.b64encode(secret.public_key().public_bytes_raw()).decode()
+
+
+def _new_key() -> bytes:
+    from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey  # noqa: PLC0415 - see keys.py
+
+    return base64.b64encode(X25519PrivateKey.generate().private_bytes_raw()) + b"\n"

@@ -1,0 +1,171 @@
+"""Checks of the machine: what would keep a run from working, and what is to be done about it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import resource
+import shutil
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import psutil
+
+from swarmabs_bag.provenance import versions
+from swarmabs_config.scenario import load_scenario
+from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_core.errors import SwarmabsError
+from swarmabs_core.fingerprint import libm_fingerprint
+from swarmabs_core.messages import TOPICS
+from swarmabs_run.orchestration.domain import LARGEST_DOMAIN, claimed_domain
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_BUFFER = 4 * 2**20
+_AGENT_MEMORY = 15 * 2**20
+_DESCRIPTORS = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one check found: fine, something to know, or something that keeps runs from working."""
+
+    check: str
+    verdict: Literal["ok", "note", "bad"]
+    text: str
+
+
+def examine() -> list[Finding]:
+    """Carry out all checks; none of them changes anything or leaves anything behind."""
+    return [check() for check in _CHECKS]
+
+
+def _python() -> Finding:
+    found = ", ".join(f"{name} {text}" for name, text in versions().items())
+    return Finding("versions", "ok", f"{found}; libm {libm_fingerprint()}")
+
+
+def _ros() -> Finding:
+    try:
+        rclpy = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+        direct = hasattr(rclpy, "WaitSet") and hasattr(rclpy.Subscription, "take_message")
+    except ImportError as error:
+        return Finding(
+            "rclpy", "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy"
+        )
+    if not direct:
+        return Finding("rclpy", "note", "cannot be waited on directly; nodes need the parameter receive:=executor")
+    return Finding("rclpy", "ok", f"imported; middleware {os.environ.get('RMW_IMPLEMENTATION', 'default')}")
+
+
+def _messages() -> Finding:
+    try:
+        module = importlib.import_module("swarmabs_msgs.msg")
+        missing = [topic.ros_type for topic in TOPICS if not hasattr(module, topic.message.__name__)]
+    except ImportError as error:
+        return Finding("messages", "bad", f"swarmabs_msgs cannot be imported ({error}); build the workspace")
+    if missing:
+        return Finding(
+            "messages", "bad", f"swarmabs_msgs is too old: {missing[0]} is missing; build the workspace again"
+        )
+    return Finding("messages", "ok", f"{len(TOPICS)} types")
+
+
+def _loopback() -> Finding:
+    try:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        ):
+            receiver.bind(("127.0.0.1", 0))
+            receiver.settimeout(2.0)
+            sender.sendto(b"swarmabs", receiver.getsockname())
+            receiver.recv(16)
+    except OSError as error:
+        return Finding("loopback", "bad", f"UDP on 127.0.0.1 does not work ({error}); bring up the interface lo")
+    return Finding("loopback", "ok", "UDP on 127.0.0.1 works")
+
+
+def _buffers() -> Finding:
+    sizes = {}
+    for name in ("rmem_max", "wmem_max"):
+        try:
+            sizes[name] = int(Path(f"/proc/sys/net/core/{name}").read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            continue
+    small = [f"net.core.{name}={_BUFFER}" for name, size in sizes.items() if size < _BUFFER]
+    if small:
+        return Finding(
+            "socket buffers", "note", f"large swarms start and run faster with: sudo sysctl -w {' '.join(small)}"
+        )
+    return Finding("socket buffers", "ok", "4 MiB and more")
+
+
+def _domain() -> Finding:
+    try:
+        with claimed_domain() as domain:
+            return Finding("ROS domain", "ok", f"{domain} is free")
+    except SwarmabsError as error:
+        return Finding("ROS domain", "bad", str(error))
+
+
+def _memory() -> Finding:
+    free = psutil.virtual_memory().available
+    return Finding("memory", "ok", f"{free / 2**30:.1f} GiB free, enough for some {free // _AGENT_MEMORY} robots")
+
+
+def _cores() -> Finding:
+    return Finding("processor", "ok", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}")
+
+
+def _descriptors() -> Finding:
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != resource.RLIM_INFINITY and soft < _DESCRIPTORS:
+        return Finding("open files", "note", f"limit {soft}; raise it with: ulimit -n {_DESCRIPTORS}")
+    return Finding("open files", "ok", "no limit" if soft == resource.RLIM_INFINITY else f"limit {soft}")
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free
+    if free < 2**30:
+        return Finding("disk", "note", f"only {free / 2**20:.0f} MiB free here; a bag takes 1 MB and more")
+    return Finding("disk", "ok", f"{free / 2**30:.1f} GiB free here")
+
+
+def _scenarios() -> Finding:
+    try:
+        names = [load_scenario(path).name for path in builtin_scenarios().values()]
+    except SwarmabsError as error:
+        return Finding("scenarios", "bad", f"{error}; build the workspace again")
+    if not names:
+        return Finding("scenarios", "bad", "the built-in scenarios are missing; build the workspace again")
+    return Finding("scenarios", "ok", f"{len(names)} built in")
+
+
+def _visibility() -> Finding:
+    return Finding(
+        "stock ROS tools",
+        "note",
+        f"a run lives on loopback in a domain of its own (up to {LARGEST_DOMAIN}); "
+        'to look in: eval "$(./scripts/swarm env RUN)"',
+    )
+
+
+_CHECKS: tuple[Callable[[], Finding], ...] = (
+    _python,
+    _ros,
+    _messages,
+    _scenarios,
+    _loopback,
+    _buffers,
+    _domain,
+    _cores,
+    _memory,
+    _descriptors,
+    _disk,
+    _visibility,
+)

@@ -1,0 +1,158 @@
+"""The process from which a run's nodes are forked.
+
+It imports what the nodes need once and starts no thread; each node is then a fork of it, which takes milliseconds
+instead of the second that a fresh Python with rclpy takes, and shares its memory. Commands come as lines of JSON on
+standard input, the fate of the children goes to the report pipe. When standard input ends, however the orchestrator
+ended, every child is killed and reaped; when this process itself is killed, the kernel kills the children.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import importlib
+import json
+import os
+import select
+import signal
+import sys
+import traceback
+import warnings
+from typing import Any, NoReturn
+
+from swarmabs_core.controllers import controller_type
+from swarmabs_core.law_registry import law_type
+from swarmabs_core.messages import TOPICS
+from swarmabs_ros.status import REPORT_FD
+from swarmabs_run.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
+from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
+from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.parent_death import die_with_parent
+
+PACKAGES = ("plane_sim", "abstraction_observer", "parent_controller", "agent_node")
+_PR_SET_NAME = 15
+
+
+class Launcher:
+    """Forks nodes on request and reports their ends."""
+
+    def __init__(self, report_fd: int) -> None:
+        self._report_fd = report_fd
+        self._children: dict[int, str] = {}
+        self._pids: dict[str, int] = {}
+        self._wake = os.pipe()
+
+    def run(self) -> None:
+        """Serve until standard input ends."""
+        wake_read, wake_write = self._wake
+        os.set_blocking(wake_write, False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
+        pending = b""
+        while True:
+            ready, _, _ = select.select([0, wake_read], [], [])
+            if wake_read in ready:
+                os.read(wake_read, 4096)
+                self._reap(os.WNOHANG)
+            if 0 in ready:
+                data = os.read(0, 65536)
+                if not data:
+                    break
+                *lines, pending = (pending + data).split(b"\n")
+                for line in lines:
+                    self._obey(json.loads(line))
+        self._end()
+
+    def _obey(self, command: dict[str, Any]) -> None:
+        if command["command"] == "spawn":
+            self._spawn(command)
+        else:
+            pid = self._pids.get(command["name"])
+            if pid is not None:  # not reaped yet, so the id is still that of the child
+                os.kill(pid, command["signal"])
+
+    def _spawn(self, command: dict[str, Any]) -> None:
+        launcher = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            self._become(command, launcher)
+        self._children[pid] = command["name"]
+        self._pids[command["name"]] = pid
+        self._report("spawned", name=command["name"], child=pid)
+
+    def _become(self, command: dict[str, Any], launcher: int) -> NoReturn:
+        """Turn the forked process into a node; it never returns to the launcher's loop."""
+        code = 1
+        try:
+            die_with_parent(launcher)
+            ctypes.CDLL(None).prctl(_PR_SET_NAME, command["name"].encode(), 0, 0, 0)
+            signal.set_wakeup_fd(-1)
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            for descriptor in self._wake:
+                os.close(descriptor)
+            log = os.open(command["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            null = os.open(os.devnull, os.O_RDONLY)
+            for source, target in ((null, 0), (log, 1), (log, 2)):
+                os.dup2(source, target)
+            os.close(log)
+            os.close(null)
+            os.environ[PARTICIPANT_VARIABLE] = str(command["participant"])
+            os.environ[GROUP_VARIABLE] = multicast_group(command["participant"])
+            code = importlib.import_module(command["module"]).main(command["arguments"])
+        except BaseException:  # noqa: BLE001 - whatever it is belongs into the node's log, and must end here
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+
+    def _reap(self, options: int) -> None:
+        while self._children:
+            pid, status = os.waitpid(-1, options)
+            if pid == 0:
+                return
+            name = self._children.pop(pid)
+            del self._pids[name]
+            self._report("exited", name=name, child=pid, code=os.waitstatus_to_exitcode(status))
+
+    def _end(self) -> None:
+        for pid in self._children:
+            os.kill(pid, signal.SIGKILL)
+            os.kill(pid, signal.SIGCONT)
+        self._reap(0)
+
+    def _report(self, event: str, **details: object) -> None:
+        line = json.dumps({"node": "launcher", "pid": os.getpid(), "event": event, **details}) + "\n"
+        try:
+            os.write(self._report_fd, line.encode())
+        except BrokenPipeError:  # the orchestrator has gone; standard input will tell the same
+            return
+
+
+def main() -> int:
+    """Import everything once, then serve."""
+    # The ROS tracing library keeps two idle listeners of its own, which a fork may leave behind.
+    warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
+    with tracing_files_removed():
+        from swarmabs_ros.endpoints import ros_type  # noqa: PLC0415 - imports rclpy, whose tracing makes the files
+
+        controller, law, *options = sys.argv[1:]
+        for package in PACKAGES:
+            importlib.import_module(f"{package}.{'realtime' if REALTIME in options else 'node'}")
+        controller_type(controller)  # what a package brings is looked for once, and not in every node
+        law_type(law)
+        for topic in TOPICS:
+            ros_type(topic).__class__.__import_type_support__()
+        gc.collect()
+        gc.freeze()  # memory that no collection touches stays shared with the children
+        if CROWDED in options and hasattr(os, "SCHED_BATCH"):
+            # A message that arrives does not push the running process off its core: it is handled when that one waits
+            # itself, together with what has come meanwhile. That halves the switches between processes.
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        launcher = Launcher(int(os.environ[REPORT_FD]))
+        launcher.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

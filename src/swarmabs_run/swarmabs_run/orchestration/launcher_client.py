@@ -1,0 +1,160 @@
+"""The orchestrator's side of the launcher."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_core.controllers.feedback import PD
+from swarmabs_core.law_registry import PAPER
+from swarmabs_ros.status import REPORT_FD, START_FD
+from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from swarmabs_run.orchestration.plan import ProcessPlan
+
+CROWD = 8
+"""More nodes per core than this share the cores in turn, without interrupting each other for every message."""
+END_SECONDS = 10.0
+"""Longest time, s, that the launcher may take to end its children; then it is killed, and the kernel ends them."""
+
+
+class LauncherClient:
+    """Starts the launcher, speaks with it, and makes sure that nothing of it is left.
+
+    Parameters
+    ----------
+    environment : mapping
+        Environment variables to add for launcher and nodes.
+    log : Path
+        File for what the launcher itself prints.
+    processes : int
+        How many nodes there will be.
+    controller, law : str
+        Names of the parent controller and of the swarm law, which the launcher loads before it forks.
+    realtime : bool
+        Whether it loads the nodes in real time.
+
+    Attributes
+    ----------
+    reports : int
+        File descriptor from which the reports of launcher and nodes are read.
+    """
+
+    def __init__(
+        self,
+        environment: Mapping[str, str],
+        log: Path,
+        *,
+        processes: int,
+        controller: str = PD.name,
+        law: str = PAPER.name,
+        realtime: bool = False,
+    ) -> None:
+        self.reports, report_write = os.pipe()
+        start_read, self._start = os.pipe()
+        self._pending = b""
+        options = [REALTIME] if realtime else []
+        options += [CROWDED] if processes > CROWD * len(os.sched_getaffinity(0)) else []
+        with log.open("ab") as stream:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "swarmabs_run.orchestration.launcher", controller, law, *options],
+                stdin=subprocess.PIPE,
+                stdout=stream,
+                stderr=stream,
+                pass_fds=(report_write, start_read),
+                env={
+                    **os.environ,
+                    **environment,
+                    REPORT_FD: str(report_write),
+                    START_FD: str(start_read),
+                    "OPENBLAS_NUM_THREADS": "1",  # a process with threads must not be forked
+                },
+                start_new_session=True,  # Ctrl-C in a terminal is for the orchestrator alone
+            )
+        os.close(report_write)
+        os.close(start_read)
+        os.set_blocking(self.reports, False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the launcher."""
+        return self._process.pid
+
+    def spawn(self, process: ProcessPlan, arguments: list[str], log: Path) -> None:
+        """Fork a node."""
+        self._command(
+            command="spawn",
+            name=process.name,
+            module=process.module,
+            participant=process.participant,
+            arguments=arguments,
+            log=str(log),
+        )
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to a node; nothing happens if it has ended."""
+        self._command(command="signal", name=name, signal=int(number))
+
+    def start_all(self, told: bytes = b"") -> None:
+        """Give all nodes the start signal, and before it what they may read from it."""
+        if self._start >= 0:
+            with suppress(BrokenPipeError):  # a dead launcher is noticed by `alive`
+                os.write(self._start, told)
+            os.close(self._start)
+            self._start = -1
+
+    def read(self) -> list[dict[str, Any]]:
+        """Return the reports that have arrived."""
+        chunks = []
+        with suppress(BlockingIOError):
+            while data := os.read(self.reports, 65536):
+                chunks.append(data)
+        *lines, self._pending = (self._pending + b"".join(chunks)).split(b"\n")
+        return [json.loads(line) for line in lines]
+
+    def alive(self) -> bool:
+        """Tell whether the launcher is running."""
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        """End launcher and nodes, and wait until they are gone."""
+        stdin = self._process.stdin
+        if stdin is not None:
+            with suppress(BrokenPipeError):
+                stdin.close()
+        try:
+            self._process.wait(END_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self.start_all()
+        if self.reports >= 0:
+            os.close(self.reports)
+            self.reports = -1
+
+    def _command(self, **command: object) -> None:
+        stdin = self._process.stdin
+        if stdin is None or stdin.closed:
+            return
+        with suppress(BrokenPipeError):  # a dead launcher is noticed by `alive`
+            stdin.write(json.dumps(command).encode() + b"\n")
+            stdin.flush()

@@ -1,0 +1,158 @@
+"""One run in lockstep, from the first process to the last."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING
+
+from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_config import configure
+from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_run.orchestration.plan import ProcessPlan, plan
+from swarmabs_run.orchestration.process_run import ProcessRun, process_state
+from swarmabs_run.steering.place import SOCKET
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.launcher_client import LauncherClient
+    from swarmabs_run.orchestration.progress import Outcome, Progress
+    from swarmabs_run.orchestration.supervision import Failure
+
+STALL_GRACE = 1.0
+"""Time, s, for which reports of a stall are gathered before they are judged."""
+
+_SIGNALS = {
+    ChangeKind.KILL: signal.SIGKILL,
+    ChangeKind.FREEZE: signal.SIGSTOP,
+    ChangeKind.LEAVE: signal.SIGTERM,
+    ChangeKind.REMOVE: signal.SIGTERM,
+}
+
+
+class LockstepRun(ProcessRun):
+    """Starts a scenario's processes, waits until they have met, lets them run, and ends them all.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; generated robots are listed.
+    folder : RunFolder
+        An empty folder for the results.
+    record : bool
+        Whether to write a bag.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    namespace : str
+        ROS namespace of the swarm.
+    arrange : callable, optional
+        Changes the processes before any is started, such as their order or parameters.
+    agents_per_process : int
+        How many robots share a process.
+    packed : bool
+        Whether the robots hear the three broadcasts as one message, which costs less where they are many.
+    split : Split
+        When the bag goes on in a new file, by default never.
+    steered : bool
+        Whether the run can be steered, by a socket in its folder.
+    step_seconds : float
+        Shortest wall time, s, of a step of such a run; 0: as fast as possible.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        *,
+        record: bool = True,
+        on_progress: Callable[[Progress], None] | None = None,
+        namespace: str = "/",
+        arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
+        agents_per_process: int = 1,
+        packed: bool = False,
+        split: Split = ONE_FILE,
+        steered: bool = False,
+        step_seconds: float = 0.0,
+    ) -> None:
+        planned = plan(
+            scenario,
+            scenario_file=folder.scenario,
+            bag=folder.bag if record else None,
+            logs=folder.logs,
+            agents_per_process=agents_per_process,
+            packed=packed,
+            split=split,
+            steered=steered,
+            step_seconds=step_seconds,
+        )
+        super().__init__(
+            scenario,
+            folder,
+            arrange(planned),
+            dispensable=scenario.lockstep.on_stall == "drop",
+            on_progress=on_progress,
+            namespace=namespace,
+        )
+        self._own_process = {process.agents[0]: process.name for process in self._plan if len(process.agents) == 1}
+        self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
+        self._stalled_since: float | None = None
+        self._stalled_at = -1
+
+    def run(self) -> Outcome:
+        """Run to the end, whatever it is; afterwards nothing of the run is left but its results; see `ProcessRun`."""
+        try:
+            return super().run()
+        finally:
+            (self._folder.path / SOCKET).unlink(missing_ok=True)
+
+    def _start(self, launcher: LauncherClient, now: float) -> float:
+        self._note("all processes have met their counterparts: start")
+        launcher.start_all()
+        return now
+
+    def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:
+        self._inject_faults(launcher)
+        return self._check_stalls(now)
+
+    def _take_orders(self) -> None:
+        """Note what was done from outside, and plan the ends of processes that follow from it."""
+        for order in self._supervision.orders:
+            self._note(f"steered: {order['text']}")
+            if order["change"]:
+                change = Change.parse(order["change"])
+                later = (fault for fault in self._faults if fault.agent_id != change.agent_id)
+                self._faults = sorted((change, *later))
+        self._supervision.orders.clear()
+
+    def _inject_faults(self, launcher: LauncherClient) -> None:
+        """End or stop the processes whose last state is recorded; from then on nobody listens to them any more."""
+        self._take_orders()
+        while self._faults and self._faults[0].step <= self._recorded():
+            fault = self._faults.pop(0)
+            name = self._own_process.get(fault.agent_id)
+            if name is None:  # its state machine is silent, its neighbours go on
+                continue
+            self._supervision.expect_end(name)
+            self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
+            launcher.signal(name, _SIGNALS[fault.kind])
+
+    def _recorded(self) -> int:
+        """Return the last step that is known to be recorded, -1 for none."""
+        return -1 if self._supervision.progress is None else int(self._supervision.progress["step"])
+
+    def _check_stalls(self, now: float) -> Failure | None:
+        state, lockstep = self._supervision, self._scenario.lockstep
+        recorded = self._recorded()
+        # A robot that says it waits, and is stopped before it says that it waits no more, does not hold up the run.
+        if not state.stalls or self._finished is not None or recorded > self._stalled_at:
+            self._stalled_at, self._stalled_since = recorded, None
+            return None
+        if self._stalled_since is None:
+            self._stalled_since = now
+        # Where robots are dropped, the run gets the time that this takes, and fails only if it does not help.
+        grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
+        if now - self._stalled_since < grace:
+            return None
+        return state.diagnose({name: process_state(pid) for name, pid in state.pids.items()})

@@ -1,0 +1,361 @@
+"""Which processes a scenario needs, and with which parameters each is started."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from math import isinf
+from typing import TYPE_CHECKING
+
+from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_config import configure
+from swarmabs_core.behaviours.steered import HELM
+from swarmabs_core.membership import UNPLANNED
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BROADCAST,
+    BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    MAIN_TOPICS,
+    PLANE_STATE,
+    RECORDING_PROGRESS,
+    STEERING,
+    Kind,
+    Topic,
+)
+from swarmabs_core.steering import DISTURBANCE, REFERENCE
+from swarmabs_ros.repeat import FIRST, WINDOW
+from swarmabs_ros.runner import STEERED
+from swarmabs_run.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from pathlib import Path
+
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.behaviours import AgentConfig
+
+PATIENCE = 1e-4
+"""Time, s, per robot that a node waits at least for an answer before it repeats itself."""
+
+PLANE, OBSERVER, CONTROLLER, RECORDER = "plane_sim", "abstraction_observer", "parent_controller", "recorder"
+STEERING_PARTICIPANT = 4
+"""DDS participant id of the node that steers: the first one that a run leaves free among the coordinators."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessPlan:
+    """One process of a run.
+
+    Parameters
+    ----------
+    name : str
+        Name of its node.
+    module : str
+        Module whose ``main`` it runs.
+    participant : int
+        Its DDS participant id.
+    parameters : dict
+        Its ROS parameters.
+    publications, subscriptions : tuple of Topic
+        Its endpoints, from which follows whom each must have met before the run starts.
+    agents : tuple of int
+        Ids of the robots that live in it.
+    """
+
+    name: str
+    module: str
+    participant: int
+    parameters: dict[str, object]
+    publications: tuple[Topic, ...]
+    subscriptions: tuple[Topic, ...]
+    agents: tuple[int, ...] = ()
+
+    def arguments(self, namespace: str) -> list[str]:
+        """Return the node's command line."""
+        given = [f"{name}:={_yaml(value)}" for name, value in self.parameters.items() if value not in ((), [])]
+        return [
+            "--ros-args",
+            # What a node logs goes to its standard error, and from there to its file in the run's folder.
+            *("--disable-external-lib-logs", "--disable-rosout-logs"),
+            *("-r", f"__node:={self.name}"),
+            *("-r", f"__ns:={namespace}"),
+            *(word for text in given for word in ("-p", text)),
+        ]
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    if isinstance(value, float) and 0.0 < abs(value) < sys.float_info.min:
+        return value.hex()  # a decimal as small as this counts as a text
+    return repr(value)
+
+
+def agent_name(agent_id: int) -> str:
+    """Return the node name of a robot."""
+    return f"agent_{agent_id:03d}"
+
+
+def group_name(agent_ids: tuple[int, ...]) -> str:
+    """Return the node name of a process with several robots."""
+    return f"agents_{agent_ids[0]:03d}_to_{agent_ids[-1]:03d}"
+
+
+def plan(
+    scenario: Scenario,
+    *,
+    scenario_file: Path,
+    bag: Path | None,
+    logs: Path,
+    agents_per_process: int = 1,
+    packed: bool = False,
+    split: Split = ONE_FILE,
+    steered: bool = False,
+    step_seconds: float = 0.0,
+) -> tuple[ProcessPlan, ...]:
+    """Return the processes of a scenario: the coordinators first, then the robots by id.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    scenario_file : Path
+        Where the resolved scenario stands, for the recorder.
+    bag : Path, optional
+        Folder of the bag; none if nothing is to be recorded.
+    logs : Path
+        Folder of the processes' logs, for the recorder.
+    agents_per_process : int
+        How many robots share a process.
+    packed : bool
+        Whether the robots hear the three broadcasts as one message.
+    split : Split
+        When the bag goes on in a new file.
+    steered : bool
+        Whether the run can be steered.
+    step_seconds : float
+        Shortest wall time, s, of a step of a run that can be steered.
+    """
+    common: dict[str, object] = {
+        "period_ns": scenario.step_ns,
+        "last_step": scenario.steps,
+        "stall_timeout": scenario.lockstep.stall_timeout,
+        "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
+        "repeat_steps": min(WINDOW, 2 * configure.recording_window(scenario)),
+    }
+    # Who begins each step with what is ordered for it.
+    obeying = common | ({STEERED.name: True} if steered else {})
+    orders = (STEERING,) if steered else ()
+    swarm: dict[str, object] = {
+        "members": configure.members(scenario),
+        "schedule": tuple(str(change) for change in configure.schedule(scenario)),
+        "gravity": scenario.plane.gravity,
+    }
+    processes = [
+        ProcessPlan(
+            PLANE,
+            "plane_sim.node",
+            0,
+            obeying
+            | swarm
+            | plane_parameters(scenario)
+            | {
+                "length": scenario.plane.length,
+                "actuator_lag": scenario.swarm.actuator_lag,
+                "lies": tuple(map(str, configure.lies(scenario))),
+                "torques": tuple(map(str, configure.stairs(scenario, DISTURBANCE))),
+            },
+            (EVENTS, PLANE_STATE),
+            (AGENT_STATE, EVENTS, *orders),
+        ),
+        ProcessPlan(
+            OBSERVER,
+            "abstraction_observer.node",
+            1,
+            obeying
+            | swarm
+            | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall}
+            | _observer_parameters(scenario),
+            (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
+            (*((AGENT_STATE,) if scenario.observer.type == "sum" else (AGENT_STATE, PLANE_STATE)), *orders),
+        ),
+        ProcessPlan(
+            CONTROLLER,
+            "parent_controller.node",
+            CONTROLLER_PARTICIPANT,
+            obeying
+            | controller_parameters(scenario)
+            | {
+                "recording_window": configure.recording_window(scenario),
+                "offsets": tuple(map(str, configure.stairs(scenario, REFERENCE))),
+                "packed": packed,
+            },
+            (EVENTS, DESIRED_ABSTRACT_STATE, *((BROADCAST,) if packed else ())),
+            (PLANE_STATE, RECORDING_PROGRESS, *((ABSTRACT_STATE, AUXILIARY_STATE) if packed else ()), *orders),
+        ),
+        ProcessPlan(
+            RECORDER,
+            "swarmabs_bag.recorder.node",
+            3,
+            obeying
+            | {
+                "scenario_file": str(scenario_file),
+                "bag": str(bag or ""),
+                "max_bag_size": split.bytes,
+                "max_bag_duration_ns": split.nanoseconds,
+                "logs": str(logs),
+            },
+            (RECORDING_PROGRESS,),
+            (*MAIN_TOPICS, EVENTS, *orders),
+        ),
+        *([_steering_process(common | {"step_seconds": step_seconds}, scenario_file)] if steered else ()),
+        *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process, steered=steered),
+    ]
+    expect_counterparts(processes)
+    return tuple(processes)
+
+
+def plane_parameters(scenario: Scenario) -> dict[str, object]:
+    """Return the parameters of a simulated plane, whatever makes its steps."""
+    plane = scenario.plane
+    return {
+        "inertia": plane.inertia,
+        "friction": plane.friction,
+        "substep": plane.substep,
+        "angle": plane.angle,
+        "angular_velocity": plane.angular_velocity,
+        "disturbance.amplitude": plane.disturbance.amplitude,
+        "disturbance.angular_frequency": plane.disturbance.angular_frequency,
+        "end_stop": plane.end_stop or 0.0,
+        "sensor.noise": plane.sensor.noise,
+        "sensor.resolution": plane.sensor.resolution,
+        "seed": scenario.seed,
+    }
+
+
+def controller_parameters(scenario: Scenario) -> dict[str, object]:
+    """Return the parameters of the parent controller, whatever makes its steps."""
+    plane, manifold = scenario.plane, scenario.manifold
+    return {
+        "plane.inertia": plane.inertia,
+        "plane.friction": plane.friction,
+        "manifold.curvature": manifold.curvature,
+        "manifold.offset": manifold.offset,
+        "manifold.torque_max": manifold.torque_max,
+        "controller.type": scenario.controller.type,
+        **{f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
+    }
+
+
+def _steering_process(common: dict[str, object], scenario_file: Path) -> ProcessPlan:
+    """Return the process of the node that steers; its socket lies beside the scenario, in the folder of the run."""
+    return ProcessPlan(
+        HELM,
+        "swarmabs_run.steering.node",
+        STEERING_PARTICIPANT,
+        common | {"scenario_file": str(scenario_file), "folder": str(scenario_file.parent)},
+        (STEERING,),
+        (PLANE_STATE, EVENTS),
+    )
+
+
+def _observer_parameters(scenario: Scenario) -> dict[str, object]:
+    """Return what the observer knows of the plane, if it watches it."""
+    model = configure.parent_model(scenario)
+    if model is None:
+        return {}
+    friction = scenario.plane.friction
+    return {"type": "parent_response", "inertia": model.inertia, "friction": friction, "bandwidth": model.bandwidth}
+
+
+def _agent_processes(
+    scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int, *, steered: bool
+) -> list[ProcessPlan]:
+    configs = configure.agent_configs(scenario)
+    absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}
+    if not steered:  # who is there only when it is added has no process where nobody can be added
+        configs = tuple(config for config in configs if config.agent_id not in absent)
+    heard = (BROADCAST,) if common["packed"] else BROADCASTS
+    processes = []
+    for index, first in enumerate(range(0, len(configs), per_process)):
+        hosted = configs[first : first + per_process]
+        ids = tuple(config.agent_id for config in hosted)
+        feels = any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted)
+        if per_process == 1:
+            name, module, parameters = agent_name(ids[0]), "agent_node.node", _agent_parameters(hosted[0])
+        else:
+            name, module = group_name(ids), "agent_node.group"
+            parameters = {"scenario_file": str(scenario_file), "agent_ids": ids}
+        waits = not absent.isdisjoint(ids)
+        if waits:
+            parameters[STEERED.name] = True
+        processes.append(
+            ProcessPlan(
+                name,
+                module,
+                COORDINATORS + index,
+                common | parameters,
+                (EVENTS, AGENT_STATE),
+                (*heard, *((PLANE_STATE,) if feels else ()), *((STEERING,) if waits else ())),
+                ids,
+            )
+        )
+    return processes
+
+
+def agent_parameters(config: AgentConfig) -> dict[str, object]:
+    """Return the parameters of a robot, whatever makes its steps."""
+    gains, limits = config.gains, config.limits
+    return {
+        "agent_id": config.agent_id,
+        "kind": config.kind.name.lower(),
+        "mass": config.mass,
+        "damping": config.damping,
+        "position": config.position,
+        "velocity": config.velocity,
+        "gravity": config.gravity,
+        "plane_length": config.plane_length,
+        "gains.k": gains.k,
+        "gains.kp": gains.kp,
+        "gains.kd": gains.kd,
+        "gains.ksd": gains.ksd,
+        "limits.velocity": 0.0 if isinf(limits.velocity) else limits.velocity,
+        "limits.force": 0.0 if isinf(limits.force) else limits.force,
+        "law.type": config.law,
+        **{f"law.{name}": value for name, value in config.law_settings.items()},
+    }
+
+
+def _agent_parameters(config: AgentConfig) -> dict[str, object]:
+    life = config.life
+    parameters = agent_parameters(config) | {
+        "first_step": life.first_step,
+        "faults": tuple(map(str, config.faults)),
+        "seed": config.seed,
+        "feels_gravity": config.feels_gravity,
+        "sensor.noise": config.sensor.noise,
+        "sensor.resolution": config.sensor.resolution,
+        "actuator_lag": config.actuator_lag,
+    }
+    if life.end is not None:
+        parameters |= {"end": life.end.value, "end_step": life.end_step}
+    return parameters
+
+
+def expect_counterparts(processes: Collection[ProcessPlan]) -> None:
+    """Tell every process how many counterparts each of its endpoints will meet."""
+    publishers = Counter(topic for process in processes for topic in process.publications)
+    subscribers = Counter(topic for process in processes for topic in process.subscriptions)
+    for process in processes:
+        met = {topic: subscribers[topic] for topic in process.publications}
+        met |= {topic: publishers[topic] for topic in process.subscriptions if topic not in met}
+        process.parameters["match"] = [f"{topic.name} {number}" for topic, number in met.items()]

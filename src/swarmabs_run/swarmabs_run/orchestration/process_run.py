@@ -1,0 +1,317 @@
+"""What every run of processes has in common: their start, the reports of all, the end, and that nothing remains."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import threading
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING
+
+import psutil
+
+from swarmabs_bag.recorder.glance import Glance
+from swarmabs_run.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
+from swarmabs_run.orchestration.domain import claimed_domain, domains_spanned
+from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.looking_in import write_network, write_processes
+from swarmabs_run.orchestration.plan import RECORDER, ProcessPlan
+from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.orchestration.progress_file import ProgressFile
+from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
+from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from typing import Any
+
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.progress import Phase
+
+START_SILENCE = 30.0
+"""Time, s, in which at least one more process must be forked or become ready."""
+CLOSING_SECONDS = 20.0
+"""Time, s, that the recorder has to complete the bag."""
+POLL = 0.1
+STARTED_AGAIN = "did not come up: again"
+"""What the orchestrator's log says of a process that it starts once more."""
+
+
+class ProcessRun:
+    """Starts processes, waits until all are ready, lets them run as a subclass says, and ends them all.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; generated robots are listed.
+    folder : RunFolder
+        An empty folder for the results.
+    plan : sequence of ProcessPlan
+        The processes.
+    dispensable : bool
+        Whether the run survives the end of a robot's process.
+    realtime : bool
+        Whether the processes run in real time.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    namespace : str
+        ROS namespace of the swarm.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        plan: Sequence[ProcessPlan],
+        *,
+        dispensable: bool,
+        realtime: bool = False,
+        on_progress: Callable[[Progress], None] | None = None,
+        namespace: str = "/",
+    ) -> None:
+        self._scenario = scenario
+        self._folder = folder
+        self._plan = tuple(plan)
+        self._realtime = realtime
+        self._namespace = namespace
+        self._on_progress = on_progress
+        self._told = ProgressFile(folder.logs)
+        hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
+        self._supervision = Supervision(
+            tuple(process.name for process in self._plan),
+            dispensable=frozenset(hosts.values()) if dispensable else frozenset(),
+            hosts=hosts,
+        )
+        self._interrupted = False
+        self._begun = time.monotonic()
+        self._started: float | None = None
+        self._finished: float | None = None
+
+    def run(self) -> Outcome:
+        """Run to the end, whatever it is; afterwards no process, port or shared memory of the run is left.
+
+        Raises
+        ------
+        RunError
+            If the run cannot even be begun, such as when no ROS domain is free.
+        """
+        participants = 1 + max(process.participant for process in self._plan)
+        self._folder.fill(self._scenario)
+        profile = self._folder.logs / "fastdds.xml"
+        with ExitStack() as stack:
+            stack.enter_context(tracing_files_removed())
+            domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
+            self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
+            profile.write_text(
+                profile_xml(domain, multicast=multicast_works(), realtime=self._realtime), encoding="utf-8"
+            )
+            write_network(self._folder.logs, domain, participants, realtime=self._realtime)
+            stack.callback(self._told.over)
+            wake = stack.enter_context(self._interruptible())
+            environment = dds_environment(domain, str(profile.resolve()))
+            client = LauncherClient(
+                environment,
+                self._folder.logs / "launcher.log",
+                processes=len(self._plan),
+                controller=self._scenario.controller.type,
+                law=self._scenario.swarm.law.type,
+                realtime=self._realtime,
+            )
+            launcher = stack.enter_context(client)
+            failure = self._supervise(launcher, wake)
+            return self._conclude(launcher, wake, failure)
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[int]:
+        """Turn SIGINT and SIGTERM into a flag and a byte on a pipe, whose read end is yielded."""
+        read, write = os.pipe()
+        os.set_blocking(write, False)
+        main = threading.current_thread() is threading.main_thread()
+        previous = {}
+        if main:
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                previous[number] = signal.signal(number, self._interrupt)
+            signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        try:
+            yield read
+        finally:
+            if main:
+                signal.set_wakeup_fd(-1)
+                for number, handler in previous.items():
+                    signal.signal(number, handler)
+            os.close(read)
+            os.close(write)
+
+    def _interrupt(self, *_: object) -> None:
+        self._interrupted = True
+
+    def _supervise(self, launcher: LauncherClient, wake: int) -> Failure | None:
+        """Drive the run until it is complete, fails or is interrupted."""
+        state = self._supervision
+        self._spawn(launcher, self._plan)
+        news = time.monotonic()
+        known = 0
+        while not self._interrupted:
+            self._listen(launcher, wake)
+            now = time.monotonic()
+            failure = self._failure(now)
+            if failure is not None:
+                return failure
+            if not launcher.alive():
+                return Failure("the launcher has died", ("launcher",))
+            if state.done is not None:
+                return None
+            if self._started is None:
+                come = len(state.pids) + len(state.ready)
+                if come > known or self._restart_lost(launcher):
+                    known, news = come, now
+                if state.all_ready():
+                    state.started = True
+                    write_processes(self._folder.logs, {"launcher": launcher.pid, **state.pids})
+                    self._started = self._start(launcher, now)
+                elif now - news > START_SILENCE:
+                    if not state.hanging():
+                        return self._not_started()
+                    news = now
+                    for name in state.hanging():
+                        launcher.signal(name, signal.SIGKILL)
+            else:
+                failure = self._watch(launcher, now)
+                if failure is not None:
+                    return failure
+            self._tell("starting" if self._started is None else "running")
+        return None
+
+    def _start(self, launcher: LauncherClient, now: float) -> float:
+        """Let all processes begin, which are ready; return the time, s of the steady clock, of the first step."""
+        raise NotImplementedError
+
+    def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:
+        """Look after the run while it goes on, some ten times a second; return why it has failed, if it has."""
+        raise NotImplementedError
+
+    def _failure(self, now: float) -> Failure | None:  # noqa: ARG002 - for those who wait a little
+        """Return the failure that ends the run."""
+        return self._supervision.failure
+
+    def _end(self, launcher: LauncherClient, wake: int) -> Failure | None:  # noqa: ARG002 - for those who have to
+        """Do what remains when the recording is complete and the processes still run; return what went wrong."""
+        return None
+
+    def _spawn(self, launcher: LauncherClient, processes: Iterable[ProcessPlan]) -> None:
+        for process in processes:
+            launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
+
+    def _restart_lost(self, launcher: LauncherClient) -> bool:
+        """Start again the robots' processes that have ended before the run began; tell whether there were any."""
+        names = self._supervision.to_restart()
+        for name in names:
+            self._note(f"{name} (process {self._supervision.pids[name]}) {STARTED_AGAIN}")
+        self._spawn(launcher, (process for process in self._plan if process.name in names))
+        return bool(names)
+
+    def _listen(self, launcher: LauncherClient, wake: int) -> None:
+        ready, _, _ = select.select([launcher.reports, wake], [], [], POLL)
+        if wake in ready:
+            os.read(wake, 4096)
+        if launcher.reports in ready:
+            for report in launcher.read():
+                self._supervision.take(report)
+        progress = self._supervision.progress
+        if self._finished is None and progress is not None and progress["step"] >= self._scenario.steps:
+            self._finished = time.monotonic()
+
+    def _not_started(self) -> Failure:
+        missing = self._supervision.not_ready()
+        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        return Failure(f"not all processes have met within {START_SILENCE:g} s without news: {shown}", missing[:2])
+
+    def _conclude(self, launcher: LauncherClient, wake: int, failure: Failure | None) -> Outcome:
+        """Let the recorder complete the bag of a run that did not finish, and sum up."""
+        state = self._supervision
+        reason = self._describe(failure)
+        if reason is None and self._interrupted:
+            reason = "interrupted"
+        if reason is not None:
+            self._note(reason)
+        if RECORDER in state.pids and not (failure is not None and RECORDER in failure.culprits):
+            # By the signal it knows what to write into the bag as the reason.
+            launcher.signal(RECORDER, signal.SIGINT if self._interrupted and failure is None else signal.SIGTERM)
+            deadline = time.monotonic() + CLOSING_SECONDS
+            while self._recorder_works(launcher) and time.monotonic() < deadline:
+                self._listen(launcher, wake)
+                self._tell("closing")
+        ended_badly = self._end(launcher, wake)
+        if failure is None and ended_badly is not None:
+            failure, reason = ended_badly, self._describe(ended_badly)
+            self._note(ended_badly.reason)
+        done = state.done or {"complete": False, "figures": {}}
+        complete = done["complete"] and failure is None
+        return Outcome(
+            "ok" if complete else "interrupted" if self._interrupted and failure is None else "failed",
+            None if complete else reason or "the recorder could not complete the recording",
+            self._figures(done["figures"]),
+            None if self._started is None else self._started - self._begun,
+            None if self._started is None else (self._finished or time.monotonic()) - self._started,
+            self._warnings(),
+        )
+
+    def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
+        """Return digest and figures."""
+        return dict(recorded)
+
+    def _warnings(self) -> tuple[str, ...]:
+        """Return what people should know of a run that did not fail."""
+        return ()
+
+    def _recorder_works(self, launcher: LauncherClient) -> bool:
+        state = self._supervision
+        return state.done is None and RECORDER not in state.exited and launcher.alive()
+
+    def _note(self, text: str) -> None:
+        """Write a line to the orchestrator's log, which becomes a part of the bag."""
+        path = self._folder.logs / "orchestrator.log"
+        with suppress(OSError), path.open("a", encoding="utf-8") as stream:  # a full disk is the recorder's to report
+            stream.write(f"[{time.monotonic() - self._begun:9.3f}] {text}\n")
+
+    def _describe(self, failure: Failure | None) -> str | None:
+        if failure is None:
+            return None
+        texts = []
+        for name in failure.culprits[:3]:
+            with suppress(OSError):
+                texts.append((name, (self._folder.logs / f"{name}.log").read_text(encoding="utf-8", errors="replace")))
+        return "\n".join(part for part in (failure.reason, last_lines(texts)) if part)
+
+    def _tell(self, phase: Phase) -> None:
+        state = self._supervision
+        progress = state.progress or {}
+        step, seen = progress.get("step", 0), progress.get("glance")
+        self._told.tell(phase, step, self._scenario.steps, time.monotonic())
+        if self._on_progress is None:
+            return
+        elapsed = 0.0 if self._started is None else (self._finished or time.monotonic()) - self._started
+        self._on_progress(
+            Progress(
+                phase,
+                len(state.ready),
+                len(state.names),
+                step,
+                self._scenario.steps,
+                step / elapsed if elapsed > 0.0 else 0.0,
+                progress.get("angle"),
+                progress.get("error"),
+                None if seen is None else Glance.of(seen),
+            )
+        )
+
+
+def process_state(pid: int) -> str:
+    """Return what the kernel says that a process does, such as ``stopped``; ``dead`` if there is none."""
+    try:
+        return str(psutil.Process(pid).status())
+    except psutil.Error:
+        return "dead"

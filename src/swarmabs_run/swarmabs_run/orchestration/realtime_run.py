@@ -1,0 +1,145 @@
+"""One run in real time on this machine, for demonstrations: the processes of a fleet, with simulated bodies."""
+
+from __future__ import annotations
+
+import signal
+import time
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_config.realtime import check_realtime
+from swarmabs_ros.status import epoch_records
+from swarmabs_run.orchestration.plan import RECORDER
+from swarmabs_run.orchestration.process_run import ProcessRun, process_state
+from swarmabs_run.orchestration.realtime_plan import realtime_plan
+from swarmabs_run.orchestration.supervision import Failure, how_it_ended
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.launcher_client import LauncherClient
+    from swarmabs_run.orchestration.progress import Progress
+
+LEAD, LEAD_PER_PROCESS = 1.0, 0.02
+"""Time, s, from the start signal to step 0, in which the nodes make their endpoints and discover each other."""
+OVERTIME = 10.0
+"""Time, s, by which the recorder may be late at the end before the run is taken to hang."""
+GRACE = 1.0
+"""Time, s, beyond the age limits for which a run that has failed goes on: its bag shall show how the robots stop."""
+ENDING_SECONDS = 10.0
+"""Time, s, that the nodes have to end in order, and to report their timing."""
+
+
+class RealtimeRun(ProcessRun):
+    """Starts a scenario's processes, tells them all when step 0 begins, and ends them when the last step is over.
+
+    A robot's process that dies is not started again: the swarm goes on without it, as a fleet does. Without one of its
+    coordinators, or if it loses the plane, the swarm stops, and the run fails a little later. Without its recorder it
+    fails at once.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; generated robots are listed.
+    folder : RunFolder
+        An empty folder for the results.
+    record : bool
+        Whether to write a bag.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    namespace : str
+        ROS namespace of the swarm.
+    split : Split
+        When the bag goes on in a new file, by default never.
+
+    Raises
+    ------
+    InputError
+        If the scenario asks for what there is in lockstep only.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        *,
+        record: bool = True,
+        on_progress: Callable[[Progress], None] | None = None,
+        namespace: str = "/",
+        split: Split = ONE_FILE,
+    ) -> None:
+        check_realtime(scenario)
+        planned = realtime_plan(
+            scenario,
+            scenario_file=folder.scenario,
+            bag=folder.bag if record else None,
+            logs=folder.logs,
+            split=split,
+        )
+        super().__init__(
+            scenario, folder, planned, dispensable=True, realtime=True, on_progress=on_progress, namespace=namespace
+        )
+        self._died: dict[str, str] = {}
+        self._failed_at: float | None = None
+
+    def _start(self, launcher: LauncherClient, now: float) -> float:
+        lead = LEAD + LEAD_PER_PROCESS * len(self._plan)
+        epoch_ns = time.time_ns() + round(lead * 1e9)
+        self._note(f"all processes are ready: start, with step 0 at {epoch_ns} ns since 1970")
+        launcher.start_all(epoch_records(epoch_ns, len(self._plan)))
+        return now + lead
+
+    def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:  # noqa: ARG002 - the swarm needs nothing
+        for name, code in self._supervision.exited.items():
+            if name in self._supervision.dispensable and name not in self._died:
+                self._died[name] = how_it_ended(code)
+                self._note(f"{name} (process {self._supervision.pids.get(name)}) {self._died[name]}")
+        begun = self._started or now
+        if now > begun + self._scenario.duration_ns / 1e9 + OVERTIME:
+            return Failure(f"the recorder has not ended {OVERTIME:g} s after the last step", (RECORDER,))
+        return None
+
+    def _failure(self, now: float) -> Failure | None:
+        state, limits = self._supervision, self._scenario.realtime
+        failure = state.failure
+        if failure is None or not state.started or state.done is not None or RECORDER in failure.culprits:
+            return failure
+        if self._failed_at is None:
+            self._failed_at = now
+        grace = GRACE + max(limits.broadcast_age_limit, limits.state_age_limit, limits.plane_age_limit)
+        return failure if now - self._failed_at >= grace else None
+
+    def _end(self, launcher: LauncherClient, wake: int) -> Failure | None:
+        """Let the nodes end in order, so that they report their timing. One that does not was no part of the swarm."""
+        state = self._supervision
+        running = [name for name in state.pids if name not in state.exited]
+        for name in running:
+            state.expect_end(name)
+            launcher.signal(name, signal.SIGTERM)
+        deadline = time.monotonic() + ENDING_SECONDS
+        while launcher.alive() and time.monotonic() < deadline and any(name not in state.exited for name in running):
+            self._listen(launcher, wake)
+            self._tell("closing")
+        hung = {name: process_state(state.pids[name]) for name in running if name not in state.exited}
+        self._died |= {name: f"did not end (it is {hung[name]})" for name in hung if name in state.dispensable}
+        culprits = tuple(name for name in hung if name not in state.dispensable)
+        if not culprits or not launcher.alive():
+            return None
+        shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
+        return Failure(f"{shown} did not end when it was told to; what it did before is not known", culprits[:2])
+
+    def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
+        timing = self._supervision.timing
+        realtime = {
+            "missed_periods": {name: report["missed"] for name, report in sorted(timing.items())},
+            "lateness_us": {name: report["lateness_us"] for name, report in sorted(timing.items())},
+            "longest_us": {name: report["longest_us"] for name, report in sorted(timing.items())},
+            "clock_jumps": {name: report["clock_jumps"] for name, report in sorted(timing.items())},
+            "died": dict(sorted(self._died.items())),
+        }
+        return {**recorded, "realtime": {**recorded.get("realtime", {}), **realtime}}
+
+    def _warnings(self) -> tuple[str, ...]:
+        return tuple(f"{name} {how}; the swarm went on without it" for name, how in sorted(self._died.items()))

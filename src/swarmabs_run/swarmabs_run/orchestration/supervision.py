@@ -1,0 +1,202 @@
+"""What the orchestrator knows of its processes, and what it concludes: a state machine without clock and processes."""
+
+from __future__ import annotations
+
+import signal
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+RESTARTS = 2
+"""How often a robot's process that does not come up is started again."""
+
+PUBLISHER_OF = {
+    "plane/state": PLANE,
+    "swarm/abstract_state": OBSERVER,
+    "swarm/auxiliary_state": OBSERVER,
+    "swarm/desired_abstract_state": CONTROLLER,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Stall:
+    """What a node waits for."""
+
+    step: int
+    missing: tuple[str, ...]
+    silence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a run has failed, and the processes whose logs tell more."""
+
+    reason: str
+    culprits: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class Supervision:
+    """Keeps the books on a run's processes.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of all processes.
+    dispensable : frozenset of str
+        Names of those whose end the run survives: the robots, where the scenario says that silent ones are dropped.
+    hosts : mapping
+        Process by robot: these may be started again as long as the run has not started.
+    """
+
+    names: tuple[str, ...]
+    dispensable: frozenset[str] = frozenset()
+    hosts: Mapping[int, str] = field(default_factory=dict)
+    pids: dict[str, int] = field(default_factory=dict)
+    ready: set[str] = field(default_factory=set)
+    exited: dict[str, int] = field(default_factory=dict)
+    stalls: dict[str, Stall] = field(default_factory=dict)
+    expected_ends: set[str] = field(default_factory=set)
+    started: bool = False
+    lost: list[str] = field(default_factory=list)
+    restarts: Counter[str] = field(default_factory=Counter)
+    progress: Mapping[str, Any] | None = None
+    done: Mapping[str, Any] | None = None
+    failure: Failure | None = None
+    timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    orders: list[Mapping[str, Any]] = field(default_factory=list)
+
+    def take(self, report: Mapping[str, Any]) -> None:
+        """Take a report of a node or of the launcher."""
+        event, node = report["event"], report["node"]
+        if event == "spawned":
+            self.pids[report["name"]] = report["child"]
+        elif event == "exited":
+            self._exited(report["name"], report["code"])
+        elif event == "ready":
+            self.ready.add(node)
+        elif event == "stalled":
+            self.stalls[node] = Stall(report["step"], tuple(report["missing"]), report["silence"])
+        elif event == "recovered":
+            self.stalls.pop(node, None)
+        elif event == "failed" and node not in self.dispensable:
+            self._fail(Failure(f"{node}: {report['reason']}"))
+        elif event == "progress":
+            self.progress = report
+        elif event == "timing":
+            self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
+        elif event == "steered":
+            self.orders.append(report)
+        elif event == "done":
+            self.done = report
+            if report["problem"]:
+                self._fail(Failure(f"{node}: {report['problem']}"))
+
+    def all_ready(self) -> bool:
+        """Tell whether every process has met its counterparts."""
+        return len(self.ready) == len(self.names)
+
+    def not_ready(self) -> tuple[str, ...]:
+        """Return the processes that have not met all their counterparts."""
+        return tuple(name for name in self.names if name not in self.ready)
+
+    def expect_end(self, name: str) -> None:
+        """Note that a process is about to end by plan."""
+        self.expected_ends.add(name)
+
+    def _exited(self, name: str, code: int) -> None:
+        self.exited[name] = code
+        self.stalls.pop(name, None)
+        finished = name == RECORDER and self.done is not None
+        if self._may_restart(name):
+            self.lost.append(name)
+            return
+        if name in self.expected_ends or name in self.dispensable or finished:
+            return
+        self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how_it_ended(code)}", (name,)))
+
+    def _may_restart(self, name: str) -> bool:
+        return not self.started and name in self.hosts.values() and self.restarts[name] < RESTARTS
+
+    def to_restart(self) -> tuple[str, ...]:
+        """Return the processes that have ended before the start and are to be started again, and forget that."""
+        names = tuple(self.lost)
+        self.lost.clear()
+        for name in names:
+            self.restarts[name] += 1
+            self.exited.pop(name, None)
+            self.ready.discard(name)
+        return names
+
+    def hanging(self) -> tuple[str, ...]:
+        """Return the robots' processes that have not come up where the others have, and may be started again."""
+        robots = set(self.hosts.values())
+        missing = tuple(name for name in self.not_ready() if name in robots)
+        few = 2 * len(missing) < len(robots)
+        return missing if few and all(self._may_restart(name) for name in missing) else ()
+
+    def _fail(self, failure: Failure) -> None:
+        # What a node says of itself comes before the news of its end, and the first failure causes the others.
+        if self.failure is None:
+            self.failure = failure
+
+    def diagnose(self, states: Mapping[str, str]) -> Failure:
+        """Conclude from the nodes' reports of stalls who does not answer.
+
+        Parameters
+        ----------
+        states : mapping
+            What the operating system says of each process, such as ``stopped``.
+        """
+        culprits = self._silent()
+        silence = max((stall.silence for stall in self.stalls.values()), default=0.0)
+        step = min((stall.step for stall in self.stalls.values()), default=0)
+        if not culprits:
+            waits = "; ".join(
+                f"{name} waits for {', '.join(s.missing[:5])}" for name, s in sorted(self.stalls.items())[:4]
+            )
+            return Failure(f"nothing has moved at step {step} for {silence:g} s: {waits}")
+        shown = ", ".join(
+            f"{name.replace('agent_', 'agent ')} (process {self.pids.get(name)} is {states.get(name, 'gone')})"
+            for name in culprits[:5]
+        )
+        more = f" and {len(culprits) - 5} more" if len(culprits) > 5 else ""
+        verb = "has" if len(culprits) == 1 else "have"
+        return Failure(f"{shown}{more} {verb} not answered step {step} for {silence:g} s", culprits)
+
+    def _silent(self) -> tuple[str, ...]:
+        """Return those who are waited for and do not wait themselves."""
+        wanted = {self._process_of(item) for stall in self.stalls.values() for item in stall.missing}
+        return tuple(name for name in self.names if name in wanted and name not in self.stalls)
+
+    def _process_of(self, item: str) -> str:
+        """Return the process that a node means when it says what it misses."""
+        if item.startswith("agent "):
+            agent_id = int(item.removeprefix("agent "))
+            return self.hosts.get(agent_id, agent_name(agent_id))
+        return PUBLISHER_OF.get(item, item)
+
+
+def how_it_ended(code: int) -> str:
+    """Say in words how a process with this exit code (negative: signal) ended."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
+
+
+def last_lines(texts: Iterable[tuple[str, str]], count: int = 8) -> str:
+    """Return the last lines of logs, given as (name, text), for an error message."""
+    parts = []
+    for name, text in texts:
+        lines = [line for line in text.splitlines() if line.strip()][-count:]
+        if lines:
+            parts.append("\n".join([f"last lines of {name}.log:", *(f"  {line}" for line in lines)]))
+    return "\n".join(parts)

@@ -1,0 +1,85 @@
+"""Speaking to a run that is steered."""
+
+from __future__ import annotations
+
+import json
+import socket
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_run.steering.place import SOCKET, short_path
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+LONGEST_ANSWER = 1 << 20
+
+
+class SteeringClient:
+    """A connection to a run.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of the run.
+    timeout : float
+        Longest time for an answer, s.
+
+    Raises
+    ------
+    InputError
+        If there is no run there that can be steered.
+    """
+
+    def __init__(self, run: Path, timeout: float = 30.0) -> None:
+        self._run = run
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout)
+        try:
+            with short_path(run) as place:
+                self._socket.connect(str(place / SOCKET))
+        except OSError as error:
+            self._socket.close()
+            raise InputError(
+                f"{run} is not the folder of a run that goes on and is yours to steer ({error.strerror}: {SOCKET}); "
+                "start one with run --steer"
+            ) from error
+        self._lines = self._socket.makefile("rb")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the connection."""
+        self._lines.close()
+        self._socket.close()
+
+    def ask(self, wish: Mapping[str, object]) -> dict[str, Any]:
+        """Ask for something, and return the answer (docs/steering.md).
+
+        Raises
+        ------
+        RunError
+            If the run ends before it answers, or does not answer in time.
+        """
+        try:
+            self._socket.sendall(json.dumps(wish).encode() + b"\n")
+            line = self._lines.readline(LONGEST_ANSWER)
+        except TimeoutError:
+            raise RunError(f"{self._run}: the run does not answer; look at its processes") from None
+        except ConnectionError:
+            line = b""
+        if not line.endswith(b"\n"):
+            raise RunError(f"{self._run}: the run has ended before it answered")
+        answer = json.loads(line)
+        assert isinstance(answer, dict)  # noqa: S101 - the other end is ours
+        return answer

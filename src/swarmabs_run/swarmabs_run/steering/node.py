@@ -1,0 +1,105 @@
+"""Node ``steering``: takes requests from a socket, and orders for each step of a run what is changed from it on."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from swarmabs_config import configure
+from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_core.behaviours import Decision, Helm, HelmConfig
+from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Change
+from swarmabs_core.messages import EVENTS, PLANE_STATE, STEERING, Action
+from swarmabs_core.parameters import Parameter
+from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.status import StatusChannel
+from swarmabs_run.steering.desk import Desk
+from swarmabs_run.steering.pace import SLOWEST, Paced
+from swarmabs_run.steering.protocol import ROBOTS, VALUED
+from swarmabs_run.steering.server import SteeringServer
+
+PARAMETERS = (
+    Parameter("scenario_file", "", "file of the resolved scenario"),
+    Parameter("folder", "", "folder of the run, for the socket"),
+    Parameter(
+        "step_seconds", 0.0, "shortest wall time of a step, s; 0: as fast as possible", minimum=0.0, maximum=SLOWEST
+    ),
+)
+
+LARGEST_OFFSET = 1.0
+"""Largest offset of the reference that may be asked for, rad: a run ends at 1.5 rad."""
+
+_NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
+
+
+def helm_config(scenario: Scenario) -> HelmConfig:
+    """Return the configuration of what steers a run: no more torque disturbs the plane than the swarm may exert."""
+    steerable = isinstance(configure.parent_controller(scenario), OffsetController)
+    return HelmConfig(
+        members=configure.members(scenario),
+        period_ns=scenario.step_ns,
+        last_step=scenario.steps,
+        schedule=configure.schedule(scenario),
+        offsets=configure.stairs(scenario, REFERENCE),
+        torques=configure.stairs(scenario, DISTURBANCE),
+        largest_offset=LARGEST_OFFSET if steerable else 0.0,
+        largest_torque=scenario.manifold.torque_max,
+    )
+
+
+def in_words(decision: Decision) -> str:
+    """Say in one line what was granted."""
+    action, agent_id, value = decision.request
+    return f"{_NAMES[action]} {agent_id or f'{value:g}'} from step {decision.step} on"
+
+
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:
+    """Return behaviour and endpoints.
+
+    Raises
+    ------
+    InputError
+        If there is no scenario, or no folder.
+    RunError
+        If the folder cannot hold a socket.
+    """
+    if not settings.text("scenario_file") or not settings.text("folder"):
+        raise InputError("parameters scenario_file and folder: give the resolved scenario and the folder of the run")
+    scenario = load_scenario(Path(settings.text("scenario_file")))
+    config = helm_config(scenario)
+
+    def tell(decision: Decision) -> None:
+        request, step = decision.request, decision.step
+        kind = ENDS.get(Action(request.action))
+        change = "" if kind is None or step is None else str(Change(step - 1, request.agent_id, kind))
+        status.send("steered", text=in_words(decision), change=change)
+
+    helm = Helm(config)
+    facts = {
+        "steps": scenario.steps,
+        "step_time": scenario.step,
+        "largest_reference": config.largest_offset,
+        "largest_disturbance": config.largest_torque,
+    }
+    desk = Desk(helm, scenario.step_ns, facts, tell)
+    SteeringServer(Path(settings.text("folder")), desk).start()
+    subscriptions = {
+        PLANE_STATE: requested(PLANE_STATE, depth=10),
+        EVENTS: requested(EVENTS, depth=1000, reliable=True),
+    }
+    seconds = settings.number("step_seconds")
+    behaviour = Paced(helm, seconds) if seconds else helm
+    return NodeSpec(behaviour, (STEERING,), subscriptions, on_idle=desk.work)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("steering", PARAMETERS, make, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,288 @@
+"""A swarm that goes on, as the view shows it: a listener that only subscribes, and what each page gets of it.
+
+Nobody waits for the listener: it reads best effort, from queues of a few messages that lose what is old when it is
+slow, stopped or dead. Only events are read reliably, so that those before its time come too; their writers keep a
+bounded number for late readers and wait for none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import deque
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import rclpy
+
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE
+from swarmabs_ros.endpoints import receiver
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import SwarmNode
+from swarmabs_ros.start import initialise
+from swarmabs_view.picture import Picture
+from swarmabs_view.protocol import Curves, Events, Frame, Hello, Message, Sets, State
+from swarmabs_view.shading import Shading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from swarmabs_core.messages import Topic
+    from swarmabs_view.protocol import Control, Health, Phase
+    from swarmabs_view.server import Session
+
+INTERVAL = 1.0 / 30.0
+"""Time, s, between two looks at what has come."""
+DEPTH = 256
+"""Messages of a coordinator that wait for the listener; at the highest step rates it so gets nearly all."""
+ROBOT_DEPTH = 256
+"""States of robots that wait; more where the robots are more."""
+RATE_WINDOW = 2.0
+"""Time, s, over which the step rate is taken."""
+SILENCE = 3.0
+"""Time, s, without a new step after which the swarm counts as silent."""
+STATE_INTERVAL = 1.0
+"""Longest time, s, between two messages to a page."""
+
+
+class Listener:
+    """Subscribes to a swarm in the ROS domain of the environment.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the swarm.
+    robots : int
+        How many there are, as far as that is known.
+    """
+
+    def __init__(self, namespace: str, robots: int) -> None:
+        arguments = ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"]
+        initialise("view", arguments)
+        self._node: Node = SwarmNode(f"view_{os.getpid()}")
+        self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
+        self._most |= {AGENT_STATE: max(ROBOT_DEPTH, 2 * robots), EVENTS: 1000}
+        asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
+        self._receiver = receiver(self._node, asked, "wait_set")
+        self.malformed = 0
+
+    def poll(self, picture: Picture) -> None:
+        """Hand what has come to a picture; bytes that are no message of a swarm are counted and left out."""
+        for topic, most in self._most.items():
+            self._drain(topic, most, picture)
+
+    def _drain(self, topic: Topic, most: int, picture: Picture) -> None:
+        for _ in range(most):
+            data = self._receiver.take(topic)
+            if data is None:
+                return
+            try:
+                picture.add(decode(topic.message, data))
+            except MalformedMessageError:
+                self.malformed += 1
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+
+class StepRate:
+    """Steps per second of wall time, over the last seconds."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, int]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._seen)
+
+    def take(self, now: float, step: int | None) -> None:
+        """Note the step at a time (s)."""
+        if step is not None and (not self._seen or step != self._seen[-1][1]):
+            self._seen.append((now, step))
+            self._forget(now)
+
+    def at(self, now: float) -> float | None:
+        """Return the rate at a time (s), None if it is not known yet."""
+        self._forget(now)
+        if len(self._seen) < 2:
+            return None
+        (begin, first), last = self._seen[0], self._seen[-1][1]
+        return (last - first) / (now - begin) if now > begin else None
+
+    def silent_for(self, now: float) -> float | None:
+        """Return for how long (s) there has been no new step, None before the first."""
+        return now - self._seen[-1][0] if self._seen else None
+
+    def _forget(self, now: float) -> None:
+        """Drop what lies before the window, also while no page asks for the rate."""
+        while len(self._seen) > 2 and self._seen[0][0] < now - RATE_WINDOW:
+            self._seen.popleft()
+
+
+class LiveView:
+    """What is known of a swarm that goes on, for all pages.
+
+    Parameters
+    ----------
+    hello : Hello
+        What is known of it before anything is heard; its robots are then those of the picture.
+
+    Attributes
+    ----------
+    picture : Picture
+        Its state.
+    health : Health or None
+        Its processes, as far as they are known.
+    phase, text : str
+        How it is doing.
+    """
+
+    def __init__(self, hello: Hello, picture: Picture) -> None:
+        self._hello = hello
+        self.picture = picture
+        self.shading = Shading(hello)
+        self.health: Health | None = None
+        self.phase: Phase = "waiting"
+        self.text = "waiting for the first step"
+        self.facts = 0
+        self.rate = StepRate()
+
+    def learn(self, hello: Hello, picture: Picture) -> None:
+        """Begin anew, with what has become known."""
+        self._hello, self.picture, self.shading = hello, picture, Shading(hello)
+        self.facts += 1
+
+    def hello(self) -> Hello:
+        """Return the first message for a page."""
+        return self._hello.model_copy(update={"robots": list(self.picture.robots)})
+
+    def look(self, now: float) -> None:
+        """Conclude from the steps that have come how the swarm is doing."""
+        self.rate.take(now, self.picture.step)
+        silence = self.rate.silent_for(now)
+        if silence is None:
+            return
+        if silence < SILENCE:
+            self.phase, self.text = "running", ""
+        else:
+            self.phase, self.text = "silent", f"no step since {self.picture.step}"
+
+    async def listen(self, listener: Listener, over: Callable[[], bool]) -> None:
+        """Listen until it is over, and some time longer for what is still on its way."""
+        clock = asyncio.get_running_loop().time
+        left = 3
+        while left:
+            listener.poll(self.picture)
+            self.look(clock())
+            left = left - 1 if over() else 3
+            await asyncio.sleep(INTERVAL)
+
+
+class LiveSession:
+    """What one page has got of a swarm that goes on, and what it still lacks.
+
+    Parameters
+    ----------
+    live : LiveView
+        The swarm.
+    after : callable
+        Makes what the page sees when the run is over; None as long as it is not.
+    """
+
+    def __init__(self, live: LiveView, after: Callable[[], Session | None] = lambda: None) -> None:
+        self._live = live
+        self._make_after = after
+        self._after: Session | None = None
+        self._known = (-1, -1)
+        self._version = -1
+        self._curves = (-1, 0)
+        self._events = 0
+        self._sets: Sets | None = None
+        self._health: Health | None = None
+        self._state: tuple[str, str] | None = None
+        self._told = float("-inf")
+
+    def hello(self) -> list[Message]:
+        """Return what a page needs first."""
+        live = self._live
+        self._known = (live.facts, len(live.picture.robots))
+        self._version, self._curves, self._events, self._state = -1, (-1, 0), 0, None
+        self._sets = live.shading.first
+        return [live.hello(), Events(replace=True, events=[])]
+
+    def poll(self, now: float) -> list[Message]:
+        """Return what is new at a time (s) of the clock."""
+        if self._after is None:
+            self._after = self._make_after()
+            if self._after is not None:
+                return self._after.hello()
+        if self._after is not None:
+            return self._after.poll(now)
+        live, picture = self._live, self._live.picture
+        messages: list[Message] = []
+        if self._known != (live.facts, len(picture.robots)):
+            messages += self.hello()
+        if picture.version != self._version:
+            self._version = picture.version
+            messages += [*self._new_curves(), *self._new_events(), *self._frame(now)]
+        messages += self._new_sets()
+        if live.health is not self._health and live.health is not None:
+            self._health = live.health
+            messages.append(live.health)
+        if (live.phase, live.text) != self._state or (not messages and now - self._told >= STATE_INTERVAL):
+            self._state = (live.phase, live.text)
+            messages.append(State(phase=live.phase, text=live.text))
+        if messages:
+            self._told = now
+        return messages
+
+    def control(self, wish: Control) -> None:
+        """Do what the page asks for; what goes on cannot be played."""
+        if self._after is not None:
+            self._after.control(wish)
+
+    def _frame(self, now: float) -> list[Frame]:
+        frame = self._live.picture.frame(self._live.rate.at(now))
+        return [] if frame is None else [frame]
+
+    def _new_sets(self) -> list[Sets]:
+        found = self._live.shading.of(self._live.picture.members())
+        if found is None or found is self._sets:
+            return []
+        self._sets = found
+        return [found]
+
+    def _new_curves(self) -> list[Curves]:
+        buffer = self._live.picture.curves
+        found = buffer.since(*self._curves)
+        self._curves = (buffer.epoch, len(buffer))
+        return [] if found is None else [found]
+
+    def _new_events(self) -> list[Events]:
+        picture = self._live.picture
+        count = min(picture.event_count - self._events, len(picture.events))
+        self._events = picture.event_count
+        return [Events(replace=False, events=picture.events[-count:])] if count else []
+
+
+async def closed(descriptor: int) -> None:
+    """Wait until the other end of a pipe is closed."""
+    loop = asyncio.get_running_loop()
+    end = asyncio.Event()
+
+    def read() -> None:
+        with suppress(BlockingIOError):
+            if not os.read(descriptor, 4096):
+                loop.remove_reader(descriptor)
+                end.set()
+
+    loop.add_reader(descriptor, read)
+    try:
+        await end.wait()
+    finally:
+        loop.remove_reader(descriptor)

@@ -1,0 +1,229 @@
+"""The live panel of a run on a terminal: what is drawn into which space; it neither knows a clock nor prints."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Group
+from rich.panel import Panel
+from rich.text import Text
+
+from swarmabs_bag.recorder.glance import DEAD, LEFT, SILENT, THOUSAND, UNHEARD
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+
+    from swarmabs_bag.recorder.glance import Glance
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.progress import Progress
+
+LEAST_WIDTH, LEAST_HEIGHT = 50, 9
+"""Smaller terminals get one line."""
+WIDEST = 100
+LANES = 8
+"""More robots than these share one lane."""
+_BINS = 400
+_BARS = " ▁▂▃▄▅▆▇█"
+_ASCII_BARS = " .:-=+*#@"
+_STATUS = {
+    "A": ("active", "green"),
+    "S": ("in safe stop", "yellow"),
+    LEFT: ("left", "dim"),
+    DEAD: ("dead", "magenta"),
+    SILENT: ("silent", "red"),
+    UNHEARD: ("not heard", "dim"),
+}
+_NOWHERE = (LEFT, UNHEARD)
+"""Those who are not on the plane, or of whom it is not known where."""
+_LABEL = 8
+
+
+class RunPanel:
+    """Draws a run; `one_line` is what there is to be said in little space.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._kinds = {agent.id: agent.kind for agent in scenario.agents}
+        self._errors: list[float | None] = [None] * _BINS
+        self._progress: Progress | None = None
+        self._line = f"{scenario.name}: starting"
+
+    def take(self, progress: Progress, one_line: str) -> None:
+        """Take the latest progress of the run."""
+        self._progress, self._line = progress, one_line
+        if progress.error is not None:
+            bin_ = min(_BINS * progress.step // max(progress.steps, 1), _BINS - 1)
+            self._errors[bin_] = max(abs(progress.error), self._errors[bin_] or 0.0)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw it into the space that there is now."""
+        width, height = options.max_width, console.size.height
+        progress = self._progress
+        if width < LEAST_WIDTH or height < LEAST_HEIGHT or progress is None or progress.phase == "starting":
+            yield Text(self._line, no_wrap=True, overflow="ellipsis", end="")
+            return
+        width = min(width, WIDEST)
+        yield Panel(
+            Group(*self._lines(progress, width - 4, height - 3, ascii_only=options.ascii_only)),
+            title=Text(f"{self._scenario.name}: step {progress.step} of {progress.steps}"),
+            title_align="left",
+            width=width,
+            box=box.ASCII if options.ascii_only else box.ROUNDED,
+        )
+
+    def _lines(self, progress: Progress, width: int, height: int, *, ascii_only: bool) -> list[RenderableType]:
+        lines = [
+            self._bar(progress, width, ascii_only=ascii_only),
+            _line("angle", self._angle(progress)),
+            _line("error", self._sparkline(width - _LABEL - 12, progress, ascii_only=ascii_only)),
+            _line("speed", self._speed(progress)),
+        ]
+        seen = progress.glance
+        if seen is not None:
+            lines.append(_line("robots", _counts(seen)))
+            lanes = self._lanes(seen, width - _LABEL, ascii_only=ascii_only)
+            events = [_line("events" if i == 0 else "", Text(text)) for i, text in enumerate(seen.events)]
+            room = height - len(lines)
+            if len(lanes) + min(len(events), 1) > room:
+                lanes = self._one_lane(seen, width - _LABEL, ascii_only=ascii_only)
+            lines += lanes[: max(room, 0)]
+            room = height - len(lines)
+            lines += events[-room:] if room > 0 else []
+        for text in lines:
+            text.no_wrap, text.overflow = True, "ellipsis"
+        return [*lines]
+
+    def _bar(self, progress: Progress, width: int, *, ascii_only: bool) -> Text:
+        part = progress.step / max(progress.steps, 1)
+        room = width - 6
+        full = round(part * room)
+        done, open_ = ("#", "-") if ascii_only else ("━", "─")
+        return Text.assemble((done * full, "green"), (open_ * (room - full), "dim"), f" {100 * part:4.0f}%")
+
+    def _angle(self, progress: Progress) -> Text:
+        if progress.angle is None:
+            return Text("not known yet")
+        if progress.error is None:
+            return Text(f"{progress.angle:+.4f} rad")
+        reference = progress.angle + progress.error
+        return Text(f"{progress.angle:+.4f} rad, wanted {reference:+.4f} rad, error {progress.error:+.4f} rad")
+
+    def _sparkline(self, width: int, progress: Progress, *, ascii_only: bool) -> Text:
+        """Draw |error| over the whole run: a column per part of it, the largest value fills a column."""
+        width = max(min(width, _BINS), 1)
+        columns: list[float | None] = [None] * width
+        for index, error in enumerate(self._errors):
+            if error is not None and error == error and error != float("inf"):  # noqa: PLR0124 - NaN is not drawn
+                column = index * width // _BINS
+                columns[column] = max(error, columns[column] or 0.0)
+        last = min(width * progress.step // max(progress.steps, 1), width - 1)
+        known = 0.0
+        for column in range(last + 1):  # a fast run has columns without a report
+            found = columns[column]
+            known = columns[column] = known if found is None else found
+        largest = max((error for error in columns if error is not None), default=0.0)
+        bars = _ASCII_BARS if ascii_only else _BARS
+        return Text("".join(_column(error, largest, bars) for error in columns)).append(
+            f" {largest:.4f} rad", style="dim"
+        )
+
+    def _speed(self, progress: Progress) -> Text:
+        if progress.phase == "closing":
+            return Text("completing the bag")
+        if not progress.step_rate:
+            return Text("not known yet")
+        times = progress.step_rate * self._scenario.period
+        return Text(f"{progress.step_rate:.0f} steps/s, {times:.1f} x real time")
+
+    def _lanes(self, seen: Glance, width: int, *, ascii_only: bool) -> list[Text]:
+        """Draw each robot in its lane, or all in one where they are many."""
+        if not seen.places:
+            return []
+        if len(seen.places) > LANES:
+            return self._one_lane(seen, width, ascii_only=ascii_only)
+        lanes = []
+        robots = zip(sorted(self._kinds), seen.statuses, seen.places, strict=True)
+        for agent_id, status, place in robots:
+            cells = _empty_lane(width, ascii_only=ascii_only)
+            if status not in _NOWHERE:
+                sign = self._sign(agent_id, status, ascii_only=ascii_only)
+                cells[_cell(place, width)] = (sign, _STATUS[status][1])
+            lanes.append(_line(f"{agent_id:>6}", _joined(cells)))
+        return lanes
+
+    def _one_lane(self, seen: Glance, width: int, *, ascii_only: bool) -> list[Text]:
+        if not seen.places:
+            return []
+        numbers = [0] * width
+        worst = ["A"] * width
+        for status, place in zip(seen.statuses, seen.places, strict=True):
+            if status not in _NOWHERE:
+                cell = _cell(place, width)
+                numbers[cell] += 1
+                worst[cell] = max(worst[cell], status, key="ADS-".index)
+        cells = _empty_lane(width, ascii_only=ascii_only)
+        for cell, number in enumerate(numbers):
+            if number:
+                cells[cell] = (str(number) if number < 10 else "+", _STATUS[worst[cell]][1])
+        return [_line("plane", _joined(cells))]
+
+    def _sign(self, agent_id: int, status: str, *, ascii_only: bool) -> str:
+        if status == DEAD:
+            return "x" if ascii_only else "×"
+        round_ = self._kinds[agent_id] == "single_integrator"
+        if ascii_only:
+            return "o" if round_ else "#"
+        return "●" if round_ else "■"
+
+
+def _line(label: str, content: Text) -> Text:
+    return Text(f"{label:<{_LABEL}}", style="bold").append_text(_plain(content))
+
+
+def _plain(content: Text) -> Text:
+    """Keep the bold face of the label off the content."""
+    plain = content.copy()
+    plain.stylize_before("not bold")
+    return plain
+
+
+def _counts(seen: Glance) -> Text:
+    text = Text()
+    for status, (name, style) in _STATUS.items():
+        number = seen.counts.get(status, 0)
+        if number:
+            text.append(f"{', ' if text else ''}{number} {name}", style=style)
+    return text
+
+
+def _empty_lane(width: int, *, ascii_only: bool) -> list[tuple[str, str]]:
+    rail, axis = ("-", "+") if ascii_only else ("─", "┼")
+    cells = [(rail, "dim")] * width
+    cells[_cell(0, width)] = (axis, "dim")
+    return cells
+
+
+def _joined(cells: list[tuple[str, str]]) -> Text:
+    """Join cells; those of one style become one part, which is much faster to print."""
+    parts = ((style, "".join(text for text, _ in group)) for style, group in groupby(cells, itemgetter(1)))
+    return Text.assemble(*((text, style) for style, text in parts))
+
+
+def _cell(place: int, width: int) -> int:
+    """Return the column of a place; both ends of the plane are within."""
+    return round((place + THOUSAND) * (width - 1) / (2 * THOUSAND))
+
+
+def _column(error: float | None, largest: float, bars: str) -> str:
+    if error is None:
+        return " "
+    return bars[1 + min(int(error / largest * (len(bars) - 1)), len(bars) - 2)] if largest else bars[1]

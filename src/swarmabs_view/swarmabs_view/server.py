@@ -1,0 +1,204 @@
+"""The web server of the view: a handful of files, and one WebSocket per page."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import suppress
+from importlib.resources import files
+from typing import TYPE_CHECKING, Protocol
+
+from aiohttp import WSCloseCode, WSMsgType, web
+from pydantic import ValidationError
+
+from swarmabs_core.errors import InputError
+from swarmabs_view.guard import refusal, response_headers
+from swarmabs_view.protocol import CONTROL
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from swarmabs_view.protocol import Control, Message
+
+ADDRESS = "127.0.0.1"
+INTERVAL = 1.0 / 40.0
+"""Shortest time, s, between two frames for a page."""
+MOST_PAGES = 16
+"""Pages that may look at once."""
+LONGEST_REQUEST = 4096
+"""Bytes of what a page may ask at once."""
+PING = 20.0
+"""Time, s, after which a page that does not answer is given up."""
+END_SECONDS = 2.0
+"""Time, s, that open connections have at the end."""
+
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+_FOLDERS = ("static", "third_party/uplot")
+
+
+class Session(Protocol):
+    """What one page sees."""
+
+    def hello(self) -> list[Message]:
+        """Return what a page needs first."""
+        ...
+
+    def poll(self, now: float) -> list[Message]:
+        """Return what is new at a time (s) of the clock."""
+        ...
+
+    def control(self, wish: Control) -> None:
+        """Do what the page asks for."""
+        ...
+
+
+def load_files() -> dict[str, tuple[str, bytes]]:
+    """Return all that the server delivers, by path: type and content. No request ever names a file of the disk."""
+    package = files("swarmabs_view")
+    found = {}
+    for folder in _FOLDERS:
+        for item in package.joinpath(folder).iterdir():
+            suffix = item.name[item.name.rfind(".") :]
+            if suffix in _TYPES:
+                found[f"/{item.name}"] = (_TYPES[suffix], item.read_bytes())
+    found["/"] = found.pop("/index.html")
+    return found
+
+
+class ViewServer:
+    """Serves pages until it is told to stop.
+
+    Parameters
+    ----------
+    listener : socket
+        Bound to a port on 127.0.0.1.
+    session : callable
+        Makes what a new page sees.
+    """
+
+    def __init__(self, listener: socket.socket, session: Callable[[], Session]) -> None:
+        self._listener = listener
+        self._port: int = listener.getsockname()[1]
+        self._session = session
+        self._files = load_files()
+        self._headers = response_headers(self._port)
+        self._pages: set[web.WebSocketResponse] = set()
+
+    async def run(self, ended: Awaitable[object], *beside: Awaitable[object]) -> None:
+        """Serve until an awaitable is done, and have others run beside."""
+        app = web.Application(middlewares=[self._guarded], client_max_size=LONGEST_REQUEST)
+        app.router.add_get("/socket", self._socket)
+        app.router.add_get("/{path:.*}", self._file)
+        app.on_shutdown.append(self._close)
+        runner = web.AppRunner(app, access_log=None, shutdown_timeout=END_SECONDS)
+        await runner.setup()
+        tasks = [asyncio.ensure_future(one) for one in beside]
+        try:
+            await web.SockSite(runner, self._listener).start()
+            done, _ = await asyncio.wait([asyncio.ensure_future(ended), *tasks], return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await runner.cleanup()
+
+    @web.middleware
+    async def _guarded(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        why = refusal(request.headers, self._port, websocket=request.path == "/socket")
+        if why is not None:
+            return web.Response(status=403, text=why + "\n", headers=self._headers)
+        return await handler(request)
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        found = self._files.get(request.path)
+        if found is None:
+            return web.Response(status=404, text="not found\n", headers=self._headers)
+        content_type, content = found
+        return web.Response(body=content, content_type=content_type, charset="utf-8", headers=self._headers)
+
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        full = len(self._pages) >= MOST_PAGES
+        page = web.WebSocketResponse(timeout=END_SECONDS, heartbeat=PING, max_msg_size=LONGEST_REQUEST)
+        if not page.can_prepare(request).ok:
+            return web.Response(status=400, text="this address is for a WebSocket\n", headers=self._headers)
+        if full:
+            # Scripts do not learn why a connection is refused, but they do learn why one is closed.
+            await page.prepare(request)
+            await page.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages look already")
+            return page
+        self._pages.add(page)
+        try:
+            await page.prepare(request)
+            session = self._session()
+            sender = asyncio.ensure_future(_send(page, session))
+            try:
+                await _hear(page, session)
+            finally:
+                sender.cancel()
+                with suppress(asyncio.CancelledError, ConnectionError):
+                    await sender
+        finally:
+            self._pages.discard(page)
+        return page
+
+    async def _close(self, _: web.Application) -> None:
+        for page in list(self._pages):
+            await page.close(code=WSCloseCode.GOING_AWAY)
+
+
+async def _send(page: web.WebSocketResponse, session: Session) -> None:
+    """Send a page what is new. Who reads slowly gets less: the next is made only when the last has gone."""
+    clock = asyncio.get_running_loop().time
+    messages = session.hello()
+    while not page.closed:
+        begun = clock()
+        for message in messages:
+            await page.send_str(message.model_dump_json())
+        await asyncio.sleep(max(0.0, begun + INTERVAL - clock()))
+        messages = session.poll(clock())
+
+
+async def _hear(page: web.WebSocketResponse, session: Session) -> None:
+    """Do what a page asks for, until it goes; one that says what is no message is shown out."""
+    async for heard in page:
+        try:
+            wish = CONTROL.validate_json(heard.data) if heard.type is WSMsgType.TEXT else None
+        except ValidationError:
+            wish = None
+        if wish is None:
+            await page.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not a message of version 1")
+            return
+        session.control(wish)
+
+
+def bound(port: int) -> socket.socket:
+    """Return a listening socket on 127.0.0.1.
+
+    Parameters
+    ----------
+    port : int
+        0 for any free one.
+
+    Raises
+    ------
+    InputError
+        If the port is taken or not allowed.
+    """
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        # A port is free again as soon as who had it has ended.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((ADDRESS, port))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise InputError(f"port {port} of {ADDRESS}: {error.strerror}; choose another, or 0 for a free one") from error
+    return listener
+
+
+def url_of(listener: socket.socket) -> str:
+    """Return the address of the page."""
+    return f"http://{ADDRESS}:{listener.getsockname()[1]}/"

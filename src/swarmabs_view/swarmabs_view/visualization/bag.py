@@ -1,0 +1,127 @@
+"""A bag with what RViz and Foxglove draw: the messages of a recorded run, and frames computed from them."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from rclpy.serialization import serialize_message
+
+from swarmabs_analysis.export.tables import new_folder
+from swarmabs_bag import (
+    PROVENANCE_FILE,
+    SCENARIO_FILE,
+    BagWriter,
+    DamagedBagError,
+    NotABagError,
+    UnknownTypeError,
+    message_schema,
+    open_bag,
+)
+from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.definitions import check_definitions
+from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import BASIS, PlaneState, Topic
+from swarmabs_ros.qos import OFFERED, REALTIME
+from swarmabs_view.visualization.description import plane_urdf
+from swarmabs_view.visualization.ros_messages import Translator, description
+from swarmabs_view.visualization.scene import Scene
+from swarmabs_view.visualization.topics import CLOCK, VISUAL_TOPICS, available_topics
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any
+
+    from swarmabs_view.visualization.topics import VisualTopic
+
+_KEPT = (SCENARIO_FILE, PROVENANCE_FILE)
+"""Attachments that the new bag has too, so that it can be verified and run again."""
+_TOLERANCE = 1e-6
+"""Part of the time between two frames by which one may come early: periods need not be exact in binary."""
+
+
+def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: str | None = None) -> Path:
+    """Write a bag anew with frames in between, whole or not at all, and return its folder.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, its ``bag/``, or an MCAP file.
+    folder : Path
+        What must not exist, or be empty.
+    rate : float
+        Most frames per second of recorded time.
+    namespace : str, optional
+        Which swarm, if the bag holds several.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a swarm with its scenario, or the folder is there already.
+    RunError
+        If the bag is damaged or the disk fails.
+    """
+    bag = open_bag(path, namespace=namespace)
+    if bag.namespace is None:
+        raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
+    scenario = attached_scenario(bag).resolved()
+    scene, translator = Scene.of(scenario), Translator()
+    check_definitions(bag.path, bag.channels)
+    own = tuple(topic for topic in RECORDED if topic in bag.topics())
+    drawn = {topic: Topic(topic.name, PlaneState, topic.ros_type) for topic in _recordable()}
+    with (
+        new_folder(folder) as part,
+        BagWriter(
+            part,
+            topics=(*own, *drawn.values()),
+            attachments={name: text for name in _KEPT if (text := bag.attachment(name)) is not None},
+            namespace=bag.namespace,
+            qos=(REALTIME if BASIS in own else OFFERED) | {topic: shown.qos for shown, topic in drawn.items()},
+        ) as writer,
+    ):
+        now = bag.start
+
+        def write(shown: VisualTopic, message: Any) -> None:
+            if shown in drawn:
+                writer.write(drawn[shown], now, serialize_message(message))
+
+        write(*description(plane_urdf(scene.layout, scenario.plane.inertia)))
+        due = float(now)
+        for channel, stored in bag.stored_messages():
+            if channel.topic is None:
+                continue
+            if stored.log_time > now:  # all of the time before has been heard
+                due = _draw(scene, translator, write, now, due, 1e9 / rate)
+                now = stored.log_time
+            writer.write(channel.topic, stored.log_time, stored.payload, stored.publish_time)
+            try:
+                scene.hear(decode(channel.topic.message, stored.payload))
+            except MalformedMessageError as error:
+                raise DamagedBagError(
+                    f"{bag.path}: {channel.name} at {stored.log_time / 1e9:.9g} s: {error}"
+                ) from error
+        _draw(scene, translator, write, now, due, 1e9 / rate)
+    return folder
+
+
+def _draw(scene: Scene, translator: Translator, write: Any, now: int, due: float, period: float) -> float:
+    """Write a frame if it is time for one, and return when the next is due."""
+    if now < due - _TOLERANCE * period:
+        return due
+    frame = scene.frame()
+    if frame is not None:
+        for shown, message in translator.messages(frame, clock=False):
+            write(shown, message)
+    return max(due + period, float(now))
+
+
+def _recordable() -> list[VisualTopic]:
+    """Return the topics whose definitions are installed; a player makes the clock itself."""
+    found = []
+    for topic in available_topics():
+        with suppress(UnknownTypeError):
+            message_schema(topic.ros_type)
+            found.append(topic)
+    return [topic for topic in VISUAL_TOPICS if topic in found and topic is not CLOCK]

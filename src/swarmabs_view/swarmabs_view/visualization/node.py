@@ -1,0 +1,198 @@
+"""Node ``plane_markers``: shows a swarm on the standard topics of ROS, and to Foxglove. It only listens to the swarm.
+
+What it reads is best effort, from queues of a few messages that lose what is old: nobody ever waits for it. Events are
+read reliably, so that those before its time come too; their writers keep a bounded number and wait for no reader.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rclpy
+
+from swarmabs_config.scenario import load_scenario
+from swarmabs_core.cdr import agent_id_of, decode
+from swarmabs_core.errors import InputError, MalformedMessageError, RunError
+from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.parameters import Parameter
+from swarmabs_ros.endpoints import WaitSetReceiver
+from swarmabs_ros.parameters import declare
+from swarmabs_ros.qos import requested
+from swarmabs_ros.runner import Settings, SwarmNode
+from swarmabs_ros.start import initialise
+from swarmabs_view.visualization.description import plane_urdf
+from swarmabs_view.visualization.foxglove_port import HOST
+from swarmabs_view.visualization.ros_messages import Translator, description
+from swarmabs_view.visualization.scene import Scene
+from swarmabs_view.visualization.sinks import FoxgloveSink, RosSink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.messages import Topic
+    from swarmabs_view.visualization.sinks import Sink
+
+RATE = 30.0
+PARAMETERS = (
+    Parameter("scenario_file", "", "file of the scenario, with the plane's and the robots' dimensions"),
+    Parameter("rate", RATE, "most frames per second of wall time", above=0.0, maximum=1000.0),
+    Parameter("ros", default=True, description="whether to publish on topics of ROS"),
+    Parameter("clock", default=False, description="whether to publish the time of the steps as clock"),
+    Parameter("foxglove_port", -1, "TCP port on 127.0.0.1 for Foxglove, 0: any; -1: none", minimum=-1, maximum=65535),
+)
+SHARE = 0.2
+"""Largest part of a core that drawing takes: where a frame costs more, there are fewer."""
+REPEAT = 1.0
+"""Time, s, between two descriptions for clients that do not keep the last."""
+DEPTH = 256
+"""Messages of a coordinator that wait to be read, and at least of the robots."""
+ROBOT_STEPS = 4
+"""Steps of all robots that wait to be read."""
+_SLICE = 0.05
+
+
+class Audience:
+    """Listens to a swarm.
+
+    Parameters
+    ----------
+    node : SwarmNode
+        Whose subscriptions they are.
+    robots : int
+        How many there are.
+    """
+
+    def __init__(self, node: SwarmNode, robots: int) -> None:
+        # The robots first: what is read later reaches back to the steps of what was read before.
+        self._most = {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
+        self._most |= dict.fromkeys((DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, PLANE_STATE, BASIS), DEPTH)
+        asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
+        self._receiver = WaitSetReceiver(node, asked)
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """What it listens to."""
+        return tuple(self._most)
+
+    def hear(self, scene: Scene, sinks: Sequence[Sink]) -> None:
+        """Hand on what has come, to the sinks only the newest of each; bytes that are no message are left out."""
+        newest: dict[tuple[Topic, int], bytes] = {}
+        for topic, most in self._most.items():
+            for number in range(most):
+                payload = self._receiver.take(topic)
+                if payload is None:
+                    break
+                try:
+                    message = decode(topic.message, payload)
+                except MalformedMessageError:
+                    continue
+                scene.hear(message)
+                newest[topic, number if topic is EVENTS else agent_id_of(message)] = payload
+        for (topic, _), payload in newest.items():
+            for sink in sinks:
+                sink.forward(topic, payload)
+
+
+def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = None) -> int:
+    """Run the node until it is told to stop.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Command line without the program's name.
+    wait : callable, optional
+        Waits for a time (s) and returns True if the node is to end; by default until SIGINT or SIGTERM.
+
+    Returns
+    -------
+    int
+        Exit code: 0 fine, 1 failed, 2 a parameter or the Fast DDS profile was refused.
+    """
+    try:
+        initialise("plane_markers", args)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    node = SwarmNode("plane_markers")
+    sinks: list[Sink] = []
+    try:
+        settings = Settings(declare(node, PARAMETERS), node.get_namespace())
+        scenario = _scenario(settings)
+        audience = Audience(node, len(scenario.agents))
+        if settings.flag("ros"):
+            sinks.append(RosSink(node))
+        if settings.integer("foxglove_port") >= 0:
+            served = FoxgloveSink(settings.integer("foxglove_port"), settings.namespace, audience.topics)
+            sinks.append(served)
+            sys.stderr.write(f"Foxglove finds the swarm at ws://{HOST}:{served.port}\n")
+        show(scenario, audience, sinks, settings, wait or _until_signalled())
+    except (InputError, RunError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2 if isinstance(error, InputError) else 1
+    finally:
+        for sink in sinks:
+            sink.close()
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        rclpy.try_shutdown()
+    return 0
+
+
+def show(
+    scenario: Scenario, audience: Audience, sinks: Sequence[Sink], settings: Settings, wait: Callable[[float], bool]
+) -> None:
+    """Show the swarm, a frame whenever there is a new step and it is time for one."""
+    scene, translator = Scene.of(scenario), Translator()
+    urdf = description(plane_urdf(scene.layout, scenario.plane.inertia))
+    for sink in sinks:
+        sink.publish(*urdf)
+    repeated = time.monotonic()
+    period, pause, shown = 1.0 / settings.number("rate"), 0.0, None
+    while not wait(pause):
+        begun = time.monotonic()
+        audience.hear(scene, sinks)
+        frame = scene.frame()
+        if frame is not None and frame.step != shown:
+            shown = frame.step
+            for topic, message in translator.messages(frame, clock=settings.flag("clock")):
+                for sink in sinks:
+                    sink.publish(topic, message)
+        if begun - repeated >= REPEAT:
+            repeated = begun
+            for sink in sinks:
+                sink.repeat()
+        cost = time.monotonic() - begun
+        pause = max(period - cost, cost * (1.0 / SHARE - 1.0))
+
+
+def _scenario(settings: Settings) -> Scenario:
+    if not settings.text("scenario_file"):
+        raise InputError("parameter scenario_file: give the file of the scenario")
+    return load_scenario(Path(settings.text("scenario_file"))).resolved()
+
+
+def _until_signalled() -> Callable[[float], bool]:
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+
+    def wait(seconds: float) -> bool:
+        deadline = time.monotonic() + seconds
+        while not stopped and (left := deadline - time.monotonic()) > 0.0:
+            time.sleep(min(left, _SLICE))
+        return stopped
+
+    return wait
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""Steering from the page: what those who know the token ask for goes to the run's socket, and the answer back."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_run.steering.client import LONGEST_ANSWER
+from swarmabs_run.steering.place import SOCKET, short_path
+from swarmabs_run.steering.protocol import STATUS
+from swarmabs_view.protocol import Answer, Hello, Steer, Steering
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from swarmabs_view.protocol import Control, Message
+    from swarmabs_view.server import Session
+
+LOOK_INTERVAL = 0.5
+"""Time, s, between two looks at what holds."""
+MOST_WAITING = 32
+"""Requests of one page that may wait for their answers."""
+
+_HELD = ("reference", "disturbance", "largest_reference", "largest_disturbance", "members", "absent")
+
+WRONG = "the token is wrong: it stands in the terminal of the run"
+OVER = "the run takes no requests: it has not begun, or is over"
+
+
+class Wheel:
+    """What steers a run on behalf of all pages.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run.
+    token : str
+        What a page must know.
+
+    Attributes
+    ----------
+    status : Steering
+        What holds now.
+    """
+
+    def __init__(self, folder: Path, token: str) -> None:
+        self._folder = folder
+        self._token = token.encode()
+        self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self._turn = asyncio.Lock()
+        self.status = Steering(open=False)
+
+    async def follow(self) -> None:
+        """Keep the status up to date, from before the run begins; goes on for ever, as a run is over only once."""
+        while self._streams is None:
+            with suppress(OSError):
+                await self._connect()
+            await asyncio.sleep(LOOK_INTERVAL)
+        _, writer = self._streams
+        try:
+            while (found := await self._exchange({"action": STATUS})) is not None:
+                self.status = Steering(open=True, **{name: found[name] for name in _HELD})
+                await asyncio.sleep(LOOK_INTERVAL)
+        finally:
+            writer.close()
+        self.status = Steering(open=False)
+        await asyncio.Event().wait()
+
+    async def ask(self, wish: Steer) -> Answer:
+        """Ask the run for something; the answer comes when it is decided, some steps later."""
+        if not hmac.compare_digest(wish.token.encode(), self._token):
+            return Answer(request=wish.request, ok=False, known=False, text=WRONG)
+        asked = wish.model_dump(include={"action", "value", "agent", "request"}, exclude_none=True)
+        found = await self._exchange(asked)
+        if found is None:
+            return Answer(request=wish.request, ok=False, text=OVER)
+        if not found["ok"]:
+            return Answer(request=wish.request, ok=False, text=str(found["reason"]))
+        return Answer(request=wish.request, ok=True, text=f"from step {found['step']} on, {found['time']:.2f} s")
+
+    async def _connect(self) -> None:
+        with short_path(self._folder) as place:
+            self._streams = await asyncio.open_unix_connection(place / SOCKET, limit=LONGEST_ANSWER)
+
+    async def _exchange(self, asked: dict[str, Any]) -> dict[str, Any] | None:
+        """Return the run's answer, None if it takes no requests."""
+        async with self._turn:
+            if self._streams is None:
+                return None
+            reader, writer = self._streams
+            line = b""
+            with suppress(ConnectionError):
+                writer.write(json.dumps(asked).encode() + b"\n")
+                await writer.drain()
+                line = await reader.readline()
+            if not line.endswith(b"\n"):
+                return None
+            answer: dict[str, Any] = json.loads(line)
+            return answer
+
+
+class SteeredSession:
+    """What one page sees of a run that can be steered.
+
+    Parameters
+    ----------
+    session : Session
+        What it sees without that.
+    wheel : Wheel
+        What steers.
+    """
+
+    def __init__(self, session: Session, wheel: Wheel) -> None:
+        self._session = session
+        self._wheel = wheel
+        self._told: Steering | None = None
+        self._waiting: set[asyncio.Task[Answer]] = set()
+        self._answers: list[Message] = []
+
+    def hello(self) -> list[Message]:
+        """Return what a page needs first."""
+        self._told = self._wheel.status
+        return [*self._session.hello(), self._told]
+
+    def poll(self, now: float) -> list[Message]:
+        """Return what is new at a time (s) of the clock."""
+        messages = self._session.poll(now)
+        if self._told != self._wheel.status or any(isinstance(message, Hello) for message in messages):
+            self._told = self._wheel.status
+            messages.append(self._told)
+        messages += self._answers
+        self._answers.clear()
+        return messages
+
+    def control(self, wish: Control) -> None:
+        """Do what the page asks for."""
+        if not isinstance(wish, Steer):
+            self._session.control(wish)
+        elif len(self._waiting) >= MOST_WAITING:
+            self._answers.append(Answer(request=wish.request, ok=False, text="too many requests wait already"))
+        else:
+            task = asyncio.ensure_future(self._wheel.ask(wish))
+            self._waiting.add(task)
+            task.add_done_callback(self._answered)
+
+    def _answered(self, task: asyncio.Task[Answer]) -> None:
+        self._waiting.discard(task)
+        if not task.cancelled():
+            self._answers.append(task.result())

@@ -1,0 +1,175 @@
+"""The figures of the abstract space show its geometry, computed anew from the definitions."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from swarmabs_analysis.figures.mapping_example import draw_mapping_example
+from swarmabs_analysis.figures.position_mapping import draw_position_mapping
+from swarmabs_analysis.figures.style import styled
+
+Floats = NDArray[np.float64]
+GRAVITY = 9.81
+MASSES = np.array([0.3552, 0.3532, 0.6762, 0.4596])
+HALF = 0.5
+
+
+@pytest.fixture(scope="module")
+def mapping() -> Axes:
+    with styled():
+        (axes,) = draw_position_mapping().axes
+    return axes
+
+
+@pytest.fixture(scope="module")
+def example() -> Figure:
+    with styled():
+        return draw_mapping_example()
+
+
+def abstract(positions: Floats) -> Floats:
+    """Return torque and inertia, (..., 2), of positions of the paper's four robots, (..., 4)."""
+    return np.stack([GRAVITY * (MASSES * positions).sum(axis=-1), (MASSES * positions**2).sum(axis=-1)], axis=-1)
+
+
+def lines(axes: Axes, colour_of: str) -> list[Floats]:
+    """Return the points of all lines that look like the one of this label."""
+    (named,) = [line for line in axes.lines if str(line.get_label()).startswith(colour_of)]
+    same = (named.get_color(), named.get_linestyle(), named.get_linewidth())
+    found = [line for line in axes.lines if (line.get_color(), line.get_linestyle(), line.get_linewidth()) == same]
+    return [np.asarray(line.get_xydata(), dtype=float) for line in found]
+
+
+def test_vertices_are_those_of_the_box(mapping: Axes) -> None:
+    (points,) = lines(mapping, "vertex")
+    corners = abstract(HALF * np.array(list(itertools.product((-1.0, 1.0), repeat=4))))
+    for corner in corners:
+        assert np.abs(points - corner).max(axis=1).min() < 1e-9
+    for point in points:
+        assert np.abs(corners - point).max(axis=1).min() < 1e-9
+
+
+def test_all_32_edges_of_the_box_are_drawn(mapping: Axes) -> None:
+    drawn = lines(mapping, "edge")
+    middles = [edge[len(edge) // 2] for edge in drawn]
+    expected = 0
+    for moving in range(4):
+        for signs in itertools.product((-HALF, HALF), repeat=3):
+            positions = np.insert(np.array(signs), moving, 0.0)
+            nearest = int(np.argmin([np.abs(middle - abstract(positions)).max() for middle in middles]))
+            walk = np.repeat(positions[None, :], len(drawn[nearest]), axis=0)
+            walk[:, moving] = np.linspace(-HALF, HALF, len(walk))
+            np.testing.assert_allclose(drawn[nearest], abstract(walk), atol=1e-12)
+            expected += 1
+    assert len(drawn) == expected == 32
+
+
+def test_lower_bound_is_the_least_inertia_at_a_torque(mapping: Axes) -> None:
+    (points,) = lines(mapping, "lower bound")
+    scale = np.sqrt(MASSES)
+    for torque, inertia in points:
+        scaled, *_ = np.linalg.lstsq((GRAVITY * scale)[None, :], [torque])  # of least norm
+        assert inertia == pytest.approx(float(scaled @ scaled), abs=1e-12)
+
+
+def largest_position(torque: float, inertia: float) -> float:
+    """Return the largest |p_i| over all positions with this torque and inertia, by Lagrange's condition."""
+    scale = np.sqrt(MASSES)
+    normal = scale / np.sqrt(MASSES.sum())
+    centre = torque / GRAVITY / np.sqrt(MASSES.sum()) * normal
+    free = np.sqrt(max(inertia - centre @ centre, 0.0))
+    across = np.eye(4) - np.outer(normal, normal)
+    return max(abs(centre[i]) / scale[i] + free * np.sqrt(across[i, i]) / scale[i] for i in range(4))
+
+
+def test_boundary_of_the_admissible_set_is_where_a_robot_can_just_reach_the_end(mapping: Axes) -> None:
+    (points,) = lines(mapping, "upper boundary")
+    for torque, inertia in points[5:-5:10]:
+        assert largest_position(torque, inertia) == pytest.approx(HALF, abs=1e-9)
+
+
+def test_random_states_are_coloured_by_their_class(mapping: Axes) -> None:
+    clouds = {
+        str(cloud.get_label())[-3:]: np.asarray(cloud.get_offsets())
+        for cloud in mapping.collections
+        if isinstance(cloud, PathCollection)
+    }
+    assert {name: len(points) > 50 for name, points in clouds.items()} == {"A_A": True, "A_P": True, "A_U": True}
+    for torque, inertia in clouds["A_A"]:
+        assert largest_position(torque, inertia) <= HALF + 1e-9
+    for name in ("A_P", "A_U"):
+        for torque, inertia in clouds[name]:
+            assert largest_position(torque, inertia) > HALF - 1e-9
+    for torque, inertia in clouds["A_P"]:
+        assert inertia <= envelope(torque) + 1e-9
+    for torque, inertia in clouds["A_U"]:
+        assert inertia > envelope(torque) - 1e-9
+
+
+def envelope(torque: float) -> float:
+    """Return the largest inertia at a torque on the box: one robot is free, the others stand at an end."""
+    found = [-np.inf]
+    for moving in range(4):
+        others = np.delete(MASSES, moving)
+        for signs in itertools.product((-HALF, HALF), repeat=3):
+            position = (torque / GRAVITY - others @ np.array(signs)) / MASSES[moving]
+            if abs(position) <= HALF + 1e-12:
+                found.append(float(MASSES[moving] * position**2 + others.sum() * HALF**2))
+    return max(found)
+
+
+def test_manifold_and_where_it_leaves_the_admissible_set(mapping: Axes) -> None:
+    (curve,) = lines(mapping, "manifold")
+    np.testing.assert_allclose(curve[:, 1], 0.0125 * curve[:, 0] ** 2 + 0.025, rtol=1e-12)
+    assert (curve[0, 0], curve[-1, 0]) == (-5.0, 5.0)
+    leaves = brentq(lambda t: largest_position(t, 0.0125 * t * t + 0.025) - HALF, 0.1, 5.0)
+    assert leaves == pytest.approx(2.288, abs=5e-4)
+    (line,) = [line for line in mapping.lines if "leaves" in str(line.get_label())]
+    np.testing.assert_allclose(line.get_xdata(), [-leaves, leaves], atol=1e-9)
+    np.testing.assert_allclose(line.get_ydata(), 0.0125 * leaves**2 + 0.025, atol=1e-9)
+    assert "2.288 N m" in str(line.get_label())
+
+
+def test_axes_of_the_abstract_space_have_units_and_hold_the_box(mapping: Axes) -> None:
+    assert (mapping.get_xlabel(), mapping.get_ylabel()) == ("torque τₛ, N m", "inertia Jₛ, kg m²")
+    left, right = mapping.get_xlim()
+    (points,) = lines(mapping, "vertex")
+    assert left < points[:, 0].min() and right > points[:, 0].max() and mapping.get_ylim()[1] > points[:, 1].max()
+
+
+def test_ellipse_plane_and_ellipsoid_of_the_example(example: Figure) -> None:
+    masses = np.array([2.0, 3.0, 3.0])
+    (axes,) = example.axes
+    for line in axes.lines:
+        points = np.transpose(line.get_data_3d())  # type: ignore[attr-defined]
+        np.testing.assert_allclose(GRAVITY * points @ masses, 10.0, rtol=1e-12)
+        np.testing.assert_allclose(points**2 @ masses, 1.0, rtol=1e-12)
+        np.testing.assert_allclose(points[0], points[-1], atol=1e-12)
+        # It goes all around: farthest from each side as Lagrange's condition says.
+        centre = 10.0 / GRAVITY / masses.sum()
+        reach = np.sqrt((1.0 - masses.sum() * centre**2) * (1.0 / masses - 1.0 / masses.sum()))
+        np.testing.assert_allclose(points.max(axis=0), centre + reach, rtol=1e-3)
+        np.testing.assert_allclose(points.min(axis=0), centre - reach, rtol=1e-3)
+    (facets,) = [found for found in axes.collections if isinstance(found, Poly3DCollection)]
+    corners = np.asarray(facets._faces)
+    torque, inertia = GRAVITY * corners @ masses, corners**2 @ masses
+    on_plane = (np.abs(torque - 10.0) < 1e-9).all(axis=1)
+    on_ellipsoid = (np.abs(inertia - 1.0) < 1e-9).all(axis=1)
+    assert (on_plane | on_ellipsoid).all() and on_plane.sum() > 100 and on_ellipsoid.sum() > 100
+    # The ellipsoid is whole, and no facet of one crosses the other, so that each hides what is behind it.
+    np.testing.assert_allclose(corners[on_ellipsoid].max(axis=(0, 1)), 1.0 / np.sqrt(masses), rtol=5e-3)
+    beyond = torque[on_ellipsoid] - 10.0
+    assert ((beyond >= -1e-9).all(axis=1) | (beyond <= 1e-9).all(axis=1)).all()
+    outside = inertia[on_plane] - 1.0
+    assert ((outside >= -1e-9).all(axis=1) | (outside <= 1e-9).all(axis=1)).all()
+    labels = [axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()]  # type: ignore[attr-defined]
+    assert labels == ["p₁, m", "p₂, m", "p₃, m"]

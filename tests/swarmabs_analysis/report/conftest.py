@@ -1,0 +1,98 @@
+"""Short runs, their reports, and what a reader of the page finds in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from tests.swarmabs_analysis.figures.conftest import record
+from tests.swarmabs_bag.sample_run import make_run, write_bag
+
+from swarmabs_analysis.report import Report, make_report
+from swarmabs_core.messages import Message
+
+SCENARIO = """schema: 1
+name: sample
+duration: 0.4
+swarm:
+  agents:
+    - {id: 1, kind: single_integrator, mass: 0.1, position: 0.1}
+    - {id: 2, kind: single_integrator, mass: 0.2, position: -0.1}
+    - {id: 7, kind: double_integrator, mass: 0.7, damping: 0.7, position: 0.2}
+"""
+CHANGES = (
+    "plane.angle=0.015",
+    "faults=[{at: 0.05, kind: kill, agent: 1}, {at: 0.1, kind: leave, agent: 2}, {at: 0.02, kind: join, agent: 4}]",
+)
+VOID = {"meta", "br", "link", "img", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """The elements of a page; fails where they are not properly nested."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[tuple[str, str]] = []
+        self.rows: dict[str, list[str | float]] = {}
+        self._open: list[str] = []
+        self._row: list[str | float] | None = None
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+        if tag == "tr":
+            self._row = []
+        if tag == "data" and self._row is not None:
+            self._row.append(float(dict(attrs)["value"] or "nan"))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+        if tag == "tr" and self._row:
+            self.rows[str(self._row[0])] = self._row
+            self._row = None
+
+    def handle_data(self, data: str) -> None:
+        if data.strip():
+            self.texts.append((self._open[-1] if self._open else "", data))
+            if self._row is not None and "data" not in self._open:
+                self._row.append(data)
+
+    def labels(self) -> dict[str, str]:
+        """Return what the pictures tell to those who do not see them, by heading."""
+        labels = [attributes["aria-label"] or "" for tag, attributes in self.tags if tag == "svg"]
+        return dict(label.split(". ", maxsplit=1) for label in labels)
+
+
+def write(
+    folder: Path, messages: Sequence[Message], *, scenario: str = SCENARIO, provenance: bytes = b"{}", aborted: str = ""
+) -> Path:
+    """Write a bag of these messages."""
+    attached = {"scenario.yaml": scenario.encode(), "provenance.json": provenance}
+    return write_bag(folder, messages, attached, aborted=aborted)
+
+
+def messages(steps: int) -> list[Message]:
+    return make_run(steps)
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a short run in which robots die, leave and join; not to be changed."""
+    return record(tmp_path_factory.mktemp("report") / "run", "pd_het_4", *CHANGES)
+
+
+@pytest.fixture(scope="session")
+def report(run: Path) -> Report:
+    return make_report(run)
+
+
+@pytest.fixture(scope="session")
+def page(report: Report) -> Page:
+    return Page(report.html)

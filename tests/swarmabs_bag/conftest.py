@@ -1,0 +1,52 @@
+"""A small run and bags of it, with attachments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+from tests.swarmabs_bag import sample_run
+
+from swarmabs_core.messages import Message
+
+Run: TypeAlias = Sequence[Message]
+WriteBag: TypeAlias = Callable[..., Path]
+
+STEPS = 40
+
+SCENARIO = b"""schema: 1
+name: sample
+duration: 0.4
+seed: 5
+swarm:
+  agents:
+    - {id: 1, kind: single_integrator, mass: 0.4, position: 0.1}
+    - {id: 2, kind: single_integrator, mass: 0.5, position: -0.1}
+    - {id: 7, kind: double_integrator, mass: 0.6, damping: 0.7, position: 0.2}
+"""
+PROVENANCE = b'{"versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123"}'
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    return sample_run.make_run(STEPS)
+
+
+@pytest.fixture(scope="session")
+def write_bag(run: Run) -> WriteBag:
+    """Return a function that writes the run, or another one, and returns the bag's folder."""
+
+    attachments = {"scenario.yaml": SCENARIO, "provenance.json": PROVENANCE}
+
+    def write(folder: Path, messages: Run = run, **options: Any) -> Path:
+        return sample_run.write_bag(folder, messages, attachments, at_end={"run.log": b"all went well\n"}, **options)
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def bag(tmp_path_factory: pytest.TempPathFactory, write_bag: WriteBag) -> Path:
+    """Return the folder of a complete bag of the run, in several chunks; not to be changed."""
+    return write_bag(tmp_path_factory.mktemp("complete") / "bag")

@@ -1,0 +1,58 @@
+"""Bags of virtual fleets, written as the recorder writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from tests.swarmabs_core.realtime.bags import Stored, world
+
+from swarmabs_bag.recorder.realtime_recording import RealtimeRecording
+from swarmabs_config import realtime as configure
+from swarmabs_core.messages import NEVER, AgentState, Basis, Message, SwarmEvent
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_run.virtual_fleet import EPOCH
+
+Change = Callable[[Stored], Iterable[Message]]
+
+
+def realtime_bag(
+    folder: Path, name: str = "quiet", *, since_1970: bool = False, change: Change | None = None, **options: Any
+) -> Path:
+    """Write the bag of a world.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+    name : str
+        Name of the world.
+    since_1970 : bool
+        Whether steps count since 1970, as in a fleet whose file gives no epoch.
+    change : callable, optional
+        Changes what is recorded.
+    options
+        Of `RealtimeRecording`.
+    """
+    recorded = world(name)
+    clock = configure.schedule(recorded.scenario, EPOCH)
+    if since_1970:
+        clock = Schedule(clock.period_ns)
+    recording = RealtimeRecording(recorded.scenario, folder, clock, **options)
+    for stored in recorded.bag:
+        for message in (stored.message,) if change is None else change(stored):
+            recording.add(later(message, EPOCH // clock.period_ns) if since_1970 else message, stored.time)
+    recording.close()
+    return folder
+
+
+def later(message: Any, steps: int) -> Message:
+    """Return a message in which every step is later."""
+    fields = {AgentState: ("step", "broadcast_step"), Basis: ("step", "since", "begun"), SwarmEvent: ("step",)}
+    names = fields.get(type(message), ("step",))
+    changes: dict[str, Any] = {n: getattr(message, n) + steps for n in names if getattr(message, n) != NEVER}
+    if isinstance(message, Basis):
+        changes["state_steps"] = tuple(step + steps for step in message.state_steps)
+    changed: Message = message._replace(**changes)
+    return changed

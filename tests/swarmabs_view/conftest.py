@@ -1,0 +1,216 @@
+"""Bags, servers of them as real processes, and a real browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
+from tests.swarmabs_analysis.figures.conftest import record
+
+from swarmabs_view.protocol import Abstract, Frame, Hello, Message, Robot, RobotStates, State
+
+COMMAND = (sys.executable, "-m", "swarmabs_cli", "view")
+CHANGES = (
+    "duration=4.0",
+    "faults=[{at: 1.0, kind: kill, agent: 1}, {at: 2.0, kind: leave, agent: 2}]",
+)
+
+
+@dataclass
+class Served:
+    """A view that is served by a process."""
+
+    url: str
+    run: Path
+    process: subprocess.Popen[str]
+
+    @property
+    def port(self) -> int:
+        """Port of the server."""
+        return int(self.url.rstrip("/").rpartition(":")[2])
+
+
+@contextmanager
+def serving(run: Path, port: int = 0) -> Iterator[Served]:
+    """Serve a bag, as a user would, until the end of the block."""
+    with subprocess.Popen(
+        [*COMMAND, str(run), "--port", str(port)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            assert url.startswith("http://127.0.0.1:"), f"no address but {url!r}"
+            yield Served(url, run, process)
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a short run in which robots die and leave; not to be changed."""
+    return record(tmp_path_factory.mktemp("view") / "run", "pd_het_4", *CHANGES)
+
+
+@pytest.fixture(scope="session")
+def served(run: Path) -> Iterator[Served]:
+    """Serve that run."""
+    with serving(run) as view:
+        yield view
+
+
+def chromium() -> str:
+    """Return the browser's program; skip, and say so, where there is none."""
+    for name in ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"):
+        found = shutil.which(name)
+        if found:
+            return found
+    pytest.skip("no Chromium on this machine: apt-get install chromium")
+
+
+def browser_arguments() -> list[str]:
+    """Return what Chromium needs here: root has no sandbox."""
+    return ["--no-sandbox"] if os.geteuid() == 0 else []
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = chromium()
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=program, args=browser_arguments())
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def faults() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def page(browser: Browser, faults: list[str]) -> Iterator[Page]:
+    """Yield an empty page; a test in which the page complains of anything fails."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    made = context.new_page()
+    made.on("pageerror", lambda error: faults.append(str(error)))
+    made.on("console", lambda said: faults.append(said.text) if said.type in {"error", "warning"} else None)
+    made.on("request", lambda asked: faults.append(asked.url) if "//127.0.0.1:" not in asked.url else None)
+    yield made
+    context.close()
+    assert not faults
+
+
+def load(page: Page, served: Served) -> None:
+    page.goto(served.url)
+    expect(page.locator("#step")).to_have_attribute("value", "0")
+
+
+def number(page: Page, name: str) -> float:
+    """Return the number that the page shows, as exact as it has it."""
+    return float(page.locator(f"#{name}").get_attribute("value") or "nan")
+
+
+def seek(page: Page, step: int) -> None:
+    """Put the slider somewhere, as a hand would."""
+    page.locator("#scrub").evaluate(
+        "(slider, step) => { slider.value = step; slider.dispatchEvent(new Event('input')); }", step
+    )
+    expect(page.locator("#step")).to_have_attribute("value", str(step))
+
+
+class PageServer:
+    """What the page takes for the server's connection; a test says what comes, and sees what the page says.
+
+    Parameters
+    ----------
+    page : Page
+        Gets its files from a real server.
+    url : str
+        Of that server.
+    """
+
+    def __init__(self, page: Page, url: str) -> None:
+        self.refusing = False
+        self._page, self._url = page, url
+        self._first: tuple[Message, ...] = ()
+        self._sockets: list[WebSocketRoute] = []
+        self._heard: list[dict[str, Any]] = []
+        # It says nothing by itself, for longer than a real server may: the page shall not wait for it.
+        page.add_init_script("window.setInterval = () => 0;")
+        page.route_web_socket(re.compile("/socket$"), self._connect)
+
+    def open(self, *messages: Message, hash_: str = "") -> None:
+        """Have the page opened; each connection begins with two robots of a run, and with these messages."""
+        robots = [Robot(id=n, kind="single_integrator", mass=0.1 * n, damping=None) for n in (1, 2)]
+        self._first = (
+            Hello(
+                source="run",
+                title="a run",
+                place="runs/a",
+                period=0.01,
+                last_step=None,
+                robots=robots,
+                plane=None,
+                manifold=None,
+                regions=None,
+                playback=False,
+            ),
+            *messages,
+            Frame(
+                step=3,
+                time=0.03,
+                angle=0.1,
+                angular_velocity=0.0,
+                reference=0.0,
+                abstract=Abstract(torque=0.0, inertia=0.1),
+                desired=Abstract(torque=0.0, inertia=0.1),
+                robots=RobotStates(
+                    position=[0.1, -0.1], velocity=[0.0] * 2, command=[0.0] * 2, status=["active", "dead"]
+                ),
+                step_rate=100.0,
+            ),
+            State(phase="running", text=""),
+        )
+        self._page.goto(self._url + hash_)
+        expect(self._page.locator("#step")).to_have_attribute("value", "3")
+
+    def _connect(self, socket: WebSocketRoute) -> None:
+        if self.refusing:
+            socket.close(code=1011)
+            return
+        self._sockets.append(socket)
+        socket.on_message(lambda text: self._heard.append(json.loads(text)))
+        for message in self._first:
+            socket.send(message.model_dump_json())
+
+    def send(self, message: Message) -> None:
+        """Send the page a message."""
+        self._sockets[-1].send(message.model_dump_json())
+
+    def close(self, code: int = 1011) -> None:
+        """End the connection."""
+        self._sockets[-1].close(code=code)
+
+    def heard(self, kind: str) -> list[dict[str, Any]]:
+        """Return what the page has said of a kind."""
+        return [message for message in self._heard if message["type"] == kind]
+
+
+@pytest.fixture
+def page_server(page: Page, served: Served) -> PageServer:
+    """Return a server of which a test says what it sends."""
+    return PageServer(page, served.url)

@@ -1,0 +1,129 @@
+"""What the live panel of a run says, and that it fits into any terminal."""
+
+from __future__ import annotations
+
+from io import StringIO
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from swarmabs_bag.recorder.glance import Glance
+from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.orchestration.progress import Progress
+from swarmabs_view.panel import RunPanel
+
+SCENARIO = find_scenario("pd_het_4", ["duration=10"]).resolved()
+SEEN = Glance({"-": 1, "A": 2, "S": 1}, "A-AS", [-1000, 0, 500, 1000], [f"step {n}: robot 2 dead" for n in (1, 2, 3)])
+ONE_LINE = "pd_het_4: step 400 of 1000; in one line that is longer than some terminals are wide"
+
+
+def progress(step: int, error: float | None = -0.25, seen: Glance | None = SEEN) -> Progress:
+    return Progress("running", 8, 8, step, 1000, 250.0, 0.5, error, seen)
+
+
+def drawn(
+    *told: Progress, width: int = 80, height: int = 30, encoding: str = "utf-8", scenario: Scenario = SCENARIO
+) -> list[str]:
+    panel = RunPanel(scenario)
+    for each in told:
+        panel.take(each, ONE_LINE)
+
+    class Stream(StringIO):
+        pass
+
+    stream = Stream()
+    Stream.encoding = encoding  # type: ignore[misc, assignment]
+    console = Console(file=stream, width=width, height=height, force_terminal=True, no_color=True)
+    console.print(panel)
+    return stream.getvalue().replace("\x1b[1m", "").replace("\x1b[2m", "").replace("\x1b[0m", "").splitlines()
+
+
+def line(lines: list[str], label: str) -> str:
+    """Return what stands behind a label, with the blanks that have a meaning."""
+    (found,) = [text for text in lines if text[2:].split(" ", 1)[0] == label or text[2:10].strip() == label]
+    return found[10:-2].rstrip()
+
+
+def test_numbers() -> None:
+    lines = drawn(progress(400))
+    assert "pd_het_4: step 400 of 1000" in lines[0]
+    assert "40%" in lines[1]
+    assert line(lines, "angle") == "+0.5000 rad, wanted +0.2500 rad, error -0.2500 rad"
+    assert line(lines, "speed") == "250 steps/s, 2.5 x real time"
+    assert line(lines, "robots") == "2 active, 1 in safe stop, 1 silent"
+    assert line(lines, "events") == "step 1: robot 2 dead"
+    assert "step 3: robot 2 dead" in lines[-2]
+
+
+def test_the_angle_of_a_plane_for_which_nothing_is_asked() -> None:
+    assert line(drawn(progress(400, None)), "angle") == "+0.5000 rad"
+
+
+def test_every_robot_stands_at_its_place_in_its_lane() -> None:
+    lines = drawn(progress(400), width=80)  # 68 columns for a lane
+    lanes = {robot: line(lines, str(robot)) for robot in (1, 2, 3, 4)}
+    assert {robot: len(lane) for robot, lane in lanes.items()} == dict.fromkeys((1, 2, 3, 4), 68)
+    # -1, 0, 1/2 and 1 of half the plane: 0, half, three quarters and all of 67 columns.
+    assert [lanes[1].index("●"), lanes[2].index("●"), lanes[3].index("■"), lanes[4].index("■")] == [0, 34, 50, 67]
+
+
+@pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "×"), ("ascii", "x")])
+def test_who_is_out_is_told_apart(encoding: str, sign: str) -> None:
+    seen = Glance({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [-1000, 0, 500, 1000], [])
+    lines = drawn(progress(400, seen=seen), width=80, encoding=encoding)
+    assert line(lines, "robots") == "1 active, 1 left, 1 dead, 1 not heard"
+    lanes = [set(line(lines, str(robot))) for robot in (1, 2, 3, 4)]
+    empty = lanes[1]
+    assert lanes[0] - empty == {sign}
+    assert lanes[2] - empty == {"■" if sign == "×" else "#"}
+    assert lanes[3] == empty
+    assert line(lines, "1")[0] == sign
+
+
+def test_the_error_shrinks_over_the_run() -> None:
+    lines = drawn(*(progress(step, 1000.0 / (step + 1000.0)) for step in range(501)))
+    bars = line(lines, "error").split("  ")[0].split(" ")[0]
+    heights = ["▁▂▃▄▅▆▇█".index(bar) for bar in bars]
+    assert heights[0] == 7 and heights == sorted(heights, reverse=True)
+    assert len(bars) == 56 // 2 + 1  # half of the run, half of the columns
+    # 1000 / 1500 of the largest error.
+    assert heights[-1] == int(8 * 1000 / 1500)
+    assert line(lines, "error").endswith("1.0000 rad")
+
+
+def test_errors_that_are_no_numbers_are_not_drawn() -> None:
+    lines = drawn(progress(0, float("nan")), progress(100, float("inf")), progress(200, 0.1))
+    assert "0.1000 rad" in line(lines, "error")
+
+
+def test_many_robots_share_a_lane() -> None:
+    scenario = find_scenario("arise_het_20").resolved()
+    seen = Glance({"A": 19, "L": 1}, "A" * 19 + "L", [-1000] * 12 + [0] * 7 + [1000], [])
+    lane = line(drawn(progress(1, seen=seen), scenario=scenario), "plane")
+    assert (lane[0], lane[34], lane[-1]) == ("+", "7", "─")  # who has left is not on the plane
+
+
+@pytest.mark.parametrize("width", [10, 49, 50, 60, 100, 300])
+@pytest.mark.parametrize("height", [3, 8, 9, 11, 14, 50])
+def test_it_fits(width: int, height: int) -> None:
+    lines = drawn(progress(400), width=width, height=height)
+    assert len(lines) < height
+    assert max(map(cell_len, lines)) <= width
+    if width < 50 or height < 9:
+        (only,) = lines
+        assert only.rstrip("…") == ONE_LINE[: len(only.rstrip("…"))]
+    else:
+        assert any("wanted" in text for text in lines)
+
+
+def test_terminals_without_unicode() -> None:
+    lines = drawn(progress(400), encoding="ascii")
+    assert all(text.isascii() for text in lines)
+    assert line(lines, "3").index("#") == 50
+
+
+def test_starting_and_closing() -> None:
+    assert drawn(Progress("starting", 2, 8, 0, 1000))[0].startswith("pd_het_4: step 400")
+    assert line(drawn(Progress("closing", 8, 8, 1000, 1000, 100.0, 0.0, 0.0)), "speed") == "completing the bag"

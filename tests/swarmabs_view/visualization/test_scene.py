@@ -1,0 +1,230 @@
+"""What is drawn of a swarm, against plain geometry."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from swarmabs_bag.membership_timeline import SILENT_STEPS
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.messages import (
+    NEVER,
+    AbstractState,
+    AgentState,
+    Basis,
+    DesiredAbstractState,
+    EventKind,
+    Kind,
+    Mode,
+    PlaneState,
+    Source,
+    Status,
+    SwarmEvent,
+)
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Staircase
+from swarmabs_view.visualization.geometry import Layout, Vector, tilt, tilted
+from swarmabs_view.visualization.scene import GREY, HISTORY, KINDS, SAFE_STOP, Frame, Scene, Shape
+
+LAYOUT = Layout.of(2.0, [(3, Kind.DOUBLE_INTEGRATOR, 0.5), (1, Kind.SINGLE_INTEGRATOR, 4.0)])
+PERIOD = 10_000_000
+
+
+def plane(step: int, angle: float) -> PlaneState:
+    return PlaneState(step * PERIOD, step, angle, 0.25)
+
+
+def robot(step: int, agent_id: int, position: float, status: Status = Status.ACTIVE) -> AgentState:
+    return AgentState(
+        step * PERIOD, step, NEVER, agent_id, Kind.SINGLE_INTEGRATOR, status, 1.0, 0.0, position, 0.0, 0.0
+    )
+
+
+def abstract(step: int, torque: float) -> AbstractState:
+    return AbstractState(step * PERIOD, step, 2, torque, 0.0, 0.0, 0.0)
+
+
+def desired(step: int, torque: float) -> DesiredAbstractState:
+    return DesiredAbstractState(step * PERIOD, step, Mode.RUN, torque, *([0.0] * 7))
+
+
+def by_time() -> OffsetReference:
+    return OffsetReference(lambda time: time, Staircase(), PERIOD)
+
+
+def drawn(*messages: object, scene: Scene | None = None) -> tuple[Frame, dict[tuple[str, int], Shape]]:
+    scene = scene or Scene(LAYOUT, torque_max=5.0, reference=by_time())
+    for message in messages:
+        scene.hear(message)  # type: ignore[arg-type]
+    frame = scene.frame()
+    assert frame is not None
+    return frame, {(shape.group, shape.number): shape for shape in frame.shapes}
+
+
+@pytest.mark.parametrize("angle", [-1.4, -0.3, 0.0, 0.1, 1.2])
+def test_a_positive_angle_lifts_the_positive_end(angle: float) -> None:
+    turn = Rotation.from_quat(tilt(angle))
+    assert turn.apply([1.0, 0.0, 0.0]) == pytest.approx([math.cos(angle), 0.0, math.sin(angle)])
+    assert turn.apply([0.0, 1.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0])
+    point = np.array([0.3, -0.2, 0.05])
+    assert tilted(Vector(*point), angle) == pytest.approx(turn.apply(point))
+
+
+def test_robots_stand_on_the_tilted_plane_in_lanes_of_their_own() -> None:
+    angle = 0.2
+    frame, shapes = drawn(plane(5, angle), robot(5, 1, -0.7), robot(5, 3, 0.4))
+    for agent_id, position in ((1, -0.7), (3, 0.4)):
+        shape = shapes["robots", agent_id]
+        # In the vertical plane a point (along, up) of the tilted plane is turned by the angle.
+        height = LAYOUT.thickness / 2.0 + shape.size.z / 2.0
+        turned = (position + 1j * height) * cmath.exp(1j * angle)
+        assert (shape.pose.position.x, shape.pose.position.z) == pytest.approx((turned.real, turned.imag))
+        assert shape.pose.orientation == tilt(angle)
+        assert frame.places[agent_id] == pytest.approx((position, shape.pose.position.y, height))
+    first, second = (shapes["robots", agent_id] for agent_id in (1, 3))
+    assert second.pose.position.y - first.pose.position.y == pytest.approx(LAYOUT.lane_width)
+    assert first.pose.position.y == -second.pose.position.y
+    assert LAYOUT.lane_width > first.size.y  # the heaviest is the widest
+    assert (first.size.x / second.size.x) ** 3 == pytest.approx(4.0 / 0.5)  # volumes as masses
+    assert (first.kind, second.kind) == ("cylinder", "cube")
+    assert (first.colour, second.colour) == (KINDS[Kind.SINGLE_INTEGRATOR], KINDS[Kind.DOUBLE_INTEGRATOR])
+    assert shapes["labels", 3].text == "3"
+
+
+def test_the_plate_and_the_reference() -> None:
+    _, shapes = drawn(plane(30, 0.2))
+    plate = shapes["plane", 0]
+    assert (plate.size, plate.pose.position) == ((2.0, LAYOUT.width, LAYOUT.thickness), (0.0, 0.0, 0.0))
+    assert plate.pose.orientation == tilt(0.2)
+    assert len(shapes["lanes", 0].points) == 2 * 2
+    assert shapes["reference", 0].pose.orientation == tilt(0.3)  # the reference is the time
+
+
+def test_torques_point_to_the_end_that_they_push_down() -> None:
+    frame, shapes = drawn(plane(1, 0.5), abstract(1, 2.5), desired(1, -50.0))
+    actual, wanted = shapes["torque", 0], shapes["torque", 1]
+    assert actual.size.x == pytest.approx(0.5)  # half of torque_max, of half of the plane
+    assert wanted.size.x == pytest.approx(1.0)  # never longer than half of the plane
+    assert Rotation.from_quat(actual.pose.orientation).apply([1, 0, 0]) == pytest.approx([1, 0, 0])
+    assert Rotation.from_quat(wanted.pose.orientation).apply([1, 0, 0]) == pytest.approx([-1, 0, 0])
+    # A weight at positive positions turns the joint backwards: (J + Js) w' = -cos(angle) tau.
+    assert frame.effort == pytest.approx(-math.cos(0.5) * 2.5)
+
+
+def test_states_of_robots_are_seen() -> None:
+    states = [plane(0, 0.0), robot(0, 1, 0.1, Status.SAFE_STOP), robot(0, 3, 0.2)]
+    _, shapes = drawn(*states)
+    assert shapes["robots", 1].colour == SAFE_STOP
+    dead = SwarmEvent(0, 0, 3, EventKind.DEAD, 0.0, "kill")
+    _, shapes = drawn(*states, dead)
+    assert shapes["robots", 3].colour == GREY
+    _, shapes = drawn(*states, dead, dead._replace(kind=EventKind.JOINED))
+    assert shapes["robots", 3].colour == KINDS[Kind.DOUBLE_INTEGRATOR]
+    _, shapes = drawn(*states, plane(SILENT_STEPS, 0.0))
+    assert shapes["robots", 3].colour == KINDS[Kind.DOUBLE_INTEGRATOR]
+    _, shapes = drawn(*states, plane(SILENT_STEPS + 1, 0.0))
+    assert shapes["robots", 3].colour == GREY
+
+
+def test_who_leaves_the_plane_is_taken_away_once() -> None:
+    scene = Scene(LAYOUT, torque_max=5.0)
+    drawn(plane(0, 0.0), robot(0, 1, 0.1), robot(0, 3, 0.2), scene=scene)
+    frame, shapes = drawn(plane(1, 0.0), robot(1, 1, 0.1), robot(1, 3, 0.2, Status.LEFT), scene=scene)
+    assert ("robots", 3) not in shapes and 3 not in frame.places
+    assert frame.gone == (("labels", 3), ("robots", 3))
+    frame, _ = drawn(plane(2, 0.0), robot(2, 1, 0.1), scene=scene)
+    assert frame.step == 2
+    assert frame.gone == ()
+
+
+def test_who_was_removed_is_taken_away_and_one_that_is_dead_stands_where_its_event_says() -> None:
+    """A robot that is removed says nothing of it: the observer does."""
+    scene = Scene(LAYOUT, torque_max=5.0)
+    drawn(plane(0, 0.0), robot(0, 1, 0.1), robot(0, 3, 0.2), scene=scene)
+    removed = SwarmEvent(0, 1, 3, EventKind.LEFT, 0.0, "remove")
+    frame, shapes = drawn(removed, plane(1, 0.0), robot(1, 1, 0.1), scene=scene)
+    assert ("robots", 3) not in shapes and 3 not in frame.places
+    assert frame.gone == (("labels", 3), ("robots", 3))
+    dead = SwarmEvent(0, 2, 1, EventKind.DEAD, -0.3, "kill")
+    frame, shapes = drawn(dead, plane(2, 0.0), robot(2, 1, 0.1), scene=scene)
+    assert frame.places[1].x == -0.3
+    assert shapes["robots", 1].colour == GREY
+
+
+def test_the_reference_has_its_offsets() -> None:
+    scene = Scene(LAYOUT, torque_max=5.0, reference=by_time())
+    offset = SwarmEvent(0, 30, 0, EventKind.STEERING, 0.25, REFERENCE)
+    _, shapes = drawn(offset, offset._replace(value=9.0, detail=DISTURBANCE), plane(29, 0.0), scene=scene)
+    assert shapes["reference", 0].pose.orientation == tilt(0.29)
+    _, shapes = drawn(plane(30, 0.0), scene=scene)
+    assert shapes["reference", 0].pose.orientation == pytest.approx(tilt(0.3 + 0.25))
+
+
+def test_a_scenario_with_offsets_is_drawn_with_them() -> None:
+    scenario = find_scenario("pd_het_4", ["faults=[{kind: reference, at: 1.0, offset: 0.1}]"]).resolved()
+    _, shapes = drawn(plane(100, 0.0), scene=Scene.of(scenario))
+    assert shapes["reference", 0].pose.orientation == tilt(0.1)
+
+
+def test_what_does_not_belong_here_is_left_out() -> None:
+    scene = Scene(LAYOUT, torque_max=5.0)
+    assert scene.frame() is None
+    frame, shapes = drawn(plane(3, 0.3), plane(2, 0.2), robot(3, 99, 0.1), robot(3, 1, math.nan), scene=scene)
+    assert (frame.step, frame.angle, frame.stamp, frame.rate) == (3, 0.3, 3 * PERIOD, 0.25)
+    assert not any(group == "robots" for group, _ in shapes)
+    scene.hear(plane(4, math.nan))
+    scene.hear(robot(4, 1, 0.0))
+    assert scene.frame() is None
+
+
+def test_what_is_drawn_together_is_of_one_step() -> None:
+    """Queues are read one after the other, and the swarm goes on meanwhile."""
+    messages: list[object] = [robot(step, agent_id, step / 1000.0) for step in range(40) for agent_id in (1, 3)]
+    messages += [desired(step, step / 100.0) for step in range(10, 60)]
+    messages += [abstract(step, -step / 100.0) for step in range(20, 80)]
+    messages += [plane(step, step / 1000.0) for step in range(30, 90)]
+    frame, shapes = drawn(*messages)
+    assert (frame.step, frame.angle) == (39, 0.039)
+    assert [place.x for place in frame.places.values()] == [0.039, 0.039]
+    assert shapes["torque", 0].size.x == shapes["torque", 1].size.x == pytest.approx(0.39 / 5.0)
+    # Who is known to be dead, or silent for long, is not waited for.
+    dead = SwarmEvent(0, 0, 1, EventKind.DEAD, 0.0, "kill")
+    frame, _ = drawn(*messages, robot(40, 3, 0.5), dead)
+    assert frame.step == 40
+    frame, _ = drawn(*messages, *(plane(step, 0.0) for step in range(90, 300)))
+    assert frame.step == 299
+
+
+def test_what_is_kept_is_bounded() -> None:
+    scene = Scene(LAYOUT, torque_max=5.0)
+    for step in range(10 * HISTORY):
+        for message in (plane(step, 0.1), robot(step, 1, 0.1), abstract(step, 1.0), desired(step, 1.0)):
+            scene.hear(message)
+    kept = (scene._planes, scene._abstract, scene._desired, scene._robots[1])
+    assert {len(each) for each in kept} == {HISTORY}
+    frame = scene.frame()
+    assert frame is not None and frame.step == 10 * HISTORY - 1
+
+
+def test_by_a_clock_the_reference_begins_with_the_law() -> None:
+    scene = Scene(LAYOUT, 5.0, by_time(), PERIOD)
+    begin = 1_700_000_000 * 10**9
+    _, shapes = drawn(plane(30, 0.0)._replace(stamp=begin), scene=scene)
+    assert ("reference", 0) not in shapes
+    basis = Basis(begin, 30, NEVER, 10, Source.CONTROLLER, (), (), ())
+    _, shapes = drawn(basis, scene=scene)
+    assert shapes["reference", 0].pose.orientation == tilt(0.2)  # 20 periods
+
+
+def test_a_scenario_gives_its_dimensions() -> None:
+    scene = Scene.of(find_scenario("arise_het_200", ["plane.length=3"]).resolved())
+    layout = scene.layout
+    assert (layout.length, len(layout.robots)) == (3.0, 200)
+    lanes = sorted(robot.lane for robot in layout.robots.values())
+    assert layout.width / 2.0 >= lanes[-1] + layout.lane_width / 2.0 - 1e-9
+    frame, shapes = drawn(plane(0, 0.0), *(robot(0, agent_id, 0.0) for agent_id in layout.robots), scene=scene)
+    assert len(frame.places) == 200
+    assert not any(group == "labels" for group, _ in shapes)
