@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
+import shlex
 import signal
+import subprocess
 import time
 from pathlib import Path
 
 import pytest
 from tests.processes import marked_processes, until
 from tests.system.helpers import (
+    COMMAND,
     bag_messages,
     domain_of,
     run_log,
@@ -113,3 +117,24 @@ def test_simulate_is_interrupted_the_same_way(folder: Path) -> None:
     assert summary_of(folder)["status"] == "interrupted"
     assert len(bag_messages(folder)) == summary_of(folder)["messages"]
     assert run_log(folder) == ""
+
+
+_PRIVATE = ("unshare", "--user", "--map-root-user", "--mount", "--propagation", "private", "sh", "-c")
+"""Starts a shell whose mounts are its own."""
+
+
+@pytest.mark.parametrize("number", [None, signal.SIGINT])
+def test_nothing_of_the_tracing_library_is_left(folder: Path, number: signal.Signals | None) -> None:
+    """Where no other program has loaded rclpy, which this very process has."""
+    words = [*COMMAND, "run", "--duration", "1" if number is None else "100000", "-o", str(folder)]
+    script = f"mount -t tmpfs tmpfs /dev/shm || exit 77; {shlex.join(words)} >&2; ls /dev/shm"
+    with subprocess.Popen([*_PRIVATE, script], stdout=subprocess.PIPE, text=True, start_new_session=True) as shell:
+        if number is not None:
+            until_stepping(folder)
+            network = json.loads((folder / "logs" / "network.json").read_text(encoding="utf-8"))
+            os.kill(network["orchestrator"], number)
+        left, _ = shell.communicate(timeout=60.0)
+    if shell.returncode == 77:
+        pytest.skip("this user may not mount anything here")
+    assert summary_of(folder)["status"] == ("ok" if number is None else "interrupted")
+    assert left == ""

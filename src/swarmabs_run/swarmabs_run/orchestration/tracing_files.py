@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,14 +16,50 @@ _PATTERN = "lttng-ust-wait-*"
 
 @contextmanager
 def tracing_files_removed() -> Iterator[None]:
-    """Remove at the end of the block the files that were not there at its beginning.
+    """Remove at the end of the block this user's files that no other process has mapped.
 
-    They wake processes when a tracing session starts; without them a process is merely not traced.
+    They wake processes when a tracing session starts; without them a process is merely not traced. A process maps
+    them when it loads rclpy and keeps them mapped, so a file that is mapped is in use and one that is not is left over.
     """
-    before = set(_SHARED_MEMORY.glob(_PATTERN))
+    before = _files()
     try:
         yield
     finally:
-        for path in set(_SHARED_MEMORY.glob(_PATTERN)) - before:
-            with suppress(OSError):  # another user's, or gone already
-                path.unlink()
+        left = _files()
+        if left:
+            mapped, hidden = _mapped_by_others()
+            for path in left - mapped:
+                # A file that serves all users and was there already may be in use where this user cannot look.
+                if path in before and hidden and not path.name.endswith(f"-{os.getuid()}"):
+                    continue
+                with suppress(OSError):  # removed by another run meanwhile
+                    path.unlink()
+
+
+def _files() -> set[Path]:
+    """Return the files that belong to this user."""
+    found = set()
+    for path in _SHARED_MEMORY.glob(_PATTERN):
+        with suppress(OSError):
+            if path.stat().st_uid == os.getuid():
+                found.add(path)
+    return found
+
+
+def _mapped_by_others() -> tuple[set[Path], bool]:
+    """Return the files that other processes have mapped, and whether other users' processes cannot be examined."""
+    mapped, hidden = set[Path](), False
+    for process in Path("/proc").iterdir():
+        if not process.name.isdigit() or int(process.name) == os.getpid():
+            continue
+        try:
+            lines = (process / "maps").read_text(encoding="utf-8", errors="replace").splitlines()
+        except PermissionError:
+            with suppress(OSError):
+                hidden |= process.stat().st_uid != os.getuid()
+            continue
+        except OSError:  # it has ended
+            continue
+        # The path is the sixth field; that of a file that was removed ends differently.
+        mapped |= {Path(fields[5]) for line in lines if len(fields := line.split(maxsplit=5)) == 6}
+    return {path for path in mapped if path.parent == _SHARED_MEMORY}, hidden
