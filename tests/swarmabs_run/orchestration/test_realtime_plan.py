@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.swarmabs_core.helpers import builtin
@@ -107,3 +108,22 @@ def test_everything_that_is_published_is_recorded() -> None:
     for process in processes:
         if process.agents:
             assert set(process.subscriptions) == set(BROADCASTS)
+
+
+@pytest.mark.usefixtures("ros")
+def test_every_node_has_the_endpoints_that_the_plan_says() -> None:
+    processes = planned(builtin("pd_het_4").resolved())
+    modules: dict[str, Any] = {
+        PLANE: plane_sim.realtime,
+        OBSERVER: abstraction_observer.realtime,
+        CONTROLLER: parent_controller.realtime,
+        agent_name(1): agent_node.realtime,
+    }
+    for name, module in modules.items():
+        process = processes[name]
+        with started_node(*process.arguments("/")[1:]) as node:
+            table = module.table(node) if hasattr(module, "table") else module.PARAMETERS
+            spec = module.make(Settings(declare(node, (*COMMON, *table))), node)
+        assert set(process.subscriptions) == set(spec.subscriptions), name
+        assert set(process.publications) == set(spec.publications), name
+    assert EVENTS in processes[OBSERVER].subscriptions

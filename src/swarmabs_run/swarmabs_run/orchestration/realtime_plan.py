@@ -90,7 +90,7 @@ def realtime_plan(
                 "quorum": min(realtime.quorum or 0, len(scenario.agents)),
             },
             (EVENTS, BASIS, ABSTRACT_STATE, AUXILIARY_STATE),
-            (AGENT_STATE,),
+            (AGENT_STATE, EVENTS),
         ),
         ProcessPlan(
             CONTROLLER,
