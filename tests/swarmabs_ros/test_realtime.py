@@ -290,3 +290,75 @@ def test_a_loop_that_hangs_is_named_and_does_not_do_the_job_later(real_loop: Rea
     until(done.is_set, "the job that hung is done")
     assert real_loop.call(lambda: 5) == 5
     assert late == []
+
+
+@dataclass
+class Hanging:
+    """A loop in a thread of its own, whose node never ends what it begins there."""
+
+    loop: RealtimeLoop
+    hung: threading.Event
+    """Set when the loop is known to be lost."""
+    release: threading.Event
+
+
+@pytest.fixture
+def hanging() -> Iterator[Hanging]:
+    hung, release = threading.Event(), threading.Event()
+    loop = RealtimeLoop(lambda _: None, on_hang=hung.set, halts_within=0.05)
+    thread = threading.Thread(target=loop.run)
+    thread.start()
+    yield Hanging(loop, hung, release)
+    release.set()
+    loop.stop()
+    thread.join(10.0)
+    assert not thread.is_alive()
+
+
+def engine_of(node: Node) -> Engine:
+    clock = StepClock(Schedule(PERIOD_NS, EPOCH), 0.0)
+    world = World()
+    return Engine(node, clock, world, {PLANE_STATE: DEPTH}, {DESIRED_ABSTRACT_STATE: Writer(world)})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("where", ["halt", "tick"])
+@pytest.mark.parametrize("request_of", ["deactivate", "take back"])
+def test_a_node_that_does_not_halt_is_told_and_nobody_waits_for_it(
+    hanging: Hanging, where: str, request_of: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, begun = Node(), threading.Event()
+
+    def hang(*_: object) -> Messages:
+        begun.set()
+        hanging.release.wait(10.0)
+        return ()
+
+    monkeypatch.setattr(node, where, hang)
+    loop = hanging.loop
+    loop.attach(engine_of(node))
+    loop.activate()
+    if where == "tick":
+        assert begun.wait(10.0)
+    with pytest.raises(RunError, match="drive's stop|has not answered for 0.05 s"):
+        loop.deactivate() if request_of == "deactivate" else loop.attach(None)
+    assert hanging.hung.wait(10.0)
+    with pytest.raises(RunError, match=r"halting has not ended within 0\.05 s: a drive's stop\(\) hangs, or a step"):
+        loop.health()
+
+
+def test_a_loop_that_does_not_stop_is_told(hanging: Hanging, monkeypatch: pytest.MonkeyPatch) -> None:
+    node = Node()
+    monkeypatch.setattr(node, "halt", lambda: hanging.release.wait(10.0))
+    hanging.loop.attach(engine_of(node))
+    hanging.loop.activate()
+    hanging.loop.stop()
+    assert hanging.hung.wait(10.0)
+
+
+def test_who_halts_in_time_is_not_taken_to_hang(hanging: Hanging) -> None:
+    hanging.loop.attach(engine_of(Node()))
+    for _ in range(3):
+        hanging.loop.activate()
+        hanging.loop.deactivate()
+    assert not hanging.hung.wait(0.2)
+    assert hanging.loop.health().text.startswith("fine")

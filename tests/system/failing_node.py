@@ -1,8 +1,12 @@
-"""A node in real time whose behaviour fails when a file is there: as a drive does whose cable is off."""
+"""A node in real time whose behaviour fails when a file is there, as a drive does whose cable is off.
+
+With a second file it does not come back from halting, as a drive does not whose base does not answer.
+"""
 
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 from swarmabs_core.messages import EVENTS, PLANE_STATE, Message, Messages, PlaneState
@@ -30,6 +34,8 @@ class Failing:
 
     def halt(self) -> None:
         self._file.with_suffix(".halted").touch()
+        while self._file.with_suffix(".hangs").exists():
+            time.sleep(0.1)
 
     def health(self, now: int) -> Health:
         return Health(Level.OK, "fine")

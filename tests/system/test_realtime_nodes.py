@@ -122,6 +122,29 @@ def test_an_error_halts_the_node_is_named_and_is_no_end(network: Network, tmp_pa
     assert node.terminate() == 0, node.log()
 
 
+@pytest.mark.parametrize("way", ["deactivate", "shutdown", "SIGTERM", "failure"])
+def test_a_node_whose_body_does_not_stop_says_so_and_ends(network: Network, tmp_path: Path, way: str) -> None:
+    client = network.client()
+    cable = tmp_path / "cable_off"
+    node = network.start("tests.system.failing_node", "failing", file=cable)
+    client.until_healthy("failing")
+    cable.with_suffix(".hangs").touch()
+    if way == "SIGTERM":
+        os.kill(node.pid, signal.SIGTERM)
+    elif way == "failure":
+        cable.touch()
+    else:
+        assert client.change("failing", way) is False
+    assert node.wait() == 1, node.log()
+    said = "halting has not ended within 5 s: a drive's stop() hangs, or a step before it; this process ends"
+    assert said in node.log()
+    assert "Traceback" not in node.log()
+    health = client.health("failing")
+    assert health["level"] == ERROR
+    assert said in health["message"]
+    assert any(said in report["reason"] for report in network.read_reports() if report["event"] == "failed")
+
+
 def test_a_swarm_follows_stops_and_goes_on_when_told(network: Network) -> None:
     client = network.client()
     nodes = start_swarm(network)

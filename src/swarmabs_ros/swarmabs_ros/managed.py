@@ -6,18 +6,20 @@ wants of the behaviour it hands to the first.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from swarmabs_core.errors import SwarmabsError
+from swarmabs_core.errors import RunError, SwarmabsError
 from swarmabs_core.realtime.base import Health, Level, Schedule
 from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from swarmabs_ros.qos import Qos
     from swarmabs_ros.status import StatusChannel
 
+TOLD_WITHIN = 1.0
+"""Time, s, that a process which is about to end has for each answer and for its last diagnostics."""
 SUCCESS, FAILURE, ERROR = (
     TransitionCallbackReturn.SUCCESS,
     TransitionCallbackReturn.FAILURE,
@@ -167,6 +171,22 @@ class RealtimeNode(LifecycleNode):
         self.notes.error(f"halted after an error: {text}")
         self._status.send("failed", reason=text)
         self._executor.create_task(self._leave_active)
+
+    # From the watchdog's thread
+
+    def hung(self) -> None:
+        """Say that halting does not end, before the process does; what was asked for is answered first."""
+        error = RunError(f"{self._loop.hang}; this process ends, and its body is as it was left")
+        text = one_line(error)
+        self.notes.fatal(text)
+        self._status.send("failed", reason=text)
+        notify(f"STATUS={text}")
+        answered = threading.Event()
+        self._executor.create_task(answered.set)
+        answered.wait(TOLD_WITHIN)
+        self.failure = error
+        self._diagnose()
+        self._diagnostics.wait_for_all_acked(Duration(seconds=TOLD_WITHIN))
 
     # From the executor's thread
 

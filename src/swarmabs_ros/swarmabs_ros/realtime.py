@@ -9,7 +9,7 @@ import gc
 import queue
 import threading
 import time
-from concurrent.futures import Future, TimeoutError as NotInTimeError
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -32,6 +32,8 @@ SLICE = 0.1
 """Longest time, s, for which the loop does not look for jobs, or whether it shall stop."""
 ANSWER_WITHIN = 2.0
 """Time, s, after which whoever waits for a job takes the loop to hang."""
+HALTS_WITHIN = 5.0
+"""Time, s, that halting may take, whatever asks for it: a drive that takes longer to stop is taken to hang."""
 TOLERATED = 0.01
 """Share of periods that may be missed from one report of health to the next without a warning."""
 _PAIRED = 100_000
@@ -78,6 +80,41 @@ class Engine:
     wakes: tuple[Topic, ...] = ()
 
 
+class Watchdog(threading.Thread):
+    """Notices that something does not end in time, whatever the thread hangs in that does it.
+
+    Parameters
+    ----------
+    on_hang : callable
+        Told, in this thread, that it has not ended.
+    """
+
+    def __init__(self, on_hang: Callable[[], None]) -> None:
+        super().__init__(name="watchdog", daemon=True)
+        self._on_hang = on_hang
+        # Reentrant, so that a handler of signals may use it, whatever it has interrupted.
+        self._orders: queue.SimpleQueue[float | None] = queue.SimpleQueue()
+
+    def expect(self, seconds: float | None) -> None:
+        """Expect an end within so many s from now; None: it has come."""
+        self._orders.put(seconds)
+
+    def end(self) -> None:
+        """Watch no longer."""
+        self._orders.put(-1.0)
+        self.join()
+
+    def run(self) -> None:
+        """Watch until `end`, or until something hangs."""
+        seconds: float | None = None
+        while seconds is None or seconds >= 0.0:
+            try:
+                seconds = self._orders.get(timeout=seconds)
+            except queue.Empty:
+                self._on_hang()
+                return
+
+
 class RealtimeLoop:
     """Drives an engine while it is active.
 
@@ -87,6 +124,10 @@ class RealtimeLoop:
         Told, in the loop's thread, of an error of the behaviour; it has been halted and is silent by then.
     on_pass : callable
         Called with the steady time, ns, every `SLICE` s at the latest.
+    on_hang : callable
+        Told, in a thread of its own, that halting has not ended within `halts_within`: the loop's thread is lost.
+    halts_within : float
+        Time, s, that halting may take.
     read : callable
         Reads the clocks.
     sleep : callable
@@ -98,11 +139,17 @@ class RealtimeLoop:
         on_failure: Callable[[Exception], None],
         on_pass: Callable[[int], None] = lambda _: None,
         *,
+        on_hang: Callable[[], None] = lambda: None,
+        halts_within: float = HALTS_WITHIN,
         read: Callable[[], Reading] = read_clocks,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._on_failure = on_failure
         self._on_pass = on_pass
+        self._on_hang = on_hang
+        self._halts_within = halts_within
+        self._watchdog = Watchdog(self._hang)
+        self._hung: Future[None] = Future()
         self._read = read
         self._sleep = sleep
         self._engine: Engine | None = None
@@ -117,8 +164,9 @@ class RealtimeLoop:
     # From any thread
 
     def stop(self) -> None:
-        """Make `run` return soon."""
+        """Make `run` return soon, or have `on_hang` told; for handlers of signals, too."""
         self._stopping = True
+        self._watchdog.expect(self._halts_within)
 
     def call(self, work: Callable[[], T], timeout: float = ANSWER_WITHIN) -> T:
         """Have something done in the loop's thread, between two passes, and return what it returns.
@@ -126,30 +174,43 @@ class RealtimeLoop:
         Raises
         ------
         RunError
-            If it was not done in time (s); then it will not be done either.
+            If it was not begun in time (s), and then it will not be done either; or if the loop is lost.
         """
         if threading.get_ident() == self._thread:
             return work()
         answer: Future[T] = Future()
         self._jobs.put((work, answer))
-        try:
-            return answer.result(timeout)
-        except NotInTimeError:
+        wait((answer, self._hung), timeout, FIRST_COMPLETED)
+        if not answer.done() and not self._hung.done():
             if answer.cancel():
-                raise RunError(f"the loop that makes the steps has not answered for {timeout:g} s") from None
-            return answer.result()
+                raise RunError(f"the loop that makes the steps has not answered for {timeout:g} s")
+            wait((answer, self._hung), return_when=FIRST_COMPLETED)
+        if not answer.done():
+            raise RunError(self.hang)
+        return answer.result()
+
+    @property
+    def hang(self) -> str:
+        """What there is to say of a loop that is lost."""
+        return f"halting has not ended within {self._halts_within:g} s: a drive's stop() hangs, or a step before it"
 
     def attach(self, engine: Engine | None) -> None:
         """Take over what is to be driven, not active at first; None: nothing."""
-        self.call(lambda: self._attach(engine))
+        self._halting(lambda: self._attach(engine))
 
     def activate(self) -> None:
         """Begin to make steps."""
         self.call(self._activate)
 
     def deactivate(self) -> None:
-        """Halt the behaviour, and be silent."""
-        self.call(self._deactivate)
+        """Halt the behaviour, and be silent.
+
+        Raises
+        ------
+        RunError
+            If the behaviour does not halt in time.
+        """
+        self._halting(self._deactivate)
 
     def command(self, work: Callable[[int], Messages]) -> None:
         """Have an operator's command done, given the time in ns since 1970, and publish what it answers.
@@ -165,11 +226,21 @@ class RealtimeLoop:
         """Return how behaviour and timing are; what was missed counts since the last time this was asked."""
         return self.call(self._health, timeout)
 
+    def _halting(self, work: Callable[[], None]) -> None:
+        """Have something done that halts: what the loop is at must end in time too."""
+        self._watchdog.expect(self._halts_within)
+        self.call(work, self._halts_within)
+
+    def _hang(self) -> None:
+        self._hung.set_result(None)
+        self._on_hang()
+
     # In the loop's thread
 
     def run(self) -> None:
         """Drive what is attached while it is active, until `stop` is called; then halt it."""
         self._thread = threading.get_ident()
+        self._watchdog.start()
         while not self._stopping:
             self._on_pass(self._read().steady)
             self._do_jobs(wait=not self._active)
@@ -183,6 +254,7 @@ class RealtimeLoop:
         except Exception as error:  # noqa: BLE001 - as above
             self._on_failure(error)
         self._do_jobs(wait=False)
+        self._watchdog.end()
 
     def _do_jobs(self, *, wait: bool) -> None:
         try:
@@ -251,10 +323,14 @@ class RealtimeLoop:
         self._active = True
 
     def _deactivate(self) -> None:
-        if self._active:
-            self._active = False
-            gc.unfreeze()
-            cast("Engine", self._engine).behaviour.halt()
+        self._watchdog.expect(self._halts_within)
+        try:
+            if self._active:
+                self._active = False
+                gc.unfreeze()
+                cast("Engine", self._engine).behaviour.halt()
+        finally:
+            self._watchdog.expect(None)
 
     def _fail(self, error: Exception) -> None:
         try:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -111,12 +112,11 @@ def _settings(node: RealtimeNode, own: Table, status: StatusChannel) -> Settings
 
 def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel) -> None:
     executor = SingleThreadedExecutor(context=node.context)
-    loop = RealtimeLoop(node.failed, _watchdog())
+    loop = RealtimeLoop(node.failed, _watchdog(), on_hang=lambda: _give_up(node))
     node.prepare(make, schedule_of(settings), loop, executor, status)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.stop())
-    autostart = settings.flag("autostart")
     refused: list[Exception] = []
 
     def start() -> None:
@@ -124,10 +124,6 @@ def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec
             refused.append(node.failure or RunError("the node does not start"))
             loop.stop()
 
-    if autostart:
-        executor.create_task(start)
-    else:
-        notify("READY=1\nSTATUS=waits to be configured")
     server = Server(node, executor)
     sys.setswitchinterval(SWITCH_INTERVAL)
     server.start()
@@ -135,6 +131,10 @@ def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec
         scheduling.schedule_threads(settings.text(scheduling.SCHEDULING.name), settings.integer("priority"))
         if settings.flag(scheduling.LOCK_MEMORY.name):
             scheduling.lock_memory()
+        if settings.flag("autostart"):
+            executor.create_task(start)
+        else:
+            notify("READY=1\nSTATUS=waits to be configured")
         loop.run()
     finally:
         notify("STOPPING=1")
@@ -144,6 +144,16 @@ def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec
     problem = refused[0] if refused else node.failure
     if problem is not None:
         raise problem if isinstance(problem, (InputError, RunError)) else RunError(one_line(problem))
+
+
+def _give_up(node: RealtimeNode) -> NoReturn:
+    """End the process, whose main thread does not come back, once it is said why."""
+    try:
+        node.hung()
+        sys.stderr.write(f"error: {node.failure}\n")
+        sys.stderr.flush()
+    finally:
+        os._exit(1)
 
 
 def _watchdog() -> Callable[[int], None]:
