@@ -339,7 +339,7 @@ def test_a_node_that_does_not_halt_is_told_and_nobody_waits_for_it(
     loop.activate()
     if where == "tick":
         assert begun.wait(10.0)
-    with pytest.raises(RunError, match="drive's stop|has not answered for 0.05 s"):
+    with pytest.raises(RunError, match=r"drive's stop|has not answered for 0\.05 s"):
         loop.deactivate() if request_of == "deactivate" else loop.attach(None)
     assert hanging.hung.wait(10.0)
     with pytest.raises(RunError, match=r"halting has not ended within 0\.05 s: a drive's stop\(\) hangs, or a step"):

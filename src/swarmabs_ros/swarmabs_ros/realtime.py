@@ -180,11 +180,12 @@ class RealtimeLoop:
             return work()
         answer: Future[T] = Future()
         self._jobs.put((work, answer))
-        wait((answer, self._hung), timeout, FIRST_COMPLETED)
+        either: tuple[Future[Any], ...] = (answer, self._hung)
+        wait(either, timeout, FIRST_COMPLETED)
         if not answer.done() and not self._hung.done():
             if answer.cancel():
                 raise RunError(f"the loop that makes the steps has not answered for {timeout:g} s")
-            wait((answer, self._hung), return_when=FIRST_COMPLETED)
+            wait(either, return_when=FIRST_COMPLETED)
         if not answer.done():
             raise RunError(self.hang)
         return answer.result()

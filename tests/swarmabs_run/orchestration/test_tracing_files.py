@@ -44,9 +44,13 @@ def mapped(path: Path) -> Iterator[None]:
 
 
 def test_files_that_the_block_makes_are_removed_also_after_an_error(folder: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), tracing_files_removed():
-        made(folder)
-        raise KeyboardInterrupt
+    def interrupted() -> None:
+        with tracing_files_removed():
+            made(folder)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert not list(folder.iterdir())
 
 
