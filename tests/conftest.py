@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import tempfile
 import time
 import uuid
@@ -14,10 +15,18 @@ from typing import Any
 import psutil
 import pytest
 import rclpy
+from hypothesis import settings
 from tests.processes import MARK, marked_processes
 
+from swarmabs_core.controllers import ALL_CONTROLLERS
+from swarmabs_core.law_registry import ALL_LAWS
+from swarmabs_core.realtime.drive_registry import ALL_DRIVES
 from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
 from swarmabs_run.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
+
+# Property tests draw the same examples every time, and take the time they need on a busy machine.
+settings.register_profile("swarmabs", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("swarmabs")
 
 _GONE_WITHIN = 5.0
 """Time, s, that the kernel may take to end a process which was killed, on a machine under full load."""
@@ -136,3 +145,18 @@ def ros(ros_network: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.setenv(name, text)
     yield
     rclpy.try_shutdown()
+
+
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give a folder in which packages can be installed; what is imported from it is forgotten after the test."""
+    folder = tmp_path / "packages"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(folder)
+    for registry in (ALL_CONTROLLERS, ALL_LAWS, ALL_DRIVES):
+        for cache in ("_loaded", "_packages"):
+            monkeypatch.setattr(registry, cache, {})
+    yield folder
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", "")).startswith(str(folder)):
+            del sys.modules[name]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from swarmabs_bag import load_arrays
+from swarmabs_bag.arrays import load_arrays
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:

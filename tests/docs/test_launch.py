@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.docs.pages import ROOT, read, rows, section
 
-from swarmabs_bag import open_bag
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import load_scenario
 from swarmabs_config.scenarios import find_scenario

@@ -15,7 +15,8 @@ from tests.docs.pages import read
 from tests.examples import cascade_margins
 from tests.examples.cascade_oracle import solve
 
-from swarmabs_bag import bag_info, load_arrays
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.info import bag_info
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_core.errors import InputError
 

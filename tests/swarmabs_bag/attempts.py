@@ -26,7 +26,10 @@ from tests.swarmabs_bag.damage import Damage
 from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_analysis.replay.playback import choose_topics
 from swarmabs_analysis.rerun import recorded_run
-from swarmabs_bag import BagReader, NotABagError, bag_info, load_arrays, open_bag
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.info import bag_info
+from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.split_reader import SplitBagReader
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays

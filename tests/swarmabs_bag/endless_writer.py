@@ -14,7 +14,8 @@ import time
 from itertools import count
 from pathlib import Path
 
-from swarmabs_bag import BagWriteError, BagWriter
+from swarmabs_bag.errors import BagWriteError
+from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, PlaneState
 

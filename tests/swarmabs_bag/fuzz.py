@@ -22,8 +22,9 @@ from tests.swarmabs_bag.damage import Damage, damage
 from tests.swarmabs_bag.forgery import forge
 from tests.swarmabs_bag.split_damage import FolderDamage, damage_folder
 
-from swarmabs_bag import BagWriter, load_arrays
+from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS

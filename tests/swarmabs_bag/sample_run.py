@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from swarmabs_bag import BagWriter
+from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
     EVENTS,

@@ -8,7 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmabs_bag import BagTooLargeError, BagWriter, DamagedBagError, NotABagError, arrays, load_arrays, open_bag
+from swarmabs_bag import arrays
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (

@@ -15,7 +15,9 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
-from swarmabs_bag import BagWriteError, BagWriter, open_bag
+from swarmabs_bag.errors import BagWriteError
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
 

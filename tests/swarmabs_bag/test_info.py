@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from swarmabs_bag import BagWriter, NotABagError, ScenarioInfo, bag_info, render
+from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.info import ScenarioInfo, bag_info, render
+from swarmabs_bag.writer import BagWriter
 from swarmabs_cli import main
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, Message, PlaneState

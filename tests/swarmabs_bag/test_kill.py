@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_bag import DamagedBagError, bag_info, open_bag
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.info import bag_info
+from swarmabs_bag.reader import open_bag
 
 CHUNK_SECONDS = 0.05
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

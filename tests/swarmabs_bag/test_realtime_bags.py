@@ -26,8 +26,9 @@ from swarmabs_analysis.report.record import read_recorded
 from swarmabs_analysis.rerun import recorded_run
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_analysis.verify import BagToVerify, Verdict
-from swarmabs_bag import bag_info, load_arrays, open_bag
-from swarmabs_bag.info import render
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.info import bag_info, render
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
 from swarmabs_config import realtime as configure
 from swarmabs_core.cdr import decode

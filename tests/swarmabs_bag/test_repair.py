@@ -22,20 +22,15 @@ from rosbags.rosbag2 import Reader
 from tests.swarmabs_bag.conftest import WriteBag
 from tests.swarmabs_bag.damage import MAGIC, chunk as packed, sealed
 
-from swarmabs_bag import (
-    BagFolderError,
-    BagWriteError,
-    BagWriter,
-    DamagedBagError,
-    NotABagError,
-    RepairReport,
-    bag_info,
-    open_bag,
-    repair_bag,
-)
+from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError, NotABagError
 from swarmabs_bag.index import encoded
+from swarmabs_bag.info import bag_info
 from swarmabs_bag.output import RecordFile
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.repair import repair_bag
+from swarmabs_bag.repair_report import RepairReport
 from swarmabs_bag.splitting import Split
+from swarmabs_bag.writer import BagWriter
 from swarmabs_cli import main
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from swarmabs_bag import UnknownTypeError, message_schema
+from swarmabs_bag.errors import UnknownTypeError
+from swarmabs_bag.schemas import message_schema
 from swarmabs_core.messages import TOPICS
 
 

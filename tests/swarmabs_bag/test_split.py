@@ -14,18 +14,13 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
-from swarmabs_bag import (
-    BagWriteError,
-    BagWriter,
-    DamagedBagError,
-    NotABagError,
-    bag_info,
-    find_bag,
-    load_arrays,
-    open_bag,
-    repair_bag,
-)
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.errors import BagWriteError, DamagedBagError, NotABagError
+from swarmabs_bag.info import bag_info
+from swarmabs_bag.reader import find_bag, open_bag
+from swarmabs_bag.repair import repair_bag
 from swarmabs_bag.splitting import Split
+from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message

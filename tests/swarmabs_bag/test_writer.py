@@ -15,7 +15,9 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Message as StoredMessage
 from mcap.stream_reader import StreamReader
 
-from swarmabs_bag import BagFolderError, BagWriter, DamagedBagError, UnknownTypeError, open_bag
+from swarmabs_bag.errors import BagFolderError, DamagedBagError, UnknownTypeError
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, Message, PlaneState, Topic
 from swarmabs_ros.qos import Qos

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from tests.swarmabs_analysis.figures.conftest import record
 
-from swarmabs_bag import BAG_FILE
+from swarmabs_bag.writer import BAG_FILE
 from swarmabs_cli import main
 
 pytestmark = pytest.mark.timeout(60)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from swarmabs_bag import open_bag
+from swarmabs_bag.reader import open_bag
 from swarmabs_cli import main
 
 

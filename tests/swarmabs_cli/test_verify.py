@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
 from tests.swarmabs_analysis.figures.conftest import record
 
-from swarmabs_bag import BAG_FILE
 from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.writer import BAG_FILE
 from swarmabs_cli import main
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.simulation import simulated_steps

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_bag import BagWriteError, open_bag
+from swarmabs_bag.errors import BagWriteError
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenarios import find_scenario

@@ -25,7 +25,7 @@ from tests.system.helpers import (
     until_stepping,
 )
 
-from swarmabs_bag import open_bag
+from swarmabs_bag.reader import open_bag
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 

@@ -19,7 +19,8 @@ from rosbags.rosbag2 import Reader
 from tests.processes import marked_processes, until
 from tests.system.helpers import LONGEST, named_processes, seconds
 
-from swarmabs_bag import open_bag, repair_bag
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.repair import repair_bag
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.simulation import simulated_steps
 

@@ -22,7 +22,7 @@ from tests.processes import ROOT, SEARCH_PATH, until
 from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
-from swarmabs_bag import load_arrays
+from swarmabs_bag.arrays import load_arrays
 from swarmabs_cli import main
 from swarmabs_run.orchestration.looking_in import environment_of_run
 from swarmabs_run.orchestration.progress_file import read_progress

@@ -41,7 +41,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def provenance(bag: Path) -> dict[str, Any]:
-    from swarmabs_bag import open_bag  # noqa: PLC0415
+    from swarmabs_bag.reader import open_bag  # noqa: PLC0415
 
     data = open_bag(bag).attachment("provenance.json")
     assert data is not None

@@ -24,8 +24,8 @@ from tests.system.helpers import (
     swarm,
 )
 
-from swarmabs_bag import open_bag
 from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.reader import open_bag
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EventKind, SwarmEvent

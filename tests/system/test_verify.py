@@ -21,7 +21,7 @@ from tests.system.helpers import (
     until_stepping,
 )
 
-from swarmabs_bag import open_bag
+from swarmabs_bag.reader import open_bag
 from swarmabs_core.messages import EVENTS
 from swarmabs_run.orchestration.plan import ProcessPlan
 

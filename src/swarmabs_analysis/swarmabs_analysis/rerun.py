@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from swarmabs_analysis.comparison.steps import recorded_steps
-from swarmabs_bag import DamagedBagError, NotABagError, open_bag
 from swarmabs_bag.attached import attached_provenance, attached_scenario, was_steered
+from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.provenance import SCHEMA_VERSION, plugin_versions, versions
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recording import Digest
 from swarmabs_config import configure
 from swarmabs_config.scenario.errors import printable, shorten, show
@@ -25,7 +26,7 @@ from swarmabs_core.steering import DISTURBANCE, REFERENCE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from swarmabs_bag import BagReader
+    from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.progress import Outcome

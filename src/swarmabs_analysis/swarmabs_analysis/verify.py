@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.verification import Difference, Ending, Verification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag import PROVENANCE_FILE, SCENARIO_FILE, DamagedBagError, NotABagError, open_bag
 from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.info import PROVENANCE_FILE, SCENARIO_FILE
 from swarmabs_bag.provenance import plugin_versions, versions
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import DRIVER, RealtimeWorld, realtime_world
 from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_config import configure
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from swarmabs_bag import BagReader
+    from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
 
 DRIVERS = ("lockstep", "simulate", DRIVER)

@@ -14,7 +14,7 @@ from swarmabs_cli.output import json_option, print_json, print_tables
 @json_option
 def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
     """Say what bags hold; a BAG is a run's folder, its bag folder, or an .mcap file."""
-    from swarmabs_bag import bag_info, render  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bag.info import bag_info, render  # noqa: PLC0415 - slow, not for --help
 
     found = [bag_info(path) for path in bags]
     if as_json:

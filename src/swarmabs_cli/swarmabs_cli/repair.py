@@ -12,7 +12,7 @@ from swarmabs_cli.output import json_option, print_json
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from swarmabs_bag import RepairReport
+    from swarmabs_bag.repair_report import RepairReport
 
 
 @click.command()
@@ -28,7 +28,7 @@ def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> 
     BAG is a run's folder, its bag folder, or an .mcap file. A bag that is whole stays as it is. The exit code is 0
     whenever there is a whole bag afterwards, also if something was lost.
     """
-    from swarmabs_bag import repair_bag  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bag.repair import repair_bag  # noqa: PLC0415 - slow, not for --help
 
     report = repair_bag(bag, output, in_place=in_place)
     if as_json:

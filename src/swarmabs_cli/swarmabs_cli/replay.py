@@ -137,7 +137,7 @@ def _play(
 ) -> int:
     """Play a bag to whoever listens; return the exit code."""
     from swarmabs_analysis.replay.pace import Pace  # noqa: PLC0415
-    from swarmabs_bag import open_bag  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_bag.reader import open_bag  # noqa: PLC0415 - slow, not for --help
     from swarmabs_run.interruption import end_asked  # noqa: PLC0415
     from swarmabs_run.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
 

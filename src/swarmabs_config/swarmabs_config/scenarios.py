@@ -69,7 +69,7 @@ def names_bag(named: str) -> bool:
 
 
 def _scenario_of_bag(path: Path, overrides: Sequence[str]) -> Scenario:
-    from swarmabs_bag import open_bag  # noqa: PLC0415 - only needed for bags
     from swarmabs_bag.attached import attached_scenario  # noqa: PLC0415
+    from swarmabs_bag.reader import open_bag  # noqa: PLC0415 - only needed for bags
 
     return attached_scenario(open_bag(path, several=True), overrides)

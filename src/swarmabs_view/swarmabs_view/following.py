@@ -142,7 +142,7 @@ class RunView:
             self._live.text = "the run has ended without a summary"
             return
         # Slow to import, and not needed before.
-        from swarmabs_bag import DamagedBagError  # noqa: PLC0415
+        from swarmabs_bag.errors import DamagedBagError  # noqa: PLC0415
         from swarmabs_view.playback import open_recording  # noqa: PLC0415
 
         try:

@@ -18,7 +18,7 @@ from swarmabs_analysis.comparison import (
     compare_steps,
     recorded_steps,
 )
-from swarmabs_bag import DamagedBagError
+from swarmabs_bag.errors import DamagedBagError
 from swarmabs_core.messages import TOPIC_OF, AgentState, EventKind, Message, PlaneState, SwarmEvent, Topic
 
 

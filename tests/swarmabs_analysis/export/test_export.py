@@ -20,7 +20,8 @@ from tests.swarmabs_bag.sample_run import changed, make_run, make_step, write_ba
 from tests.swarmabs_msgs.definitions import DEFINITIONS
 
 from swarmabs_analysis.export import TABLES, export_arrays, export_tables
-from swarmabs_bag import BagTooLargeError, DamagedBagError, load_arrays
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.errors import BagTooLargeError, DamagedBagError
 from swarmabs_cli import main
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import TOPIC_OF, EventKind, Message, PlaneState, SwarmEvent

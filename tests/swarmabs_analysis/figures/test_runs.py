@@ -10,8 +10,9 @@ import pytest
 from tests.swarmabs_analysis.figures.conftest import NAMES, record
 
 from swarmabs_analysis.figures.runs import find_made, find_runs, make_run
-from swarmabs_bag import BagWriter, NotABagError
+from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.run_folder import RunFolder
+from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError, SwarmabsError

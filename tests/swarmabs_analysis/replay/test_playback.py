@@ -10,7 +10,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from swarmabs_analysis.replay.playback import USUAL_QOS, choose_topics
-from swarmabs_bag import BagReader, message_schema, open_bag
+from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_bag.schemas import message_schema
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
 

@@ -12,8 +12,8 @@ from tests.swarmabs_analysis.figures.conftest import record
 from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_analysis.replay.table import result_parts
-from swarmabs_bag import open_bag
 from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_core.behaviours.player import NodeName
 

@@ -10,8 +10,9 @@ from tests.swarmabs_analysis.replay.conftest import SETTINGS
 
 from swarmabs_analysis.replay import source as source_module
 from swarmabs_analysis.replay.source import open_source
-from swarmabs_bag import BagReader, BagWriter, open_bag
+from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import Digest, Record
+from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.behaviours.player import NodeName

@@ -10,7 +10,7 @@ from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_analysis.report.conftest import Page, messages, write
 
 from swarmabs_analysis.report import make_report
-from swarmabs_bag import DamagedBagError, NotABagError
+from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.messages import AgentState, PlaneState, SwarmEvent

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.comparison.settings import SettingDifference, setting_differences
 from swarmabs_analysis.comparison.steps import recorded_steps
-from swarmabs_bag import DamagedBagError, NotABagError, open_bag
 from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import is_realtime
 from swarmabs_bag.realtime_recording import RealtimeFigures
 from swarmabs_bag.recording import Digest, Metrics
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from swarmabs_bag import BagReader
+    from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep, Reference
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message, Topic

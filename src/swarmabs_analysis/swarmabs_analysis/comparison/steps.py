@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_bag import DamagedBagError
+from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recording import Record, RecordedStep
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import MalformedMessageError

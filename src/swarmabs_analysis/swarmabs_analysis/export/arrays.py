@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.export.columns import TABLES, time_of
-from swarmabs_bag import BagTooLargeError, load_tables, open_bag
-from swarmabs_bag.arrays import arrays_since
+from swarmabs_bag.arrays import arrays_since, load_tables
 from swarmabs_bag.attached import step_period
+from swarmabs_bag.errors import BagTooLargeError
 from swarmabs_bag.memory import available_memory
+from swarmabs_bag.reader import open_bag
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag import BagReader
+    from swarmabs_bag.reader import BagReader
     from swarmabs_core.arrays import RunArrays
 
 _EVENT_BYTES = 500

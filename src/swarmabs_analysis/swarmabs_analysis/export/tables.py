@@ -9,8 +9,9 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from swarmabs_analysis.export.columns import TABLES, time_of
-from swarmabs_bag import NotABagError, open_bag
 from swarmabs_bag.attached import step_period
+from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.reader import open_bag
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:

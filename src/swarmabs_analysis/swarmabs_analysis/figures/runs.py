@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmabs_bag import NotABagError, find_bag, load_arrays, open_bag
+from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.reader import find_bag, open_bag
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_bag.summary import Times, summarise
 from swarmabs_config.scenario import Scenario, dump_scenario

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from swarmabs_analysis.replay.plan import played
 from swarmabs_analysis.replay.source import recorded_steps
-from swarmabs_bag import open_bag
 from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.reader import open_bag
 from swarmabs_core.behaviours.player import NodeName, Player
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change

@@ -14,7 +14,8 @@ from rclpy.qos import QoSLivelinessPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from swarmabs_analysis.replay.qos import recorded_profiles
-from swarmabs_bag import UnknownTypeError, message_schema
+from swarmabs_bag.errors import UnknownTypeError
+from swarmabs_bag.schemas import message_schema
 from swarmabs_config.scenario.errors import printable, shorten, show
 from swarmabs_core.errors import InputError
 from swarmabs_ros.runner import SwarmNode
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from swarmabs_analysis.replay.pace import Pace
-    from swarmabs_bag import BagChannel, BagReader
+    from swarmabs_bag.reader import BagChannel, BagReader
 
 SLICE = 0.1
 """Longest time, s, for which the playback does not look whether it shall end."""

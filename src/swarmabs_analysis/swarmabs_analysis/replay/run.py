@@ -10,7 +10,7 @@ from swarmabs_analysis.comparison import compare_steps
 from swarmabs_analysis.replay.in_process import Replay
 from swarmabs_analysis.replay.source import recorded_steps
 from swarmabs_analysis.verification.comparison import MESSAGE
-from swarmabs_bag import open_bag
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_core.behaviours.player import publisher_of

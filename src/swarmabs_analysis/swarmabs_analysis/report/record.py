@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
-from swarmabs_bag import DamagedBagError, digest_of, load_tables, open_bag
-from swarmabs_bag.arrays import arrays_of
+from swarmabs_bag.arrays import arrays_of, load_tables
 from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.digest import digest_of
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import is_realtime, law_begins, realtime_figures
 from swarmabs_bag.recording import Metrics, Record, RecordedStep
 from swarmabs_config import configure
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag import BagReader
+    from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.arrays import RunArrays, Tables
 

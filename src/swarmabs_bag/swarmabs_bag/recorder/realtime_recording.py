@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag import BagWriter
 from swarmabs_bag.provenance import provenance_json
 from swarmabs_bag.realtime import DRIVER, RealtimeWorld
 from swarmabs_bag.realtime_recording import RECORDED, RealtimeCollector, RealtimeFigures
 from swarmabs_bag.recorder.glance import Onlooker
 from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.cdr import encode

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_bag import BagWriter
 from swarmabs_bag.provenance import provenance_json
 from swarmabs_bag.recorder.glance import Onlooker
 from swarmabs_bag.recording import Digest, Metrics
 from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS

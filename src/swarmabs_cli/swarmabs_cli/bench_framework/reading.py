@@ -9,7 +9,8 @@ from tempfile import TemporaryDirectory
 
 from mcap.reader import make_reader
 
-from swarmabs_bag import load_arrays, open_bag
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_cli.bench_framework.product import checked
 from swarmabs_cli.bench_framework.scenarios import swarm_of

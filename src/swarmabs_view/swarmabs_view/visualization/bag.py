@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING
 from rclpy.serialization import serialize_message
 
 from swarmabs_analysis.export.tables import new_folder
-from swarmabs_bag import (
-    PROVENANCE_FILE,
-    SCENARIO_FILE,
-    BagWriter,
-    DamagedBagError,
-    NotABagError,
-    UnknownTypeError,
-    message_schema,
-    open_bag,
-)
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.definitions import check_definitions
+from swarmabs_bag.errors import DamagedBagError, NotABagError, UnknownTypeError
+from swarmabs_bag.info import PROVENANCE_FILE, SCENARIO_FILE
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, PlaneState, Topic
