@@ -10,11 +10,11 @@ import pytest
 from tests.docs.pages import NAMES, ROOT, read, rows, section
 
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.summary import Times, summarise
 from swarmabs_config.scenarios import builtin_scenarios, find_scenario
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import TOPICS
 from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.summary import Times, summarise
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -13,13 +13,13 @@ from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import find_bag, open_bag
 from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_bag.summary import Times, summarise
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenario.errors import printable, shorten
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
+from swarmabs_run.summary import Times, summarise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping

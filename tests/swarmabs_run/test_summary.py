@@ -11,9 +11,9 @@ import pytest
 from rich.console import Console
 
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.summary import Times, summarise, summary_table
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.summary import Times, summarise, summary_table
 
 FIGURES = {
     "settled_at": 4.5,
