@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import click
 
 from swarmabs_cli.bench import bench
@@ -76,14 +78,19 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line, by default that of this process, and return the exit code."""
     if arguments is None:
         interrupt_once()
+    return exit_code(lambda: swarm.main(arguments, prog_name="swarm", standalone_mode=False))
+
+
+def exit_code(command: Callable[[], int | None]) -> int:
+    """Carry out a command and return its exit code; what it refuses, and why it failed, is printed."""
     try:
-        code = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
+        code = command()
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "swarm"
         click.echo(f"error: {error.format_message()} See {path} --help.", err=True)
         return error.exit_code
-    except click.exceptions.Abort:
+    except (click.exceptions.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         return 1
     except InputError as error:

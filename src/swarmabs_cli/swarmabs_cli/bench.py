@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
 import sys
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_cli.checkout import checkout
+from swarmabs_cli.output import json_option
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from swarmabs_cli.bench_framework.tables import Table
-
-RUNS = Path("runs")
-WIDTH = 160
-"""Of what is printed into a file or pipe, characters."""
 SUITES = ("product", "start", "memory", "large", "simulate", "recorder", "reading")
+_LONGEST_WARM_UP = 2.0
+"""Time before a measurement that does not count, s; at most a third of its length."""
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, ...]:
@@ -87,72 +82,20 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
 @json_option
 def bench(
     suites: tuple[str, ...],
-    robots: tuple[int, ...],
-    repeat: int,
     window: float,
-    starts: int | None,
-    large: tuple[int, ...],
-    agents_per_process: int,
     compare: tuple[Path, Path] | None,
     output: Path | None,
     *,
-    busy: bool,
     as_json: bool,
+    **settings: object,
 ) -> None:
     """Measure speed, start, memory, recording and reading, beside what DDS, ZeroMQ and the mcap library reach.
 
     The result is a folder with bench.json, bench.md and a chart; docs/performance.md says how to read it.
     """
-    # All of these are slow to import, and not for --help.
-    from swarmabs_bag.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
-    from swarmabs_cli.bench_framework.results import read_result, write_result  # noqa: PLC0415
-    from swarmabs_cli.bench_framework.suites import (  # noqa: PLC0415
-        SUITES as ALL,
-        Settings,
-        check_prerequisites,
-        run_suites,
-    )
-    from swarmabs_cli.bench_framework.tables import comparison, notes, tables  # noqa: PLC0415
-    from swarmabs_run.interruption import terminable  # noqa: PLC0415
-
-    if compare:
-        table = comparison(*map(read_result, compare))
-        if as_json:
-            print_json([dict(zip(table.headings, row, strict=True)) for row in table.rows])
-        else:
-            _show((table,))
-        return
-    chosen = tuple(suite for suite in ALL if suite in suites or "all" in suites)
-    settings = Settings(chosen, robots, repeat, window, min(2.0, window / 3.0), starts, busy, large, agents_per_process)
-    check_prerequisites(settings)
-    folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, "bench")
-    try:
-        with terminable():
-            document = run_suites(settings, lambda line: click.echo(line, err=True))
-        write_result(document, folder.path)
-    finally:
-        with suppress(OSError):  # not empty: that is the result
-            folder.path.rmdir()
-    if as_json:
-        print_json(document)
-        return
-    _show(tables(document))
-    for note in notes(document):
-        click.echo(note)
-    click.echo(f"folder: {folder.path}")
-
-
-def _show(shown: Iterable[Table]) -> None:
-    """Print tables for people."""
-    from rich.console import Console  # noqa: PLC0415 - slow to import
-    from rich.table import Table as RichTable  # noqa: PLC0415
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH)
-    for table in shown:
-        made = RichTable(box=None, header_style="dim")
-        for heading in table.headings:
-            made.add_column(heading)
-        for row in table.rows:
-            made.add_row(*row)
-        console.print(f"{table.name}: {table.caption}", soft_wrap=True)
-        console.print(made)
+    chosen = [suite for suite in SUITES if suite in suites or "all" in suites]
+    settings |= {"suites": chosen, "window": window, "warm_up": min(_LONGEST_WARM_UP, window / 3.0)}
+    asked = {"settings": settings, "compare": compare, "output": output, "as_json": as_json}
+    search = os.pathsep.join(filter(None, (str(checkout()), os.environ.get("PYTHONPATH"))))
+    command = [sys.executable, "-m", "benchmarks.bench", json.dumps(asked, default=str)]
+    os.execve(sys.executable, command, os.environ | {"PYTHONPATH": search})  # noqa: S606 - no shell is wanted

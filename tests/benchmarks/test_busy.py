@@ -6,8 +6,7 @@ import os
 
 import psutil
 import pytest
-
-from swarmabs_cli.bench_framework.busy import busy_machine, busy_processes
+from benchmarks.start import busy_machine, busy_processes
 
 
 def children() -> set[int]:

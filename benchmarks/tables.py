@@ -5,8 +5,11 @@ from __future__ import annotations
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_cli.bench_framework.floors import FLOORS
-from swarmabs_cli.bench_framework.model import AGENTS, ROUND_TRIP, costs, model, spread_out
+from benchmarks.floor_programs import FLOORS
+from benchmarks.model import AGENTS, ROUND_TRIP, costs, model, spread_out
+from benchmarks.product import PACKED, PRODUCT
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -16,7 +19,6 @@ if TYPE_CHECKING:
 
     Document = Mapping[str, Any]
 
-PRODUCT, PACKED = "product", "packed"
 _NAMES = {
     "rclpy_best_effort": "bare rclpy",
     "rclpy_reliable": "bare rclpy, reliable",
@@ -286,8 +288,6 @@ def markdown(table: Table) -> str:
 
 def draw(document: Document, picture: Path) -> None:
     """Draw the steps per second by the number of robots."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
     figure = Figure(figsize=(7.2, 4.6), dpi=130, layout="constrained")
     axes = figure.subplots()
     rows = document["product"]
@@ -302,8 +302,6 @@ def draw(document: Document, picture: Path) -> None:
 
 def draw_large(document: Document, picture: Path) -> None:
     """Draw start and speed of large simulations by the number of robots."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
     figure = Figure(figsize=(7.2, 3.4), dpi=130, layout="constrained")
     rows = document["large"]
     panels = (("start_seconds", "s to the first step", "zeromq"), ("steps_per_second", "steps per second", PRODUCT))
@@ -338,8 +336,6 @@ def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str,
 
 def _finish(axes: Axes, numbers: list[int]) -> None:
     """Give both axes logarithmic scales with plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter  # noqa: PLC0415 - slow to import
-
     axes.set(xscale="log", yscale="log")
     axes.set_xticks(numbers, [str(number) for number in numbers])
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from benchmarks.feeder import FEWEST, IN_FLIGHT, MOST, Feeder
 
-from swarmabs_cli.bench_framework.feeder import FEWEST, IN_FLIGHT, MOST, Feeder
 from swarmabs_core.messages import NEVER, RECORDING_PROGRESS, PlaneState, RecordingProgress
 
 

@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks import floor_programs
+from benchmarks.floor_programs import FLOORS, FOLDER, Floor, measure_floor
+from benchmarks.processes import AGENTS
 
-from swarmabs_cli.bench_framework import floors
-from swarmabs_cli.bench_framework.floors import FLOORS, Floor, floors_folder, measure_floor
-from swarmabs_cli.bench_framework.processes import AGENTS
 from swarmabs_core.errors import RunError
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
@@ -77,14 +77,14 @@ def test_a_floor_that_does_not_answer_is_ended(tmp_path: Path, monkeypatch: pyte
     program = tmp_path / "program.py"
     program.write_text("import time; time.sleep(60)")
     monkeypatch.setitem(FLOORS, "mute", Floor(str(program)))
-    monkeypatch.setattr(floors, "START_SECONDS", 0.2)
-    monkeypatch.setattr(floors, "END_SECONDS", 0.2)
+    monkeypatch.setattr(floor_programs, "START_SECONDS", 0.2)
+    monkeypatch.setattr(floor_programs, "END_SECONDS", 0.2)
     with pytest.raises(RunError, match=r"floor mute: no answer in 0\.2 s"):
         measure_floor("mute", 4, warm_up=0.0, window=0.1)
 
 
 def test_the_floors_share_no_code_with_the_product() -> None:
-    programs = list(floors_folder().glob("*.py"))
+    programs = list(FOLDER.glob("*.py"))
     assert {floor.program for floor in FLOORS.values()} <= {program.name for program in programs}
     for program in programs:
         for node in ast.walk(ast.parse(program.read_text(encoding="utf-8"))):

@@ -68,7 +68,7 @@ class Feeder:
         return messages
 
 
-def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
+def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     """Return behaviour and endpoints.
 
     Raises

@@ -1,4 +1,4 @@
-"""Start, memory and end of a run as a user sees them: the command as a process of its own, interrupted by Ctrl-C."""
+"""Start, memory and end of a run as a user sees them: the command as a process, interrupted by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import psutil
+from benchmarks.common import Settings, program, row, spread, swarm_of, tell
+from benchmarks.processes import Memory, crew_of, memory_of
 
-from swarmabs_cli.bench_framework.processes import Memory, crew_of, memory_of
-from swarmabs_cli.bench_framework.scenarios import swarm_of
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.errors import RunError
 from swarmabs_run.orchestration.process_run import STARTED_AGAIN
 from swarmabs_run.parent_death import die_with_parent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from typing import IO
 
 START_SECONDS = 180.0
@@ -33,6 +34,8 @@ END_SECONDS = 60.0
 """Longest time, s, from Ctrl-C to the end of the command."""
 _STEPS = 30_000
 _LINE = 65536
+PER_CORE = 2
+"""Processes that keep a core busy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,62 @@ class LaunchResult:
     shut_down_seconds: float
     memory: Memory
     retried: int
+
+
+def measure(settings: Settings) -> dict[str, Any]:
+    """Measure start, memory and end of the same runs, on a busy machine if it is set so."""
+    start, memory = [], []
+    with busy_machine() if settings.busy else nullcontext():
+        for robots in settings.robots:
+            results, failures = _launches(robots, settings)
+            start.append(start_row(robots, results, failures, busy=settings.busy))
+            summary = {
+                "agent_bytes": spread(result.memory.agent_median for result in results),
+                "total_bytes": spread(result.memory.total for result in results),
+            }
+            memory.append(row(robots, (result.memory for result in results), summary))
+    return {"start": start, "memory": memory}
+
+
+def _launches(robots: int, settings: Settings) -> tuple[list[LaunchResult], list[str]]:
+    """Return the clean starts and why others were none: how many are clean is what is measured."""
+    results: list[LaunchResult] = []
+    failures: list[str] = []
+    starts = settings.starts or settings.repeat
+    for number in range(starts):
+        tell(f"{robots} robots, start {number + 1} of {starts}: start, memory and end")
+        try:
+            result = measure_launch(robots, warm_up=settings.warm_up)
+        except RunError as error:
+            failures.append(str(error))
+            tell(f"  {error}")
+            continue
+        tell(
+            f"  first step after {result.start_seconds:.1f} s, {result.memory.agent_median / 2**20:.1f} MiB per robot, "
+            f"ended after {result.shut_down_seconds:.1f} s"
+        )
+        results.append(result)
+    return results, failures
+
+
+def start_row(robots: int, results: Sequence[LaunchResult], failures: Sequence[str], *, busy: bool) -> dict[str, Any]:
+    """Sum up the starts of a swarm: in a clean one all processes have met, and the first step was made."""
+    return {
+        "robots": robots,
+        "starts": len(results) + len(failures),
+        "clean": len(results),
+        "retried": sum(result.retried for result in results),
+        "busy_processes": busy_processes() if busy else 0,
+        "failures": list(failures),
+        "summary": {
+            "start_seconds": spread(result.start_seconds for result in results),
+            "shut_down_seconds": spread(result.shut_down_seconds for result in results),
+        },
+        "repeats": [
+            {name: getattr(result, name) for name in ("start_seconds", "shut_down_seconds", "retried")}
+            for result in results
+        ],
+    }
 
 
 def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
@@ -125,3 +184,34 @@ def _lines(stream: IO[bytes] | None, deadline: float) -> Iterator[str]:
             return
         *lines, pending = (pending + data).split(b"\n")
         yield from (line.decode(errors="replace") for line in lines)
+
+
+def busy_processes() -> int:
+    """Return how many processes keep the machine busy."""
+    return PER_CORE * (os.cpu_count() or 1)
+
+
+@contextmanager
+def busy_machine() -> Iterator[None]:
+    """Keep every core busy `PER_CORE` times over for the time of the block."""
+    busy: list[subprocess.Popen[bytes]] = []
+    try:
+        for _ in range(busy_processes()):
+            busy.append(  # noqa: PERF401 - those that were started must end if one cannot be
+                subprocess.Popen(
+                    [sys.executable, "-c", "while True: pass"],
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,
+                    preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - it calls nothing but the kernel
+                )
+            )
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+        for process in busy:
+            process.wait()
+
+
+if __name__ == "__main__":
+    sys.exit(program(measure))

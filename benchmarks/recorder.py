@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import Any
 
-from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_cli.bench_framework.product import Watch, checked
-from swarmabs_cli.bench_framework.scenarios import swarm_of
+from benchmarks.common import COORDINATED, Settings, measure_run, program, repeated, row, spread
+
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, RECORDING_PROGRESS
-from swarmabs_run.orchestration import LockstepRun
 from swarmabs_run.orchestration.plan import RECORDER, ProcessPlan
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 MESSAGES_PER_SECOND = 30_000
 """Speed that the length of the run is made for."""
 MOST = 150_000
 """Messages that are made beforehand at most."""
-_COORDINATED = 4
-"""Messages of a step that do not come from robots."""
+_LONGEST_WARM_UP = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +38,19 @@ class RecorderResult:
     messages_per_core_second: float | None
 
 
-def measure_recorder(robots: int, *, warm_up: float, window: float) -> RecorderResult:
-    """Feed a recorder with the messages of a swarm for about a window (s).
+def measure(settings: Settings) -> dict[str, Any]:
+    """Feed a recorder with the messages of every number of robots."""
+    rows = []
+    for robots in settings.robots:
+        results = repeated(robots, "recorder", settings, measure_recorder)
+        names = ("messages_per_second", "core_share", "messages_per_core_second")
+        summary = {name: spread(getattr(result, name) for result in results) for name in names}
+        rows.append(row(robots, results, summary))
+    return {"recorder": rows}
+
+
+def measure_recorder(robots: int, settings: Settings) -> RecorderResult:
+    """Feed a recorder with the messages of a swarm for about a window.
 
     Raises
     ------
@@ -54,19 +59,14 @@ def measure_recorder(robots: int, *, warm_up: float, window: float) -> RecorderR
     RunError
         If recorder or feeder failed.
     """
-    per_step = robots + _COORDINATED
-    messages = min(MOST, (warm_up + window) * MESSAGES_PER_SECOND)
-    steps = max(20, round(messages / per_step))
-    watch = Watch(warm_up)
-    with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
-        run = new_run_folder(Path(folder) / "run")
-        outcome = LockstepRun(swarm_of(robots, steps), run, on_progress=watch, arrange=_recorder_and_feeder).run()
-    _, stepping = checked(outcome)
-    rate = per_step * watch.rate(steps, stepping)
-    load = watch.load()
+    per_step = robots + COORDINATED
+    warm_up = min(_LONGEST_WARM_UP, settings.warm_up)
+    messages = min(MOST, (warm_up + settings.window) * MESSAGES_PER_SECOND)
+    result = measure_run(robots, max(20, round(messages / per_step)), warm_up, arrange=_recorder_and_feeder)
+    load = result.load
     share = None if load is None else load.cpu_share.get("recorder")
     used = None if load is None or not share else per_step * load.steps / (share * load.seconds)
-    return RecorderResult(rate, share, used)
+    return RecorderResult(per_step * result.steps_per_second, share, used)
 
 
 def _recorder_and_feeder(planned: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
@@ -77,10 +77,14 @@ def _recorder_and_feeder(planned: Sequence[ProcessPlan]) -> Sequence[ProcessPlan
     kept = ("period_ns", "last_step", "stall_timeout", "repeat_after", "repeat_steps", "scenario_file")
     feeder = ProcessPlan(
         "feeder",
-        "swarmabs_cli.bench_framework.feeder",
+        "benchmarks.feeder",
         0,
         {name: recorder.parameters[name] for name in kept} | match,
         (*MAIN_TOPICS, EVENTS),
         (RECORDING_PROGRESS,),
     )
     return replace(recorder, parameters=recorder.parameters | match), feeder
+
+
+if __name__ == "__main__":
+    sys.exit(program(measure))

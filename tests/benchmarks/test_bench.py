@@ -11,13 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.bench import bench
+from benchmarks.common import Settings
+from benchmarks.floor_programs import FLOORS
+from benchmarks.processes import AGENTS
+from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES
+from tests.benchmarks.results import document, repeat
 from tests.processes import marked_processes, until
-from tests.swarmabs_cli.bench_framework.results import document, repeat
 
 from swarmabs_cli import main
-from swarmabs_cli.bench_framework.floors import FLOORS
-from swarmabs_cli.bench_framework.processes import AGENTS
-from swarmabs_cli.bench_framework.results import CHART, DOCUMENT, LARGE_CHART, TABLES
+from swarmabs_core.errors import InputError
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
 
@@ -27,25 +30,30 @@ SPREAD = {"median", "smallest", "largest"}
 LARGE = ("--large", "4", "--agents-per-process", "3")
 
 
-def measured(capsys: pytest.CaptureFixture[str], folder: Path, suite: str) -> dict[str, Any]:
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Carry out a command, which must not fail."""
+    words = [sys.executable, "-m", "swarmabs_cli", *arguments]
+    return subprocess.run(words, capture_output=True, text=True, check=True)
+
+
+def measured(folder: Path, suite: str) -> dict[str, Any]:
     """Return the document of a tiny run of a suite."""
     arguments = ["bench", "--suite", suite, "--robots", "4", "--repeat", "1", "--window", "0.6", "--json", *LARGE]
-    assert main([*arguments, "-o", str(folder)]) == 0
-    shown = capsys.readouterr()
-    found: dict[str, Any] = json.loads(shown.out)
+    shown = command(*arguments, "-o", str(folder))
+    found: dict[str, Any] = json.loads(shown.stdout)
     assert found == json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))
     assert (folder / TABLES).is_file()
-    assert "4 robots" in shown.err
+    assert "4 robots" in shown.stderr
     assert found["machine"]["cores"] >= 1
     assert found["settings"]["suites"] == [suite]
     return found
 
 
 @pytest.mark.usefixtures("nothing_survives")
-def test_product_is_measured_beside_all_floors(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (row,) = measured(capsys, tmp_path, "product")["product"]
+def test_product_is_measured_beside_all_floors(tmp_path: Path) -> None:
+    (row,) = measured(tmp_path, "product")["product"]
     (results,) = row["repeats"]
-    assert results.keys() == {*FLOORS, "product"}
+    assert results.keys() == {*FLOORS, "product", "packed"}
     assert row["summary"]["steps_per_second"].keys() == results.keys()
     assert row["summary"]["ratio_to_floor"].keys() == SPREAD
     assert results["product"]["start_seconds"] > 0.0
@@ -64,10 +72,8 @@ def test_product_is_measured_beside_all_floors(capsys: pytest.CaptureFixture[str
         ("simulate", {"real_time_factor", "real_time_factor_without_bag"}),
     ],
 )
-def test_a_suite_gives_a_well_formed_document(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, suite: str, keys: set[str]
-) -> None:
-    found = measured(capsys, tmp_path, suite)
+def test_a_suite_gives_a_well_formed_document(tmp_path: Path, suite: str, keys: set[str]) -> None:
+    found = measured(tmp_path, suite)
     (row,) = found[suite]
     assert row["robots"] == 4
     assert row["summary"].keys() == keys
@@ -108,10 +114,9 @@ def test_an_interrupted_benchmark_leaves_nothing(tmp_path: Path, suite: str, num
 
 
 @pytest.mark.usefixtures("nothing_survives")
-def test_starts_on_a_busy_machine_are_counted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_starts_on_a_busy_machine_are_counted(tmp_path: Path) -> None:
     arguments = ["bench", "--suite", "start", "--robots", "4", "--starts", "2", "--busy", "--window", "0.6", "--json"]
-    assert main([*arguments, "-o", str(tmp_path)]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["start"]
+    (row,) = json.loads(command(*arguments, "-o", str(tmp_path)).stdout)["start"]
     assert (row["starts"], row["clean"], len(row["repeats"])) == (2, 2, 2)
     assert row["busy_processes"] >= 2
 
@@ -152,24 +157,18 @@ def test_bad_arguments_are_refused(
     assert not (tmp_path / "result").exists()
 
 
-def test_a_missing_package_is_named_with_its_remedy(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    assert main(["bench", "--suite", "product", "-o", str(tmp_path / "result")]) == 2
-    assert "pyzmq is missing, with which the product is compared; start with ./scripts/swarm bench" in (
-        capsys.readouterr().err
-    )
+def test_a_missing_package_is_named_with_its_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.bench.find_spec", lambda _: None)
+    with pytest.raises(InputError, match=r"pyzmq is missing, .*; start with \./scripts/swarm bench"):
+        bench(Settings(suites=("product",)), tmp_path / "result", as_json=True)
     assert not (tmp_path / "result").exists()
 
 
-def test_two_results_are_compared(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_two_results_are_compared(tmp_path: Path) -> None:
     for name, speed in (("old", 50.0), ("new", 60.0)):
         (tmp_path / name).mkdir()
         (tmp_path / name / DOCUMENT).write_text(json.dumps(document(repeat(speed))), encoding="utf-8")
     folders = [str(tmp_path / name) for name in ("old", "new")]
-    assert main(["bench", "--compare", *folders, "--json"]) == 0
-    rows = {row["measure"]: row for row in json.loads(capsys.readouterr().out)}
+    rows = {row["measure"]: row for row in json.loads(command("bench", "--compare", *folders, "--json").stdout)}
     assert rows["product"]["new/old"] == "1.20"
-    assert main(["bench", "--compare", *folders]) == 0
-    assert "1.20" in capsys.readouterr().out
+    assert "1.20" in command("bench", "--compare", *folders).stdout

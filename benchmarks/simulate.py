@@ -1,36 +1,28 @@
-"""Speed of ``simulate``, by itself and against a general solver on the same closed loop."""
+"""Simulated seconds per second: with and without a bag, and against SciPy on the same closed loop."""
 
 from __future__ import annotations
 
+import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from benchmarks.common import Settings, checked, program, spread, swarm_of, tell
+from benchmarks.continuous import METHOD, RTOL, solve
 
 from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_cli.bench_framework.continuous import METHOD, RTOL, solve
-from swarmabs_cli.bench_framework.product import checked
-from swarmabs_cli.bench_framework.scenarios import pd_of_four, swarm_of
+from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_run.simulation import simulate
-
-if TYPE_CHECKING:
-    from swarmabs_config.scenario import Scenario
 
 SOLVER = f"scipy.integrate.solve_ivp, {METHOD}, rtol {RTOL:g}"
 _PILOT = 20
 """Steps of the run that tells how many steps a window is."""
-
-
-@dataclass(frozen=True, slots=True)
-class SimulateResult:
-    """Simulated seconds per second of wall time, with the bag and without."""
-
-    real_time_factor: float
-    real_time_factor_without_bag: float
+_SOLVED_SECONDS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +46,28 @@ class SolverResult:
     largest_difference: float
 
 
-def measure_simulate(robots: int, *, window: float) -> SimulateResult:
-    """Simulate a swarm with and without a bag for about a window (s) each.
+def measure(settings: Settings) -> dict[str, Any]:
+    """Measure every number of robots, then four of them against the solver."""
+    rows = []
+    for robots in settings.robots:
+        tell(f"{robots} robots: simulate with and without a bag")
+        factors = [measure_simulate(robots, settings.window) for _ in range(settings.repeat)]
+        with_bag, without_bag = zip(*factors, strict=True)
+        summary = {"real_time_factor": spread(with_bag), "real_time_factor_without_bag": spread(without_bag)}
+        rows.append({"robots": robots, "summary": summary})
+    tell(f"simulate against {SOLVER}")
+    solved = [measure_against_solver(_SOLVED_SECONDS) for _ in range(settings.repeat)]
+    against = {
+        "solver": SOLVER,
+        "problem": "four single integrators under the PD controller, continuous time",
+        "ratio": spread(result.ratio for result in solved),
+        "repeats": [asdict(result) for result in solved],
+    }
+    return {"simulate": rows, "solver": against}
+
+
+def measure_simulate(robots: int, window: float) -> tuple[float, float]:
+    """Return simulated seconds per second of a swarm with and without a bag, each for about a window (s).
 
     Raises
     ------
@@ -67,12 +79,12 @@ def measure_simulate(robots: int, *, window: float) -> SimulateResult:
     scenario = swarm_of(robots, max(_PILOT, round(_PILOT * window / pilot)))
     duration = scenario.steps * scenario.period
     without_bag, with_bag = (_stepping_seconds(scenario, record=record) for record in (False, True))
-    return SimulateResult(duration / with_bag, duration / without_bag)
+    return duration / with_bag, duration / without_bag
 
 
-def measure_against_solver(*, seconds: float) -> SolverResult:
+def measure_against_solver(seconds: float) -> SolverResult:
     """Simulate and solve so many seconds of the same closed loop."""
-    scenario = pd_of_four(seconds)
+    scenario = load_scenario(builtin_scenarios()["pd_si_4"], (f"duration={seconds:g}",)).resolved()
     simulated = _stepping_seconds(scenario, record=False)
     begun = time.perf_counter()
     angle = solve(scenario)
@@ -85,3 +97,7 @@ def _stepping_seconds(scenario: Scenario, *, record: bool) -> float:
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
         _, stepping = checked(simulate_run(scenario, new_run_folder(Path(folder) / "run"), record=record))
     return stepping
+
+
+if __name__ == "__main__":
+    sys.exit(program(measure))

@@ -8,9 +8,7 @@ import sys
 import time
 
 import pytest
-from tests.processes import until
-
-from swarmabs_cli.bench_framework.processes import (
+from benchmarks.processes import (
     AGENTS,
     Sample,
     Usage,
@@ -22,6 +20,7 @@ from swarmabs_cli.bench_framework.processes import (
     role_of,
     usage,
 )
+from tests.processes import until
 
 CREW = {1: "observer", 2: AGENTS, 3: AGENTS}
 _NAMED = "import ctypes, sys; ctypes.CDLL(None).prctl(15, sys.argv[1].encode(), 0, 0, 0); sys.stdin.read()"

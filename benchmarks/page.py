@@ -1,4 +1,4 @@
-"""Write tables and chart of docs/performance.md from a result: python docs/bench.py RESULT."""
+"""Write tables and chart of docs/performance.md from a result: python -m benchmarks.page RESULT."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import re
 import sys
 from pathlib import Path
 
-from swarmabs_cli.bench_framework.results import read_result
-from swarmabs_cli.bench_framework.tables import draw, draw_large, markdown, notes, tables
+from benchmarks.results import read_result
+from benchmarks.tables import draw, draw_large, markdown, notes, tables
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "performance.md"
 CHART, LARGE_CHART = DOCS / "images" / "speed.svg", DOCS / "images" / "large.svg"
 _PART = re.compile(r"(<!-- bench: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)

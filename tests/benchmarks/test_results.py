@@ -7,11 +7,12 @@ from copy import deepcopy
 from pathlib import Path
 
 import pytest
-from tests.swarmabs_cli.bench_framework.results import document, of_large, of_starts, repeat
+from benchmarks.common import spread
+from benchmarks.product import summary as product_summary
+from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES, read_result, write_result
+from benchmarks.tables import comparison, markdown, shown, tables
+from tests.benchmarks.results import document, of_large, of_starts, repeat
 
-from swarmabs_cli.bench_framework.results import CHART, DOCUMENT, LARGE_CHART, TABLES, read_result, write_result
-from swarmabs_cli.bench_framework.suites import product_summary, spread
-from swarmabs_cli.bench_framework.tables import comparison, markdown, shown, tables
 from swarmabs_core.errors import InputError
 
 REPEATS = (

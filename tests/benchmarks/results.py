@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from swarmabs_cli.bench_framework.floors import FLOORS
-from swarmabs_cli.bench_framework.launching import LaunchResult
-from swarmabs_cli.bench_framework.processes import Memory
-from swarmabs_cli.bench_framework.suites import Settings, product_summary, spread, start_row
+from benchmarks.common import spread
+from benchmarks.floor_programs import FLOORS
+from benchmarks.processes import Memory
+from benchmarks.product import summary
+from benchmarks.start import LaunchResult, start_row
 
 LOAD = {
     "seconds": 2.0,
@@ -32,7 +33,7 @@ def document(*repeats: dict[str, Any], robots: int = 4) -> dict[str, Any]:
         "created": "2026-01-01T00:00:00+00:00",
         "machine": {"usable_cores": 2, "cores": 2, "processor": "some", "kernel": "6.1", "load_before": 0.1},
         "settings": {"repeat": len(repeats), "window": 6.0},
-        "product": [{"robots": robots, "summary": product_summary(list(repeats)), "repeats": list(repeats)}],
+        "product": [{"robots": robots, "summary": summary(list(repeats)), "repeats": list(repeats)}],
     }
 
 
@@ -40,7 +41,7 @@ def of_starts(*seconds: float, failures: tuple[str, ...] = (), retried: int = 0)
     """Return a result of the suite `start`: clean starts of 200 robots that took these times, and failed ones."""
     memory = Memory(1, 1, {}, 1)
     results = [LaunchResult(second, 0.5, memory, retried) for second in seconds]
-    return {**document(repeat(1.0)), "start": [start_row(200, results, failures, Settings(busy=True))]}
+    return {**document(repeat(1.0)), "start": [start_row(200, results, failures, busy=True)]}
 
 
 def of_large(speed: float | None) -> dict[str, Any]:

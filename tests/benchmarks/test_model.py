@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.model import ROUND_TRIP, Cost, Line, Model, costs, fitted, model, spread_out
+from benchmarks.tables import tables
 from scipy.optimize import nnls
-from tests.swarmabs_cli.bench_framework.results import document, repeat
-
-from swarmabs_cli.bench_framework.model import ROUND_TRIP, Cost, Line, Model, costs, fitted, model, spread_out
-from swarmabs_cli.bench_framework.tables import tables
+from tests.benchmarks.results import document, repeat
 
 ROBOTS = (4, 20, 64, 200)
 

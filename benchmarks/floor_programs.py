@@ -14,8 +14,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_cli.bench_framework.processes import Load, crew_of, load_between, sample
-from swarmabs_cli.checkout import checkout
+from benchmarks.processes import Load, crew_of, load_between, sample
+
 from swarmabs_core.errors import RunError
 from swarmabs_run.orchestration.dds_profile import COORDINATORS, dds_environment, profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain, domains_spanned
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+FOLDER = Path(__file__).parent / "floors"
 START_SECONDS = 150.0
 """Longest time, s, until a floor program has met."""
 ANSWER_SECONDS = 30.0
@@ -61,17 +62,6 @@ class FloorResult:
     load: Load
 
 
-def floors_folder() -> Path:
-    """Return the folder of the floor programs.
-
-    Raises
-    ------
-    InputError
-        If there is no checkout.
-    """
-    return checkout() / "benchmarks" / "floors"
-
-
 def measure_floor(name: str, robots: int, *, warm_up: float, window: float) -> FloorResult:
     """Run a floor program and measure a window of it.
 
@@ -94,7 +84,7 @@ def measure_floor(name: str, robots: int, *, warm_up: float, window: float) -> F
         environment: Mapping[str, str] = {}
         if floor.dds:
             environment = stack.enter_context(_network(COORDINATORS + robots))
-        command = [str(floors_folder() / floor.program), "--robots", str(robots), *floor.arguments]
+        command = [str(FOLDER / floor.program), "--robots", str(robots), *floor.arguments]
         program = stack.enter_context(_Program(name, command, environment))
         started = program.answer(START_SECONDS)
         time.sleep(warm_up)
@@ -128,7 +118,7 @@ class _Program:
     def __init__(self, name: str, command: list[str], environment: Mapping[str, str]) -> None:
         self._name = name
         self._pending = b""
-        search = os.pathsep.join(filter(None, (str(floors_folder()), os.environ.get("PYTHONPATH"))))
+        search = os.pathsep.join(filter(None, (str(FOLDER), os.environ.get("PYTHONPATH"))))
         self._process = subprocess.Popen(
             [sys.executable, *command],
             stdin=subprocess.PIPE,

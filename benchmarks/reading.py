@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
+from benchmarks.common import COORDINATED, Settings, checked, program, repeated, row, spread, swarm_of
 from mcap.reader import make_reader
 
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_cli.bench_framework.product import checked
-from swarmabs_cli.bench_framework.scenarios import swarm_of
 from swarmabs_run.simulated_run import simulate_run
 
 MESSAGES_PER_SECOND = 130_000
 """Messages of the bag by the length of the window: six seconds make 100 MB, before compression."""
-_COORDINATED = 4
-"""Messages of a step that do not come from robots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +43,29 @@ class ReadingResult:
     ratio: float
 
 
-def measure_reading(robots: int, *, window: float) -> ReadingResult:
-    """Read the bag of a swarm, which is simulated for it; a longer window (s) makes a larger bag.
+def measure(settings: Settings) -> dict[str, Any]:
+    """Measure both with every number of robots."""
+    rows = []
+    for robots in settings.robots:
+        results = repeated(robots, "reading", settings, measure_reading)
+        summary = {
+            "bag_bytes": spread(result.bag_bytes for result in results),
+            "arrays_bytes_per_second": spread(result.bag_bytes / result.arrays_seconds for result in results),
+            "ratio_to_iteration": spread(result.ratio for result in results),
+        }
+        rows.append(row(robots, results, summary))
+    return {"reading": rows}
+
+
+def measure_reading(robots: int, settings: Settings) -> ReadingResult:
+    """Read the bag of a swarm, which is simulated for it; a longer window makes a larger bag.
 
     Raises
     ------
     KeyboardInterrupt
         If it was interrupted.
     """
-    steps = max(20, round(window * MESSAGES_PER_SECOND / (robots + _COORDINATED)))
+    steps = max(20, round(settings.window * MESSAGES_PER_SECOND / (robots + COORDINATED)))
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
         run = new_run_folder(Path(folder) / "run")
         checked(simulate_run(swarm_of(robots, steps), run))
@@ -66,3 +79,7 @@ def measure_reading(robots: int, *, window: float) -> ReadingResult:
                 pass
         iterated = time.perf_counter() - loaded
     return ReadingResult(size, loaded - begun, iterated, (loaded - begun) / iterated)
+
+
+if __name__ == "__main__":
+    sys.exit(program(measure))

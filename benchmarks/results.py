@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_cli.bench_framework.tables import draw, draw_large, markdown, notes, tables
+from benchmarks.tables import draw, draw_large, markdown, notes, tables
+
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:

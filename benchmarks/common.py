@@ -1,0 +1,240 @@
+"""What the programs share: settings, the swarms that are measured, a look at a run, and how repeats are summed up."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from benchmarks.processes import Load, Memory, Sample, crew_of, load_between, memory_of, sample
+
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_core.errors import RunError
+from swarmabs_run.interruption import terminable
+from swarmabs_run.orchestration import LockstepRun, Outcome, Progress
+
+BASE = "arise_het_200"
+STEP = 0.01
+"""Period of the swarms that are measured, s."""
+COORDINATED = 4
+"""Messages of a step that do not come from robots."""
+_LATE = 0.9
+"""Part of a run at which its processes are looked at for the second time; at its end they end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What to measure.
+
+    Parameters
+    ----------
+    suites : tuple of str
+        What is measured.
+    robots : tuple of int
+        Numbers of robots, at least two each.
+    repeat : int
+        How often each measurement is made.
+    window, warm_up : float
+        Length of a measurement and of the time before it that does not count, s.
+    starts : int, optional
+        How often a run is started and ended for the suites start and memory; None for `repeat` times.
+    busy : bool
+        Whether other processes keep the machine busy meanwhile.
+    large : tuple of int
+        Numbers of robots in the suite large.
+    agents_per_process : int
+        How many of them share a process.
+    """
+
+    suites: tuple[str, ...] = ()
+    robots: tuple[int, ...] = (4, 20, 64, 200)
+    repeat: int = 3
+    window: float = 6.0
+    warm_up: float = 2.0
+    starts: int | None = None
+    busy: bool = False
+    large: tuple[int, ...] = (200, 500, 1000, 2000)
+    agents_per_process: int = 50
+
+
+def program(measure: Callable[[Settings], dict[str, Any]]) -> int:
+    """Carry out a program: settings as JSON in its argument, its part of the result as JSON on standard output."""
+    settings = Settings(**json.loads(sys.argv[1])) if len(sys.argv) > 1 else Settings()
+    try:
+        with terminable():
+            found = measure(settings)
+    except RunError as error:
+        tell(f"error: {error}")
+        return 1
+    except KeyboardInterrupt:
+        return 1
+    json.dump(found, sys.stdout, allow_nan=False)
+    return 0
+
+
+def tell(line: str) -> None:
+    """Say what is being measured, or was."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def repeated(robots: int, what: str, settings: Settings, measure: Callable[[int, Settings], Any]) -> list[Any]:
+    """Measure so many robots `repeat` times and return the results."""
+    found = []
+    for number in range(settings.repeat):
+        tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: {what}")
+        found.append(measure(robots, settings))
+    return found
+
+
+def row(robots: int, results: Iterable[Any], summary: dict[str, dict[str, float] | None]) -> dict[str, Any]:
+    """Return what is kept of the measurements with so many robots."""
+    return {"robots": robots, "summary": summary, "repeats": [asdict(result) for result in results]}
+
+
+def spread(values: Iterable[float | None]) -> dict[str, float] | None:
+    """Return median, smallest and largest of what there is."""
+    found = [value for value in values if value is not None]
+    return {"median": median(found), "smallest": min(found), "largest": max(found)} if found else None
+
+
+def swarm_of(robots: int, steps: int) -> Scenario:
+    """Return a run of so many steps with the adaptive controller and robots of both kinds, half of each.
+
+    Parameters
+    ----------
+    robots : int
+        At least two.
+    steps : int
+        At least one.
+    """
+    singles = robots // 2
+    return load_scenario(
+        builtin_scenarios()[BASE],
+        (
+            f"name=bench_{robots}",
+            f"step={STEP}",
+            f"duration={steps * STEP:.2f}",
+            f"swarm.generate.single_integrator={singles}",
+            f"swarm.generate.double_integrator={robots - singles}",
+        ),
+    ).resolved()
+
+
+class Watch:
+    """Looks at a run's processes after its warm-up and shortly before its end.
+
+    Parameters
+    ----------
+    warm_up : float
+        Time, s, after the first step that does not count.
+    look_at_memory : bool
+        Whether to measure the processes' memory too, at the end of the warm-up.
+    """
+
+    def __init__(self, warm_up: float, *, look_at_memory: bool = False) -> None:
+        self._warm_up = warm_up
+        self._look_at_memory = look_at_memory
+        self._processes: dict[int, str] = {}
+        self.started: float | None = None
+        self.first: Sample | None = None
+        self.last: Sample | None = None
+        self.memory: Memory | None = None
+
+    def __call__(self, progress: Progress) -> None:
+        """Take notice of a run's progress."""
+        now = time.monotonic()
+        if progress.phase != "running":
+            return
+        if self.started is None:
+            self.started = now
+            self._processes = crew_of(os.getpid())  # takes its time, which must not stand between a step and its sample
+        elif self.first is None:
+            if not progress.step or now - self.started < self._warm_up:
+                return
+            if self._look_at_memory and self.memory is None:
+                self.memory = memory_of(self._processes)  # takes its time, as above
+            else:
+                self.first = sample(self._processes, progress.step, now)
+        elif self.last is None and progress.step >= _LATE * progress.steps:
+            self.last = sample(self._processes, progress.step, now)
+
+    def load(self) -> Load | None:
+        """Return what the run cost between the two looks."""
+        if self.first is None or self.last is None:
+            return None
+        return load_between(self.first, self.last, self._processes)
+
+    def rate(self, steps: int, stepping_seconds: float) -> float:
+        """Return the steps per second after the warm-up of a run that made so many steps in so much time."""
+        if self.started is None or self.first is None:
+            return steps / stepping_seconds
+        return (steps - self.first.step) / (self.started + stepping_seconds - self.first.time)
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """Speed of a complete run, and what it cost.
+
+    Parameters
+    ----------
+    steps_per_second : float
+        From the end of the warm-up to the last step recorded.
+    start_seconds, closing_seconds : float
+        From the beginning of the run to its first step, and from the last step recorded to the end of all processes.
+    load : Load, optional
+        None if the run was too short to look twice.
+    memory : Memory, optional
+        At the end of the warm-up, if it was asked for and the run was long enough.
+    """
+
+    steps_per_second: float
+    start_seconds: float
+    closing_seconds: float
+    load: Load | None
+    memory: Memory | None = None
+
+
+def measure_run(robots: int, steps: int, warm_up: float, *, look_at_memory: bool = False, **options: Any) -> RunResult:
+    """Run a swarm for so many steps as ``swarm run`` does, with these options of `LockstepRun`.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If it was interrupted; a run takes Ctrl-C for itself, so that it can close its bag.
+    RunError
+        If it failed.
+    """
+    watch = Watch(warm_up, look_at_memory=look_at_memory)
+    with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
+        made = new_run_folder(Path(folder) / "run")
+        begun = time.monotonic()
+        outcome = LockstepRun(swarm_of(robots, steps), made, on_progress=watch, **options).run()
+        ended = time.monotonic()
+    start, stepping = checked(outcome)
+    return RunResult(watch.rate(steps, stepping), start, ended - begun - start - stepping, watch.load(), watch.memory)
+
+
+def checked(outcome: Outcome) -> tuple[float, float]:
+    """Return the times (s) that a run took to start and to step, if it went well.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If it was interrupted.
+    RunError
+        If it failed.
+    """
+    if outcome.status == "interrupted":
+        raise KeyboardInterrupt
+    if outcome.status != "ok" or not outcome.stepping_seconds or outcome.start_seconds is None:
+        raise RunError(f"a measured run failed: {outcome.reason}")
+    return outcome.start_seconds, outcome.stepping_seconds

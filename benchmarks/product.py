@@ -1,0 +1,75 @@
+"""Steps per second of complete runs, beside the floors: mathematics and recording on, a process per robot."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from statistics import median
+from typing import Any
+
+from benchmarks.common import Settings, measure_run, program, spread, tell
+from benchmarks.floor_programs import BARE_RCLPY, FLOORS, measure_floor
+
+PRODUCT, PACKED = "product", "packed"
+_PART = 0.75
+"""Speed of the product in parts of the floor's for which the length of its runs is made."""
+_FEWEST_STEPS = 20
+
+
+def measure(settings: Settings) -> dict[str, Any]:
+    """Measure product and floors in turn: what changes on the machine meanwhile meets them all."""
+    rows = []
+    for robots in settings.robots:
+        repeats = [_repeat(robots, number, settings) for number in range(settings.repeat)]
+        rows.append({"robots": robots, "summary": summary(repeats), "repeats": repeats})
+    return {"product": rows}
+
+
+def _repeat(robots: int, number: int, settings: Settings) -> dict[str, Any]:
+    results: dict[str, Any] = {}
+
+    def note(name: str, result: Any) -> None:
+        tell(f"  {result.steps_per_second:.1f} steps/s")
+        results[name] = asdict(result)
+
+    def announce(name: str) -> None:
+        tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: {name}")
+
+    for name in FLOORS:
+        announce(name)
+        note(name, measure_floor(name, robots, warm_up=settings.warm_up, window=settings.window))
+    fastest = max(results[name]["steps_per_second"] for name in BARE_RCLPY)
+    steps = max(_FEWEST_STEPS, round(_PART * fastest * (settings.warm_up + settings.window)))
+    for name in (PRODUCT, PACKED):
+        announce(name)
+        note(name, measure_run(robots, steps, settings.warm_up, packed=name == PACKED))
+    return results
+
+
+def summary(repeats: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the spreads of speeds and ratios; a ratio is that of two measurements of the same repeat.
+
+    Parameters
+    ----------
+    repeats : list of dict
+        Results by name of floor, and the product's without and with packed broadcasts.
+    """
+    names = (*FLOORS, PRODUCT, PACKED)
+    speeds = {name: [repeat[name]["steps_per_second"] for repeat in repeats] for name in names}
+    best = max(BARE_RCLPY, key=lambda name: median(speeds[name]))
+
+    def ratio(floor: str, product: str = PRODUCT) -> dict[str, float] | None:
+        return spread(mine / other for mine, other in zip(speeds[product], speeds[floor], strict=True))
+
+    return {
+        "floor": best,
+        "steps_per_second": {name: spread(values) for name, values in speeds.items()},
+        "ratio_to_floor": ratio(best),
+        "ratio_to_zeromq": ratio("zeromq"),
+        "packed_ratio_to_floor": ratio(best, PACKED),
+        "packed_ratio_to_zeromq": ratio("zeromq", PACKED),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(program(measure))
