@@ -18,7 +18,7 @@ from tests.errata.paper import (
 )
 
 from swarmabs_config.scenario import Scenario, parse_scenario
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, second_moments
 from swarmabs_core.messages import AuxiliaryState
 from swarmabs_core.swarm_law import damping_matrix, pinv_row
 from swarmabs_run.simulation import simulate
@@ -79,7 +79,7 @@ def test_damping_matrix_lacks_s3_and_gravity(seed: int) -> None:
     assert np.abs(printed - truth).max() > 1.0
     np.testing.assert_allclose(printed / s3 * [[1.0, GRAVITY], [1.0 / GRAVITY, 1.0]], truth, rtol=1e-7, atol=1e-8)
 
-    spread = spread_sums(zip(swarm.m, swarm.p, strict=True))
+    spread = second_moments(zip(swarm.m, swarm.p, strict=True))
     damping = damping_sums(zip(swarm.m, swarm.p, swarm.c, strict=True), GAINS.ksd)
     found = np.reshape(damping_matrix(AuxiliaryState(0, 0, *spread, *damping, 0.0), GRAVITY), (2, 2))
     np.testing.assert_allclose(found, truth, rtol=1e-8, atol=1e-8)
@@ -99,7 +99,7 @@ def test_derivative_of_the_jacobian_needs_the_whole_swarm(seed: int) -> None:
     np.testing.assert_allclose(swarm.acceleration(right), intended(swarm), atol=1e-8)
 
 
-def test_abstract_and_spread_sums_do_not_suffice() -> None:
+def test_abstract_and_second_moments_do_not_suffice() -> None:
     """After eq. nodeControlLaw_double: the law is said to need a, a', a_d, S0 to S3 and C_a only."""
     mass, damping = np.full(3, 0.5), np.full(3, 1.0)
     position = np.array([-0.2, 0.0, 0.2])
@@ -170,7 +170,7 @@ def test_swarm_is_singular_on_a_curve_not_at_a_point() -> None:
     """After eq. nodeControlLaw: S3 = 0 is said to be one point of the abstract space that a manifold can avoid."""
     states = []
     for position in (-0.3, 0.0, 0.2):
-        sums = spread_sums((float(m), position) for m in MASS)
+        sums = second_moments((float(m), position) for m in MASS)
         assert is_degenerate(sums.s0, sums.s3, 1.0)
         total = abstraction([Weight(float(m), position, 0.0) for m in MASS], GRAVITY)
         states.append((total.torque, total.inertia))
@@ -178,13 +178,13 @@ def test_swarm_is_singular_on_a_curve_not_at_a_point() -> None:
         assert total.inertia == pytest.approx((total.torque / GRAVITY) ** 2 / MASS.sum(), abs=1e-15)
     assert np.abs(np.diff(states, axis=0)).min() > 0.01  # three different points
 
-    sums = spread_sums(zip(MASS.tolist(), POSITION.tolist(), strict=True))
+    sums = second_moments(zip(MASS.tolist(), POSITION.tolist(), strict=True))
     assert not is_degenerate(sums.s0, sums.s3, 1.0)
 
 
 def test_origin_of_the_abstract_space_is_singular() -> None:
     """thm. GeneralConstrainedStability: A_C contains the origin; that of the errors is meant."""
-    at_origin = spread_sums((float(m), 0.0) for m in MASS)  # sum m p^2 = 0 has no other solution
+    at_origin = second_moments((float(m), 0.0) for m in MASS)  # sum m p^2 = 0 has no other solution
     assert abstraction([Weight(float(m), 0.0, 0.0) for m in MASS], GRAVITY)[:2] == (0.0, 0.0)
     assert is_degenerate(at_origin.s0, at_origin.s3, 1.0)
 

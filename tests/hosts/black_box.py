@@ -51,7 +51,7 @@ class BlackBox:
         period = body.schedule.period_ns / 1e9
         self._model: Drive = SingleIntegratorDrive(period)
         if body.kind is Kind.DOUBLE_INTEGRATOR:
-            self._model = DoubleIntegratorDrive(period, body.mass, body.damping)
+            self._model = DoubleIntegratorDrive.of(period, body.mass, body.damping)
         self._schedule = body.schedule
         self._step = self._stands_from = 0
         self._file = path.open("a", buffering=1, encoding="ascii")

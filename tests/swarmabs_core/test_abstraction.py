@@ -7,7 +7,7 @@ from math import nan
 import pytest
 from hypothesis import given, strategies as st
 
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, second_moments
 
 masses = st.floats(0.05, 5.0)
 lengths = st.floats(-2.0, 2.0)
@@ -45,7 +45,7 @@ def test_abstract_state_against_rational_arithmetic(robots: list[Weight]) -> Non
 
 def test_no_robots_weigh_nothing() -> None:
     assert abstraction([], 9.81) == (0.0, 0.0, 0.0, 0.0, 0.0)
-    assert spread_sums([]) == (0.0, 0.0, 0.0, 0.0)
+    assert second_moments([]) == (0.0, 0.0, 0.0, 0.0)
     assert damping_sums([], 1.0) == (0.0, 0.0, 0.0)
 
 
@@ -53,15 +53,15 @@ def test_no_robots_weigh_nothing() -> None:
 def test_no_bit_depends_on_the_order(case: tuple[list[Weight], list[Weight]], ksd: float) -> None:
     first, second = case
     assert abstraction(first, 9.81) == abstraction(second, 9.81)
-    assert spread_sums((m, p) for m, p, _ in first) == spread_sums((m, p) for m, p, _ in second)
+    assert second_moments((m, p) for m, p, _ in first) == second_moments((m, p) for m, p, _ in second)
     # A velocity serves as a damping here.
     assert damping_sums(first, ksd) == damping_sums(second, ksd)
 
 
 @given(weights)
-def test_spread_sums_against_rational_arithmetic(robots: list[Weight]) -> None:
+def test_second_moments_against_rational_arithmetic(robots: list[Weight]) -> None:
     pairs = [(m, p) for m, p, _ in robots]
-    found = spread_sums(pairs)
+    found = second_moments(pairs)
     s0, s1, s2 = (sum(exactly(m, m) * Fraction(p) ** k for m, p in pairs) for k in (0, 1, 2))
     assert found.s0 == pytest.approx(float(s0), rel=1e-15)
     assert found.s1 == pytest.approx(float(s1), abs=1e-15 * float(s0) * 4)
@@ -72,7 +72,7 @@ def test_spread_sums_against_rational_arithmetic(robots: list[Weight]) -> None:
 
 @given(st.lists(st.tuples(masses, lengths), max_size=12))
 def test_s3_is_never_negative(robots: Bodies) -> None:
-    assert spread_sums(robots).s3 >= 0.0
+    assert second_moments(robots).s3 >= 0.0
 
 
 @given(st.lists(st.tuples(masses, st.floats(1e-6, 2e-6)), min_size=2, max_size=8), st.floats(-1.0, 1.0))
@@ -80,12 +80,12 @@ def test_s3_keeps_its_digits_when_the_robots_are_close(robots: Bodies, centre: f
     """S0 S2 - S1^2 would lose twelve of its digits here."""
     close = [(m, centre + p) for m, p in robots]
     exact = pairwise_s3(close)
-    s0 = spread_sums(close).s0
-    assert spread_sums(close).s3 == pytest.approx(float(exact), rel=1e-9, abs=1e-30 * s0 * s0)
+    s0 = second_moments(close).s0
+    assert second_moments(close).s3 == pytest.approx(float(exact), rel=1e-9, abs=1e-30 * s0 * s0)
 
 
 def test_s3_is_exactly_zero_at_one_point() -> None:
-    s0, _, _, s3 = spread_sums([(0.5, 0.25), (0.5, 0.25), (0.5, 0.25), (0.5, 0.25)])
+    s0, _, _, s3 = second_moments([(0.5, 0.25), (0.5, 0.25), (0.5, 0.25), (0.5, 0.25)])
     assert s3 == 0.0
     assert is_degenerate(s0, s3, 1.0)
 
@@ -104,7 +104,7 @@ def test_damping_sums_against_rational_arithmetic(robots: list[tuple[float, floa
 def test_degenerate_is_relative_to_plane_and_masses(length: float, mass: float) -> None:
     """Two equal robots 2d apart have S3 = 4 m^4 d^2 and S0 = 2 m^2: the limit is d = 1e-6 L."""
     for d, expected in ((0.99e-6, True), (1.01e-6, False)):
-        s0, _, _, s3 = spread_sums([(mass, d * length), (mass, -d * length)])
+        s0, _, _, s3 = second_moments([(mass, d * length), (mass, -d * length)])
         assert is_degenerate(s0, s3, length) is expected
 
 

@@ -35,7 +35,7 @@ def test_double_integrator_is_the_matrix_exponential(
 ) -> None:
     augmented = np.array([[0.0, 1.0, 0.0], [0.0, -c / m, 1.0 / m], [0.0, 0.0, 0.0]])
     expected = expm(augmented * h)[:2] @ [p, v, u]
-    assert DoubleIntegratorDrive(h, m, c).advance(p, v, u) == pytest.approx(expected, rel=1e-11, abs=1e-12)
+    assert DoubleIntegratorDrive.of(h, m, c).advance(p, v, u) == pytest.approx(expected, rel=1e-11, abs=1e-12)
 
 
 def test_double_integrator_solves_its_equation_of_motion() -> None:
@@ -43,13 +43,13 @@ def test_double_integrator_solves_its_equation_of_motion() -> None:
     solution = solve_ivp(
         lambda t, x: [x[1], (u - c * x[1]) / m], (0.0, 0.5), [0.1, -0.2], "DOP853", rtol=1e-12, atol=1e-13
     )
-    found = DoubleIntegratorDrive(0.5, m, c).advance(0.1, -0.2, u)
+    found = DoubleIntegratorDrive.of(0.5, m, c).advance(0.1, -0.2, u)
     assert found == pytest.approx(solution.y[:, -1], rel=1e-10)
 
 
 @given(st.one_of(st.just(0.0), st.floats(1e-300, 1e-10), st.floats(1e-10, 2.0)))
 def test_gains_keep_their_digits_for_any_damping(z: float) -> None:
-    drive = DoubleIntegratorDrive(1.0, 1.0, z)
+    drive = DoubleIntegratorDrive.of(1.0, 1.0, z)
     phi1, phi2 = exact_gains(Fraction(-z))
     assert drive.velocity_to_position == pytest.approx(phi1, rel=1e-15)
     assert drive.force_to_velocity == pytest.approx(phi1, rel=1e-15)
@@ -58,24 +58,24 @@ def test_gains_keep_their_digits_for_any_damping(z: float) -> None:
 
 
 def test_no_damping_is_the_limit_of_little_damping() -> None:
-    free = DoubleIntegratorDrive(0.01, 0.5, 0.0)
+    free = DoubleIntegratorDrive.of(0.01, 0.5, 0.0)
     assert free.advance(0.1, 0.2, 0.3) == pytest.approx((0.1 + 0.002 + 3e-5, 0.2 + 0.006), rel=1e-15)
-    assert DoubleIntegratorDrive(0.01, 0.5, 1e-13).advance(0.1, 0.2, 0.3) == pytest.approx(
+    assert DoubleIntegratorDrive.of(0.01, 0.5, 1e-13).advance(0.1, 0.2, 0.3) == pytest.approx(
         free.advance(0.1, 0.2, 0.3), rel=1e-14
     )
 
 
 def test_series_and_quotient_meet() -> None:
-    inside, outside = (DoubleIntegratorDrive(1.0, 1.0, z) for z in (0.1, nextafter(0.1, 1.0)))
+    inside, outside = (DoubleIntegratorDrive.of(1.0, 1.0, z) for z in (0.1, nextafter(0.1, 1.0)))
     assert inside.force_to_position == pytest.approx(outside.force_to_position, rel=5e-15)
     assert inside.velocity_to_position == pytest.approx(outside.velocity_to_position, rel=5e-16)
 
 
 @given(periods, masses, dampings, states, states, states)
 def test_two_half_periods_are_one_period(h: float, m: float, c: float, p: float, v: float, u: float) -> None:
-    half = DoubleIntegratorDrive(h / 2, m, c)
+    half = DoubleIntegratorDrive.of(h / 2, m, c)
     middle = half.advance(p, v, u)
-    expected = DoubleIntegratorDrive(h, m, c).advance(p, v, u)
+    expected = DoubleIntegratorDrive.of(h, m, c).advance(p, v, u)
     assert half.advance(*middle, u) == pytest.approx(expected, rel=1e-12, abs=1e-13)
 
 
@@ -100,7 +100,7 @@ def test_lag_of_a_double_integrator_is_the_matrix_exponential(
     assume(c == 0.0 or c * h > 1e-6 * m)  # closer to no damping, SciPy's expm is off by up to 5e-4
     system = [[0, 1, 0, 0], [0, -c / m, 1 / m, 0], [0, 0, -1 / lag, 1 / lag], [0, 0, 0, 0]]
     expected = expm(np.array(system) * h) @ [p, v, f, u]
-    answer, ideal = Lag.of_force(lag, h, m, c), DoubleIntegratorDrive(h, m, c).advance(p, v, u)
+    answer, ideal = Lag.of_force(lag, h, m, c), DoubleIntegratorDrive.of(h, m, c).advance(p, v, u)
     found = [
         ideal[0] + answer.gap_to_position * (f - u),
         ideal[1] + answer.gap_to_velocity * (f - u),

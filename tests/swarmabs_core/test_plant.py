@@ -266,5 +266,5 @@ def test_load_that_is_not_finite_is_refused() -> None:
 
 
 def test_disturbance() -> None:
-    assert Disturbance(0.1, 0.5).torque(3.0) == pytest.approx(0.1 * np.sin(1.5), rel=1e-15)
-    assert Disturbance(0.0, 0.5).torque(3.0) == 0.0
+    assert Disturbance(0.1, 0.5).torques([3.0]) == [pytest.approx(0.1 * np.sin(1.5), rel=1e-15)]
+    assert Disturbance(0.0, 0.5).torques([3.0, 4.0]) == [0.0, 0.0]

@@ -12,7 +12,7 @@ from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, Run, builtin
 
 from swarmabs_bag.recording import RecordedStep, RunCollector
 from swarmabs_config import configure
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, second_moments
 from swarmabs_core.behaviours import Agent, Plane
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.faults import lost
@@ -52,7 +52,7 @@ def assert_sums(run: Run, step: int, standing: tuple[AgentState, ...] = ()) -> N
     damped = [(s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR]
     abstract, sums = run.one(AbstractState, step), run.one(AuxiliaryState, step)
     assert abstract[2:] == (len(weights), *total[:4])
-    assert sums[2:6] == spread_sums((s.mass, s.position) for s in active)
+    assert sums[2:6] == second_moments((s.mass, s.position) for s in active)
     assert sums[6:9] == damping_sums(damped, 1.0)
     assert sums.q == total.q
 
@@ -264,7 +264,7 @@ def test_a_liar_deceives_the_observer_and_not_the_plane() -> None:
     """The sums go by what it says, the plane by where it is and what it weighs, and so does its own law."""
     lie = "position_offset: 0.02, position_factor: 1.25, mass_factor: 0.5"
     run = run_with(f"kind: lie, agent: 3, {lie}, from: 0.5, to: 1", duration="1.5")
-    said, drive = run.agent(3), DoubleIntegratorDrive(0.01, 0.6762, 0.6524)
+    said, drive = run.agent(3), DoubleIntegratorDrive.of(0.01, 0.6762, 0.6524)
     position, velocity = 0.125, 0.0
     plane = Plane(configure.plane_config(builtin("pd_het_4", "duration=1.5")))
     gap = 0.0

@@ -8,17 +8,21 @@ r"""The abstract state of a swarm and its auxiliary state (eq. abstractState, eq
 
     D_k = \sum_{DI} m_i (c_i + k_{sd}) p_i^k \qquad Q = \sum m_i v_i^2
 
-Every sum is correctly rounded (`exact_sum`), so it does not depend on the order in which robots were heard.
+Every sum is correctly rounded (`exact_sum`), so it does not depend on the order in which robots were heard. All
+functions take robots as tuples, or, with ``sums=column_sums``, as columns of arrays.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_core.summation import exact_sum
+from swarmabs_core.messages import AbstractState, AuxiliaryState, Kind
+from swarmabs_core.summation import Columns, Sums, robot_sums
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+
+    from swarmabs_core.messages import AgentState
 
 
 class Weight(NamedTuple):
@@ -39,7 +43,7 @@ class Abstraction(NamedTuple):
     q: float
 
 
-class SpreadSums(NamedTuple):
+class SecondMoments(NamedTuple):
     """S0 (kg^2), S1 (kg^2 m), S2 (kg^2 m^2), S3 (kg^4 m^2) over the robots that follow the law."""
 
     s0: float
@@ -56,26 +60,28 @@ class DampingSums(NamedTuple):
     d2: float
 
 
-def abstraction(robots: Sequence[Weight], gravity: float) -> Abstraction:
+def abstraction(robots: Iterable[Weight] | Columns, gravity: float, sums: Sums = robot_sums) -> Abstraction:
     """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState).
 
     Parameters
     ----------
-    robots : sequence of Weight
+    robots : iterable of Weight, or columns
         Robots on the plane.
     gravity : float
         m/s^2.
+    sums : Sums
+        How to sum over them.
     """
-    return Abstraction(
-        gravity * exact_sum([m * p for m, p, _ in robots]),
-        exact_sum([m * p * p for m, p, _ in robots]),
-        gravity * exact_sum([m * v for m, _, v in robots]),
-        2.0 * exact_sum([m * p * v for m, p, v in robots]),
-        exact_sum([m * v * v for m, _, v in robots]),
-    )
+    moment, inertia, momentum, half_inertia_rate, q = sums(robots, _weight_terms)
+    return Abstraction(gravity * moment, inertia, gravity * momentum, 2.0 * half_inertia_rate, q)
 
 
-def spread_sums(robots: Iterable[tuple[float, float]]) -> SpreadSums:
+def _weight_terms(m: float = 0.0, p: float = 0.0, v: float = 0.0) -> tuple[float, ...]:
+    mp, mv = m * p, m * v
+    return mp, mp * p, mv, mp * v, mv * v
+
+
+def second_moments(robots: Iterable[tuple[float, float]] | Columns, sums: Sums = robot_sums) -> SecondMoments:
     """Return S0..S3 of the robots that follow the law (eq. pinv).
 
     S3 is summed around the centre S1/S0, which keeps its digits when the robots are close together; it is
@@ -83,36 +89,76 @@ def spread_sums(robots: Iterable[tuple[float, float]]) -> SpreadSums:
 
     Parameters
     ----------
-    robots : iterable of tuple
+    robots : iterable of tuple, or columns
         Mass (kg) and position (m) of each.
+    sums : Sums
+        How to sum over them.
     """
-    pairs = [(m * m, p) for m, p in robots]
-    s0 = exact_sum([mm for mm, _ in pairs])
-    s1 = exact_sum([mm * p for mm, p in pairs])
+    members = tuple(robots)
+    s0, s1, s2 = sums(members, _moment_terms)
     centre = s1 / s0 if s0 else 0.0
-    return SpreadSums(
-        s0,
-        s1,
-        exact_sum([mm * p * p for mm, p in pairs]),
-        s0 * exact_sum([mm * (p - centre) * (p - centre) for mm, p in pairs]),
-    )
+
+    def around_centre(m: float = 0.0, p: float = 0.0) -> tuple[float]:
+        offset = p - centre
+        return (m * m * offset * offset,)
+
+    (spread,) = sums(members, around_centre)
+    return SecondMoments(s0, s1, s2, s0 * spread)
 
 
-def damping_sums(robots: Iterable[tuple[float, float, float]], ksd: float) -> DampingSums:
+def _moment_terms(m: float = 0.0, p: float = 0.0) -> tuple[float, ...]:
+    mm = m * m
+    mmp = mm * p
+    return mm, mmp, mmp * p
+
+
+def damping_sums(
+    robots: Iterable[tuple[float, float, float]] | Columns, ksd: float, sums: Sums = robot_sums
+) -> DampingSums:
     """Return D0..D2 of the double integrators that follow the law (in eq. nodeControlLaw_double).
 
     Parameters
     ----------
-    robots : iterable of tuple
+    robots : iterable of tuple, or columns
         Mass (kg), position (m) and damping (N s/m) of each.
     ksd : float
         Damping that the law adds, N s/m.
+    sums : Sums
+        How to sum over them.
     """
-    terms = [(m * (c + ksd), p) for m, p, c in robots]
-    return DampingSums(
-        exact_sum([mc for mc, _ in terms]),
-        exact_sum([mc * p for mc, p in terms]),
-        exact_sum([mc * p * p for mc, p in terms]),
+
+    def terms(m: float = 0.0, p: float = 0.0, c: float = 0.0) -> tuple[float, ...]:
+        mc = m * (c + ksd)
+        mcp = mc * p
+        return mc, mcp, mcp * p
+
+    return DampingSums(*sums(robots, terms))
+
+
+def observed(
+    stamp: int, step: int, weights: Sequence[Weight], followers: Sequence[AgentState], gravity: float, ksd: float
+) -> tuple[AbstractState, AuxiliaryState]:
+    """Return what an observer publishes.
+
+    Parameters
+    ----------
+    stamp, step : int
+        Of both messages; ns and steps.
+    weights : sequence of Weight
+        All robots whose weight is on the plane.
+    followers : sequence of AgentState
+        Those of them that follow the law.
+    gravity : float
+        m/s^2.
+    ksd : float
+        Damping that the double integrators' law adds, N s/m.
+    """
+    *abstract, q = abstraction(weights, gravity)
+    moments = second_moments((s.mass, s.position) for s in followers)
+    damped = ((s.mass, s.position, s.damping) for s in followers if s.kind == Kind.DOUBLE_INTEGRATOR)
+    return (
+        AbstractState(stamp, step, len(weights), *abstract),
+        AuxiliaryState(stamp, step, *moments, *damping_sums(damped, ksd), q),
     )
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import exp, expm1
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class Drive(Protocol):
@@ -65,36 +65,42 @@ class SingleIntegratorDrive:
         return position + command * self.period, command
 
 
-@dataclass(frozen=True, slots=True)
-class DoubleIntegratorDrive:
+class DoubleIntegratorDrive(NamedTuple):
     """m v' = f - c v, p' = v, with f held: exact zero-order-hold discretisation.
 
     Parameters
     ----------
-    period : float
-        Control period, s.
-    mass : float
-        kg.
-    damping : float
-        N s/m, zero is allowed.
+    decay : float
+        Share of the velocity that is left after a period.
+    force_to_velocity : float
+        s/kg.
+    velocity_to_position : float
+        s.
+    force_to_position : float
+        s^2/kg.
     """
 
-    period: float
-    mass: float
-    damping: float
-    decay: float = field(init=False)
-    force_to_velocity: float = field(init=False)
-    velocity_to_position: float = field(init=False)
-    force_to_position: float = field(init=False)
+    decay: float
+    force_to_velocity: float
+    velocity_to_position: float
+    force_to_position: float
 
-    def __post_init__(self) -> None:
-        z = -self.damping * self.period / self.mass
+    @classmethod
+    def of(cls, period: float, mass: float, damping: float) -> DoubleIntegratorDrive:
+        """Return the drive of a robot.
+
+        Parameters
+        ----------
+        period : float
+            Control period, s.
+        mass : float
+            kg.
+        damping : float
+            N s/m, zero is allowed.
+        """
+        z = -damping * period / mass
         phi1, phi2 = _phi(z)
-        put = object.__setattr__
-        put(self, "decay", 1.0 + z * phi1)
-        put(self, "force_to_velocity", phi1 * self.period / self.mass)
-        put(self, "velocity_to_position", phi1 * self.period)
-        put(self, "force_to_position", phi2 * self.period * self.period / self.mass)
+        return cls(1.0 + z * phi1, phi1 * period / mass, phi1 * period, phi2 * period * period / mass)
 
     def advance(self, position: float, velocity: float, command: float) -> tuple[float, float]:
         """Return position (m) and velocity (m/s) one period later under the force (N)."""

@@ -15,10 +15,10 @@ from math import ceil, copysign, cos, inf, isfinite, sin, tanh
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.errors import RunError
-from swarmabs_core.summation import exact_sum
+from swarmabs_core.summation import exact_sum, term_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from swarmabs_core.friction import Friction
 
@@ -90,27 +90,39 @@ def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
     gravity : float
         m/s^2.
     """
-    t: list[list[float]] = [[], [], [], []]
-    j: list[list[float]] = [[], [], [], [], [], [], []]
-    for m, a, b, c, d in paths:
-        ma, mb = m * a, m * b
-        t[0].append(ma)
-        t[1].append(mb)
-        j[0].append(ma * a)
-        j[1].append(2.0 * ma * b)
-        j[2].append(mb * b)
-        if c or d:
-            mc, md = m * c, m * d
-            t[2].append(mc)
-            t[3].append(md)
-            j[2].append(2.0 * ma * c)
-            j[3].append(2.0 * (ma * d + mb * c))
-            j[4].append(mc * c + 2.0 * mb * d)
-            j[5].append(2.0 * mc * d)
-            j[6].append(md * d)
-    t0, t1, t2, t3 = (gravity * exact_sum(terms) for terms in t)
-    j0, j1, j2, j3, j4, j5, j6 = (exact_sum(terms) for terms in j)
-    return SwarmLoad((t0, t1, t2, t3), (j0, j1, j2, j3, j4, j5, j6))
+    curved = [path for path in paths if path.c2 or path.c3]
+    return summed_load(
+        term_columns((path[:3] for path in paths), linear_terms), term_columns(curved, cubic_terms), gravity
+    )
+
+
+def linear_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0) -> tuple[float, ...]:
+    """Return what mass, c0 and c1 of a path contribute to torque/g (s^0, s^1) and inertia (s^0 to s^2)."""
+    ma, mb = m * a, m * b
+    return ma, mb, ma * a, 2.0 * ma * b, mb * b
+
+
+def cubic_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0) -> tuple[float, ...]:
+    """Return what c2 and c3 of a path contribute besides to torque/g (s^2, s^3) and inertia (s^2 to s^6)."""
+    ma, mb, mc, md = m * a, m * b, m * c, m * d
+    return mc, md, 2.0 * ma * c, 2.0 * (ma * d + mb * c), mc * c + 2.0 * mb * d, 2.0 * mc * d, md * d
+
+
+def summed_load(linear: Iterable[Iterable[float]], cubic: Iterable[Iterable[float]], gravity: float) -> SwarmLoad:
+    """Sum columns of `linear_terms` of all paths, and of `cubic_terms` of those that are not straight.
+
+    Parameters
+    ----------
+    linear, cubic : iterable of iterable of float
+        A column for each term.
+    gravity : float
+        m/s^2.
+    """
+    t0, t1, j0, j1, j2 = linear
+    t2, t3, j2_cubic, j3, j4, j5, j6 = cubic
+    x0, x1, x2, x3 = (gravity * exact_sum(terms) for terms in (t0, t1, t2, t3))
+    y0, y1, y2, y3, y4, y5, y6 = map(exact_sum, (j0, j1, (*j2, *j2_cubic), j3, j4, j5, j6))
+    return SwarmLoad((x0, x1, x2, x3), (y0, y1, y2, y3, y4, y5, y6))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +132,11 @@ class Disturbance:
     amplitude: float
     angular_frequency: float
 
-    def torque(self, time: float) -> float:
-        """Return the disturbance torque, N m, at a time in s."""
-        return self.amplitude * sin(self.angular_frequency * time) if self.amplitude else 0.0
+    def torques(self, times: Sequence[float]) -> list[float]:
+        """Return the disturbance torque, N m, at times in s."""
+        if not self.amplitude:
+            return [0.0] * len(times)
+        return [self.amplitude * sin(self.angular_frequency * time) for time in times]
 
 
 class PlaneDynamics:
@@ -148,8 +162,8 @@ class PlaneDynamics:
     Attributes
     ----------
     impact : tuple of float or None
-        The first touch of an end stop in the last period: the end of the substep (s), and the angular velocity
-        (rad/s) that is lost.
+        The first touch of an end stop in the last period, of a plane that did not rest there at its beginning: the end
+        of the substep (s), and the angular velocity (rad/s) that is lost.
     """
 
     def __init__(
@@ -168,6 +182,7 @@ class PlaneDynamics:
         self._period = period
         # A period that is a multiple of the substep must not gain one more by rounding.
         self._count = max(1, ceil(period / substep * (1.0 - 1e-12)))
+        self._shares = [n / (2 * self._count) for n in range(2 * self._count + 1)]
         self._end_stop = end_stop
         self.impact: tuple[float, float] | None = None
 
@@ -206,6 +221,7 @@ class PlaneDynamics:
         h = period / count
         half = 0.5 * h
         th, w, end_stop = angle, angular_velocity, self._end_stop
+        rests = abs(angle) == end_stop and not angular_velocity
         self.impact = None
         try:
             for n in range(0, 2 * count, 2):
@@ -219,7 +235,8 @@ class PlaneDynamics:
                 th += h / 6.0 * (w + 2.0 * (w2 + w3) + w4)
                 w += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
                 if abs(th) > end_stop:
-                    self.impact = self.impact or (time + (n + 2) * half, w)
+                    if not rests:
+                        self.impact = self.impact or (time + (n + 2) * half, w)
                     th, w = copysign(end_stop, th), 0.0
         except (ValueError, OverflowError) as error:  # cos(inf)
             raise RunError(f"the plane's motion is not finite at t = {time:g} s") from error
@@ -231,14 +248,11 @@ class PlaneDynamics:
         """Evaluate torque, inertia, inertia rate, disturbance at the ends and middles of the substeps."""
         t0, t1, t2, t3 = load.torque
         j0, j1, j2, j3, j4, j5, j6 = load.inertia
-        period, points = self._period, 2 * self._count
-        total = self._inertia + j0
-        torque, inertia, inertia_rate, disturbance = [], [], [], []
-        for n in range(points + 1):
-            s = n / points
-            torque.append(t0 + s * (t1 + s * (t2 + s * t3)))
-            inertia.append(total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6))))))
-            slope = j1 + s * (2.0 * j2 + s * (3.0 * j3 + s * (4.0 * j4 + s * (5.0 * j5 + s * 6.0 * j6))))
-            inertia_rate.append(slope / period)
-            disturbance.append(self._disturbance.torque(time + s * period))
-        return torque, inertia, inertia_rate, disturbance
+        period, total = self._period, self._inertia + j0
+        k2, k3, k4, k5 = 2.0 * j2, 3.0 * j3, 4.0 * j4, 5.0 * j5
+        return (
+            [t0 + s * (t1 + s * (t2 + s * t3)) for s in self._shares],
+            [total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6))))) for s in self._shares],
+            [(j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * 6.0 * j6))))) / period for s in self._shares],
+            self._disturbance.torques([time + s * period for s in self._shares]),
+        )

@@ -63,7 +63,7 @@ class RobotController:
         if robot.kind is Kind.SINGLE_INTEGRATOR:
             self.ideal = SingleIntegratorDrive(robot.period)
         else:
-            self.ideal = DoubleIntegratorDrive(robot.period, robot.mass, robot.damping)
+            self.ideal = DoubleIntegratorDrive.of(robot.period, robot.mass, robot.damping)
         self.mass = robot.mass
         self.braking_time = max(BRAKING_TIME, robot.period)
         self._kind = robot.kind

@@ -51,3 +51,10 @@ class Sensor:
         measured = true + sigma * standard_normal(text) if sigma else true
         # The remainder of IEEE 754 is exact, and that of the nearest multiple, ties to the even one.
         return measured - remainder(measured, step) if step else measured
+
+
+def measured_plane(sensor: Sensor, angle: float, angular_velocity: float, seed: int, step: int) -> Pair:
+    """Return what a sensor says of the plane's angle (rad) and angular velocity (rad/s) at a step."""
+    if sensor.perfect:
+        return angle, angular_velocity
+    return sensor.measure(angle, angular_velocity, f"{seed}:{step}:plane")

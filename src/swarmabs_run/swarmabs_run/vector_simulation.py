@@ -14,11 +14,11 @@ import numpy as np
 
 from swarmabs_bag.recording import Record, digest_head
 from swarmabs_config import configure
-from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.abstraction import abstraction, damping_sums, is_degenerate, second_moments
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.behaviours import Controller
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, agent_id_of, encode
-from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.law_registry import PAPER
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -35,8 +35,8 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
-from swarmabs_core.summation import exact_sum
+from swarmabs_core.plant import Disturbance, PlaneDynamics, cubic_terms, hermite, linear_terms, summed_load
+from swarmabs_core.summation import column_sums
 from swarmabs_core.swarm_law import double_integrator_command, single_integrator_command
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.plant import SwarmLoad
 
     Floats = NDArray[np.float64]
 
@@ -116,10 +117,10 @@ class ArrayStep(NamedTuple):
 
 
 class _Swarm:
-    """The robots by ascending id, single integrators and double integrators also apart."""
+    """The robots, first the single and then the double integrators, so that each kind is a part of every array."""
 
     def __init__(self, scenario: Scenario) -> None:
-        configs = configure.agent_configs(scenario)
+        configs = sorted(configure.agent_configs(scenario), key=lambda config: (config.kind, config.agent_id))
         self.period = scenario.period
         self.gravity = scenario.plane.gravity
         self.gains = configs[0].gains
@@ -128,60 +129,49 @@ class _Swarm:
         self.position = np.array([config.position for config in configs])
         self.velocity = np.array([config.velocity for config in configs])
         self.command = np.zeros(len(configs))
-        kinds = np.array([config.kind for config in configs])
-        self.si = np.flatnonzero(kinds == Kind.SINGLE_INTEGRATOR)
-        self.di = np.flatnonzero(kinds == Kind.DOUBLE_INTEGRATOR)
-        self.di_damping = np.array([configs[i].damping for i in self.di])
-        drives = [DoubleIntegratorDrive(scenario.period, configs[i].mass, configs[i].damping) for i in self.di]
-        self.decay = np.array([drive.decay for drive in drives])
-        self.force_to_velocity = np.array([drive.force_to_velocity for drive in drives])
-        self.velocity_to_position = np.array([drive.velocity_to_position for drive in drives])
-        self.force_to_position = np.array([drive.force_to_position for drive in drives])
+        damped = [config for config in configs if config.kind is Kind.DOUBLE_INTEGRATOR]
+        single = len(configs) - len(damped)
+        self.si, self.di = slice(single), slice(single, None)
+        self.di_damping = np.array([config.damping for config in damped])
+        drives = [DoubleIntegratorDrive.of(scenario.period, config.mass, config.damping) for config in damped]
+        # What is arithmetic only takes arrays as it takes numbers: drives, laws, paths.
+        self.si_drive: Any = SingleIntegratorDrive(scenario.period)
+        self.di_drive: Any = DoubleIntegratorDrive(*np.array(drives).reshape(-1, 4).T.copy())
+        self.by_id = np.argsort(self.ids)
         self.rows = np.zeros(len(configs), dtype=_DIGESTED)
         self.rows["head"] = np.void(_HEAD)
         payload = self.rows["payload"]
         payload["encapsulation"] = np.void(ENCAPSULATION)
         payload["frame"] = np.void(FRAME)
         payload["agent_id"] = self.ids
-        payload["kind"] = kinds
+        payload["kind"] = [config.kind for config in configs]
         payload["status"] = Status.ACTIVE
         payload["mass"] = self.mass
         payload["damping"][self.di] = self.di_damping
 
     def states(self, step: int, stamp: int) -> NDArray[np.void]:
-        """Return the robots' messages of a step."""
-        rows: NDArray[np.void] = self.rows.copy()
-        payload = rows["payload"]
+        """Return the robots' messages of a step, by ascending id."""
+        payload = self.rows["payload"]
         payload["sec"], payload["nanosec"] = divmod(stamp, 1_000_000_000)
         payload["step"] = step
         payload["broadcast_step"] = step - 1 if step else NEVER
         payload["position"] = self.position
         payload["velocity"] = self.velocity
         payload["command"] = self.command
-        return rows
+        return self.rows[self.by_id]
 
     def sums(self, step: int, stamp: int) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them."""
-        m, p, v, g = self.mass, self.position, self.velocity, self.gravity
-        mm, mp, mv = m * m, m * p, m * v
-        s0, s1 = _sum(mm), _sum(mm * p)
-        offset = p - (s1 / s0 if s0 else 0.0)
-        s3 = s0 * _sum(mm * offset * offset)
-        p_di = p[self.di]
-        mc = m[self.di] * (self.di_damping + self.gains.ksd)
-        mcp = mc * p_di
-        return (
-            AbstractState(stamp, step, len(m), g * _sum(mp), _sum(mp * p), g * _sum(mv), 2.0 * _sum(mp * v)),
-            AuxiliaryState(
-                stamp, step, s0, s1, _sum(mm * p * p), s3, _sum(mc), _sum(mcp), _sum(mcp * p_di), _sum(mv * v)
-            ),
-        )
+        m, p, di = self.mass, self.position, self.di
+        *abstract, q = abstraction((m, p, self.velocity), self.gravity, column_sums)
+        moments = second_moments((m, p), column_sums)
+        damping = damping_sums((m[di], p[di], self.di_damping), self.gains.ksd, column_sums)
+        return AbstractState(stamp, step, len(m), *abstract), AuxiliaryState(stamp, step, *moments, *damping, q)
 
     def move(self, abstract: AbstractState, sums: AuxiliaryState, desired: DesiredAbstractState) -> SwarmLoad:
         """Command all robots, move them for a period, and return what the plane feels meanwhile."""
         si, di = self.si, self.di
         m, p, v = self.mass, self.position.copy(), self.velocity.copy()
-        # The laws are arithmetic only, so they take arrays as they take numbers.
         law_si: Any = single_integrator_command
         law_di: Any = double_integrator_command
         common = (self.gains, self.gravity, abstract, sums, desired)
@@ -190,38 +180,20 @@ class _Swarm:
         u = self.command
         if not bool(np.isfinite(u).all()):
             raise NotVectorisableError
-        self.position[si] = p[si] + u[si] * self.period
-        self.velocity[si] = u[si]
-        self.position[di] = p[di] + self.velocity_to_position * v[di] + self.force_to_position * u[di]
-        self.velocity[di] = self.decay * v[di] + self.force_to_velocity * u[di]
+        self.position[si], self.velocity[si] = self.si_drive.advance(p[si], v[si], u[si])
+        self.position[di], self.velocity[di] = self.di_drive.advance(p[di], v[di], u[di])
         return self._load(p, v)
 
     def _load(self, p0: Floats, v0: Floats) -> SwarmLoad:
-        """Return torque and inertia over the period, as `swarmabs_core.plant` defines them."""
-        m, di, g = self.mass, self.di, self.gravity
-        b = self.position - p0
-        rise = b[di]
-        d0, d1 = v0[di] * self.period, self.velocity[di] * self.period
-        b[di] = d0
-        c, d = 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise
-        ma, mb = m * p0, m * b
-        ma_di, mb_di, mc, md = ma[di], mb[di], m[di] * c, m[di] * d
-        return SwarmLoad(
-            (g * _sum(ma), g * _sum(mb), g * _sum(mc), g * _sum(md)),
-            (
-                _sum(ma * p0),
-                _sum(2.0 * ma * b),
-                exact_sum([*(mb * b).tolist(), *(2.0 * ma_di * c).tolist()]),
-                _sum(2.0 * (ma_di * d + mb_di * c)),
-                _sum(mc * c + 2.0 * mb_di * d),
-                _sum(2.0 * mc * d),
-                _sum(md * d),
-            ),
-        )
-
-
-def _sum(terms: Floats) -> float:
-    return exact_sum(terms.tolist())
+        """Return torque and inertia over the period."""
+        m, di = self.mass, self.di
+        path: Any = hermite
+        terms: Any = linear_terms, cubic_terms
+        curves = path(m[di], (p0[di], v0[di]), (self.position[di], self.velocity[di]), self.period)
+        rise = self.position - p0
+        rise[di] = curves.c1
+        linear, cubic = terms[0](m, p0, rise), terms[1](*curves)
+        return summed_load((t.tolist() for t in linear), (t.tolist() for t in cubic), self.gravity)
 
 
 class VectorSimulation:
@@ -282,11 +254,10 @@ class VectorSimulation:
 
     def _limits(self, step: int, stamp: int) -> list[SwarmEvent]:
         """Say which robots have just crossed the end of the plane."""
-        position = self._swarm.position
-        beyond = np.flatnonzero(np.abs(position) > 0.5 * self._scenario.plane.length)
-        if not len(beyond) and not self._outside:
+        position, half = self._swarm.position, 0.5 * self._scenario.plane.length
+        if not self._outside and np.abs(position).max() <= half:
             return []
-        outside = {self._swarm.ids[i]: float(position[i]) for i in beyond}
+        outside = {self._swarm.ids[i]: float(position[i]) for i in np.flatnonzero(np.abs(position) > half)}
         new = sorted(outside.keys() - self._outside)
         self._outside = set(outside)
         return [

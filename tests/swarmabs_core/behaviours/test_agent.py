@@ -80,7 +80,7 @@ def law(before: AgentState, **wish: Any) -> float:
 def advanced(before: AgentState, command: float, force: float = 0.0) -> tuple[float, float]:
     if before.kind == SI:
         return before.position + PERIOD_NS / 1e9 * command, command
-    drive = DoubleIntegratorDrive(PERIOD_NS / 1e9, MASS, DAMPING)
+    drive = DoubleIntegratorDrive.of(PERIOD_NS / 1e9, MASS, DAMPING)
     return drive.advance(before.position, before.velocity, command + force)
 
 

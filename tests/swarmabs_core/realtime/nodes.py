@@ -8,7 +8,7 @@ from tests.swarmabs_core.helpers import SCENARIOS
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, damping_sums, second_moments
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
@@ -69,7 +69,7 @@ def broadcasts(step: int, mode: Mode = Mode.RUN, torque: float = 0.5) -> tuple[M
     robots = [(0.5, 0.1), (0.5, -0.1), (0.6762, 0.1)]
     weights = [Weight(m, p, 0.0) for m, p in robots]
     *sums, q = abstraction(weights, 9.81)
-    spread = spread_sums(robots)
+    spread = second_moments(robots)
     damping = damping_sums([(0.6762, 0.1, 0.65)], 1.0)
     return (
         AbstractState(0, step, 3, *sums),

@@ -46,7 +46,7 @@ def test_a_simulated_body_is_that_of_the_robot() -> None:
     assert isinstance(drive, SimulatedDrive)
     drive.read(0)
     drive.write(0.3, 0)
-    expected = DoubleIntegratorDrive(0.01, 0.5, 0.8).advance(0.1, -0.2, 0.3)
+    expected = DoubleIntegratorDrive.of(0.01, 0.5, 0.8).advance(0.1, -0.2, 0.3)
     assert drive.read(10 * MS) == Measurement(10 * MS, *expected)
 
 

@@ -24,7 +24,7 @@ from tests.swarmabs_core.realtime.nodes import (
 )
 
 from swarmabs_config import realtime as configure
-from swarmabs_core.abstraction import Weight, abstraction, spread_sums
+from swarmabs_core.abstraction import Weight, abstraction, second_moments
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     NEVER,
@@ -201,7 +201,7 @@ def test_roles_decide_what_a_robot_counts_in() -> None:
     on_plane = [Weight(s.mass, s.position, 0.0 if s.agent_id == 4 else s.velocity) for s in (first, second, fourth)]
     *expected, q = abstraction(on_plane, 9.81)
     assert abstract[2:] == (3, *expected)
-    assert auxiliary[2:] == (*spread_sums([(first.mass, first.position)]), 0.0, 0.0, 0.0, q)
+    assert auxiliary[2:] == (*second_moments([(first.mass, first.position)]), 0.0, 0.0, 0.0, q)
 
 
 def test_two_robots_with_one_id_are_noticed() -> None:

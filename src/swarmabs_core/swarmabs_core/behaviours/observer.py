@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.abstraction import Weight, observed
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.behaviours.gathering import Gathering
 from swarmabs_core.errors import RunError
@@ -16,7 +16,6 @@ from swarmabs_core.messages import (
     AgentState,
     AuxiliaryState,
     EventKind,
-    Kind,
     Message,
     Messages,
     Status,
@@ -121,28 +120,18 @@ class Observer:
     def _proceed(self) -> Messages:
         return (*self._announce(), *self._sum_up()) if self._complete() else ()
 
-    def _sum_up(self) -> Messages:
+    def _sum_up(self) -> tuple[AbstractState, AuxiliaryState]:
         config = self._config
         step = self._gathering.step
         stamp = step * config.period_ns
         states = self._gathering.take()
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left that takes part in the run")
-        active = [s for s in states if s.status == Status.ACTIVE]
         weights = [Weight(s.mass, s.position, s.velocity) for s in states]
         weights.extend(self._standing.values())
-        spread = spread_sums((s.mass, s.position) for s in active)
-        damping = damping_sums(
-            ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
-        )
+        followers = [s for s in states if s.status == Status.ACTIVE]
         self._previous = {s.agent_id: s for s in states}
-        abstract, q = self._abstract(stamp, step, weights)
-        return abstract, AuxiliaryState(stamp, step, *spread, *damping, q)
-
-    def _abstract(self, stamp: int, step: int, weights: list[Weight]) -> tuple[AbstractState, float]:
-        """Return the abstract state and Q."""
-        *sums, q = abstraction(weights, self._config.gravity)
-        return AbstractState(stamp, step, len(weights), *sums), q
+        return observed(stamp, step, weights, followers, config.gravity, config.ksd)
 
     def _announce(self) -> Messages:
         """Return the changes of the membership that hold from the current step on."""

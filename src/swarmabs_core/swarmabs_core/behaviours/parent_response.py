@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from swarmabs_core.behaviours.base import StepAheadError, refuse_conflict
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
-from swarmabs_core.messages import AGENT_STATE, PLANE_STATE, AbstractState, Message, Messages, PlaneState, Topic
+from swarmabs_core.messages import AGENT_STATE, PLANE_STATE, Message, Messages, PlaneState, Topic
 from swarmabs_core.parent_response import ParentModel, TorqueEstimator
-
-if TYPE_CHECKING:
-    from swarmabs_core.abstraction import Weight
 
 
 class ParentResponseObserver(Observer):
@@ -59,14 +54,12 @@ class ParentResponseObserver(Observer):
         if self._announced < self._gathering.step:
             self._announced = self._gathering.step
             events = self._announce()
-        return events if self._plane is None else (*events, *self._sum_up())
-
-    def _abstract(self, stamp: int, step: int, weights: list[Weight]) -> tuple[AbstractState, float]:
         plane, self._plane = self._plane, None
-        assert plane is not None  # noqa: S101 - `_proceed` has checked it
-        summed, q = super()._abstract(stamp, step, weights)
+        if plane is None:
+            return events
+        summed, sums = self._sum_up()
         torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, summed.inertia)
-        return summed._replace(torque=torque, torque_rate=rate), q
+        return (*events, summed._replace(torque=torque, torque_rate=rate), sums)
 
 
 def make_observer(config: ObserverConfig, model: ParentModel | None) -> Observer:

@@ -27,7 +27,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
-from swarmabs_core.sensing import Sensor
+from swarmabs_core.sensing import Sensor, measured_plane
 from swarmabs_core.steering import DISTURBANCE, Stair, Staircase, change_of
 
 CURVED_FROM = 0.25
@@ -199,17 +199,14 @@ class Plane:
         if step > 0:
             time = (step - 1) * config.period_ns / 1e9
             load = swarm_load(self._paths(states), config.gravity)
-            resting = abs(self._angle) == config.end_stop and not self._angular_velocity
             self._angle, self._angular_velocity = self._dynamics.advance(
                 self._angle, self._angular_velocity, time, load, self._torques.at(step - 1)
             )
-            if self._dynamics.impact is not None and not resting:
+            if self._dynamics.impact is not None:
                 events.append(self._hit(*self._dynamics.impact, step, stamp))
         self._keep(states)
-        angle, rate = self._angle, self._angular_velocity
-        if not config.sensor.perfect:
-            angle, rate = config.sensor.measure(angle, rate, f"{config.seed}:{step}:plane")
-        return (*events, *self._limits(states, stamp), PlaneState(stamp, step, angle, rate))
+        measured = measured_plane(config.sensor, self._angle, self._angular_velocity, config.seed, step)
+        return (*events, *self._limits(states, stamp), PlaneState(stamp, step, *measured))
 
     def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
         """Say that the plane has hit an end stop."""

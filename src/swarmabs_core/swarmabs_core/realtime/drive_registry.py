@@ -84,7 +84,7 @@ def _simulated(settings: Settings, body: Body) -> Drive:  # noqa: ARG001 - it ha
     model = (
         SingleIntegratorDrive(period)
         if body.kind is Kind.SINGLE_INTEGRATOR
-        else DoubleIntegratorDrive(period, body.mass, body.damping)
+        else DoubleIntegratorDrive.of(period, body.mass, body.damping)
     )
     return SimulatedDrive(model, body.schedule, body.position, body.velocity)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, spread_sums
+from swarmabs_core.abstraction import Weight, observed
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
@@ -14,7 +14,6 @@ from swarmabs_core.messages import (
     AuxiliaryState,
     Basis,
     EventKind,
-    Kind,
     Message,
     Messages,
     Source,
@@ -115,21 +114,15 @@ class RealtimeSums:
         step, now : int
             The step, and the time at which it is made, ns.
         """
-        config = self._config
-        weights, active = [], []
+        weights, followers = [], []
         for _, state in sorted(states.items()):
             if state.status == Status.LEFT:
                 continue
             stands = state.agent_id in standing
             weights.append(Weight(state.mass, state.position, 0.0 if stands else state.velocity))
             if state.status == Status.ACTIVE and not stands:
-                active.append(state)
-        *sums, q = abstraction(weights, config.bounds.gravity)
-        spread = spread_sums((s.mass, s.position) for s in active)
-        damping = damping_sums(
-            ((s.mass, s.position, s.damping) for s in active if s.kind == Kind.DOUBLE_INTEGRATOR), config.ksd
-        )
-        return AbstractState(now, step, len(weights), *sums), AuxiliaryState(now, step, *spread, *damping, q)
+                followers.append(state)
+        return observed(now, step, weights, followers, self._config.bounds.gravity, self._config.ksd)
 
 
 class RealtimeObserver:

@@ -26,7 +26,7 @@ from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
 from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
-from swarmabs_core.sensing import Sensor
+from swarmabs_core.sensing import Sensor, measured_plane
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -137,20 +137,16 @@ class PlaneMotion:
         passed = min(passed, MOST_STEPS)
         self.impact = None
         for index in range(passed):
-            resting = abs(angle) == config.end_stop and not rate
             paths = [self._path(before.get(i, robot), robot, index, passed) for i, robot in sorted(newest.items())]
             time = max(0, since_release + index) * self._period
             angle, rate = self._dynamics.advance(angle, rate, time, swarm_load(paths, config.bounds.gravity))
-            if self._dynamics.impact is not None and not resting:
+            if self._dynamics.impact is not None:
                 self.impact = self._dynamics.impact[1]
         return angle, rate
 
     def measured(self, angle: float, angular_velocity: float, step: int) -> tuple[float, float]:
         """Return what the sensor tells of angle (rad) and angular velocity (rad/s) at a step."""
-        config = self._config
-        if config.sensor.perfect:
-            return angle, angular_velocity
-        return config.sensor.measure(angle, angular_velocity, f"{config.seed}:{step}:plane")
+        return measured_plane(self._config.sensor, angle, angular_velocity, self._config.seed, step)
 
     def _path(self, start: AgentState, end: AgentState, index: int, passed: int) -> RobotPath:
         """Return a robot's path over one of the periods that have passed since it was last looked at."""

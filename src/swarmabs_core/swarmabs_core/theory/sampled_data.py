@@ -130,7 +130,7 @@ def added_damping_loop(mass: float, damping: float, ksd: float) -> Loop:
     """
 
     def loop(period: float, delay: int) -> Matrix:  # noqa: ARG001
-        drive = DoubleIntegratorDrive(period, mass, damping)
+        drive = DoubleIntegratorDrive.of(period, mass, damping)
         return np.array([[drive.decay - ksd * drive.force_to_velocity]])
 
     return loop
