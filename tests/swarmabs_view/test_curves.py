@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from swarmabs_view.curves import CurveBuffer, Point
+from swarmabs_core.swarm_state import Abstract, Instant
+from swarmabs_view.curves import CurveBuffer
 
 
-def point(step: int) -> Point:
-    return Point(step, step / 100, step * 0.5, None, 1.0, 2.0, 3.0, 4.0)
+def point(step: int) -> Instant:
+    return Instant(step, 0, step / 100, step * 0.5, 0.0, None, Abstract(1.0, 3.0), Abstract(2.0, 4.0))
 
 
 def test_points_follow_each_other_and_those_who_have_them_get_the_rest() -> None:

@@ -19,15 +19,27 @@ from tests.processes import until
 from tests.swarmabs_bag.sample_run import make_run, make_step
 
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import TOPIC_OF, EventKind, PlaneState, SwarmEvent
+from swarmabs_core.messages import TOPIC_OF, EventKind, Kind, PlaneState, SwarmEvent
+from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 from swarmabs_core.theory.constraint_sets import StateClass, classify
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.runner import SwarmNode
 from swarmabs_view.facts import regions
 from swarmabs_view.health import ProcessWatch
 from swarmabs_view.live import RATE_WINDOW, SILENCE, Listener, LiveSession, LiveView, StepRate
-from swarmabs_view.picture import Picture
-from swarmabs_view.protocol import Curves, Events, Frame, Hello, Manifold, Message, Plane, Play, Robot, Sets, State
+from swarmabs_view.protocol import (
+    Curves,
+    Events,
+    Frame,
+    Hello,
+    Manifold,
+    Message,
+    Plane,
+    Play,
+    Robot,
+    Sets,
+    State,
+)
 from swarmabs_view.shading import Shading
 
 HELLO = Hello(
@@ -45,9 +57,9 @@ HELLO = Hello(
 
 
 def view_of(steps: int = 0) -> LiveView:
-    made = LiveView(HELLO, Picture())
+    made = LiveView(HELLO, SwarmState())
     for message in make_run(steps) if steps else ():
-        made.picture.add(message)
+        made.add(message)
     return made
 
 
@@ -73,7 +85,7 @@ def test_a_page_gets_the_past_first_and_then_what_is_new() -> None:
     assert frame.step == 20
     assert session.poll(0.1) == []
     for message in make_step(21):
-        live.picture.add(message)
+        live.add(message)
     more = session.poll(0.2)
     assert types(more) == ["Curves", "Frame"]
     assert isinstance(more[0], Curves)
@@ -87,7 +99,7 @@ def test_pages_that_come_at_different_times_have_the_same_in_the_end() -> None:
     early.hello()
     for step in range(50):
         for message in make_step(step):
-            live.picture.add(message)
+            live.add(message)
         if step == 30:
             late = LiveSession(live)
             late.hello()
@@ -104,7 +116,7 @@ def test_a_robot_that_is_heard_later_is_introduced() -> None:
     session.hello()
     session.poll(0.0)
     for message in make_step(4, agents=(1, 2, 5, 7)):
-        live.picture.add(message)
+        live.add(message)
     said = session.poll(0.1)
     assert types(said)[:2] == ["Hello", "Events"]
     assert isinstance(said[0], Hello)
@@ -128,7 +140,7 @@ def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
     live.look(SILENCE + 0.1)
     assert (live.phase, live.text) == ("silent", "no step since 3")
     for message in make_step(4):
-        live.picture.add(message)
+        live.add(message)
     live.look(SILENCE + 0.2)
     assert live.phase == "running"
 
@@ -173,7 +185,7 @@ def test_step_rate_is_that_of_the_last_seconds() -> None:
 def test_while_no_page_is_open_only_the_window_of_the_step_rate_is_kept() -> None:
     live = view_of()
     for look in range(3000):
-        live.picture.add(PlaneState(look * 10**7, look, 0.0, 0.0))
+        live.add(PlaneState(look * 10**7, look, 0.0, 0.0))
         live.look(look / 100)
     assert len(live.rate) <= RATE_WINDOW * 100 + 2
     assert live.rate.at(29.99) == pytest.approx(100.0)
@@ -224,11 +236,12 @@ def test_weights_that_stand_still_shift_the_sets() -> None:
 
 def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
     robots = [Robot(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)]
+    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0, joins=n == 9) for n in (1, 2, 7, 9)]
     plane = Plane(length=1.0, inertia=0.1, gravity=9.81)
     known = {"robots": robots, "plane": plane, "manifold": Manifold(curvature=0.1, offset=0.02, torque_max=5.0)}
     first = regions([0.4] * 3, 1.0, 9.81, 5.0)
     hello = HELLO.model_copy(update={**known, "regions": first})
-    live = LiveView(hello, Picture(robots))
+    live = LiveView(hello, SwarmState(identities))
     waiting: list[Callable[[], None]] = []
     live.shading = Shading(hello, waiting.append)
     pages = [LiveSession(live), LiveSession(live)]
@@ -237,7 +250,7 @@ def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
 
     def told(step: int, *events: SwarmEvent) -> list[list[Sets]]:
         for message in [*events, *make_step(step)]:
-            live.picture.add(message)
+            live.add(message)
         said = [page.poll(step / 10) for page in pages]
         assert all("Frame" in types(messages) for messages in said)  # which come also while the sets are computed
         while waiting:
@@ -290,7 +303,7 @@ def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_no
     try:
         node = SwarmNode("speaker")  # in the same namespace, by the arguments of the context
         publishers = {topic: advertise(node, topic) for topic in dict.fromkeys(TOPIC_OF[type(m)] for m in run)}
-        picture = Picture()
+        state = SwarmState()
         heard = {topic.name for topic in publishers} - {"swarm/auxiliary_state"}
         names = [p.topic_name for p in publishers.values()]
         assert all(name.startswith("/some/swarm/") for name in names)
@@ -302,9 +315,10 @@ def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_no
         publishers[TOPIC_OF[type(run[3])]].publish(good[:30])
 
         def complete() -> bool:
-            listener.poll(picture)
-            frame = picture.frame(None)
-            return frame is not None and frame.step == 5 and len(picture.events) == 1 and listener.malformed == 1
+            for message in listener.poll():
+                state.add(message)
+            instant = state.instant()
+            return instant is not None and instant.step == 5 and state.event_count == 1 and listener.malformed == 1
 
         until(complete, "all has been heard", 30.0)
         node.destroy_node()  # type: ignore[no-untyped-call]

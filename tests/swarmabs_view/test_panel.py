@@ -8,18 +8,20 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from swarmabs_bag.recorder.glance import Glance
+from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.orchestration.progress import Progress
 from swarmabs_view.panel import RunPanel
 
 SCENARIO = find_scenario("pd_het_4", ["duration=10"]).resolved()
-SEEN = Glance({"-": 1, "A": 2, "S": 1}, "A-AS", [-1000, 0, 500, 1000], [f"step {n}: robot 2 dead" for n in (1, 2, 3)])
+SEEN = SwarmSummary(
+    {"-": 1, "A": 2, "S": 1}, "A-AS", [-1000, 0, 500, 1000], [f"step {n}: robot 2 dead" for n in (1, 2, 3)]
+)
 ONE_LINE = "pd_het_4: step 400 of 1000; in one line that is longer than some terminals are wide"
 
 
-def progress(step: int, error: float | None = -0.25, seen: Glance | None = SEEN) -> Progress:
+def progress(step: int, error: float | None = -0.25, seen: SwarmSummary | None = SEEN) -> Progress:
     return Progress("running", 8, 8, step, 1000, 250.0, 0.5, error, seen)
 
 
@@ -71,7 +73,7 @@ def test_every_robot_stands_at_its_place_in_its_lane() -> None:
 
 @pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "×"), ("ascii", "x")])
 def test_who_is_out_is_told_apart(encoding: str, sign: str) -> None:
-    seen = Glance({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [-1000, 0, 500, 1000], [])
+    seen = SwarmSummary({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [-1000, 0, 500, 1000], [])
     lines = drawn(progress(400, seen=seen), width=80, encoding=encoding)
     assert line(lines, "robots") == "1 active, 1 left, 1 dead, 1 not heard"
     lanes = [set(line(lines, str(robot))) for robot in (1, 2, 3, 4)]
@@ -100,7 +102,7 @@ def test_errors_that_are_no_numbers_are_not_drawn() -> None:
 
 def test_many_robots_share_a_lane() -> None:
     scenario = find_scenario("arise_het_20").resolved()
-    seen = Glance({"A": 19, "L": 1}, "A" * 19 + "L", [-1000] * 12 + [0] * 7 + [1000], [])
+    seen = SwarmSummary({"A": 19, "L": 1}, "A" * 19 + "L", [-1000] * 12 + [0] * 7 + [1000], [])
     lane = line(drawn(progress(1, seen=seen), scenario=scenario), "plane")
     assert (lane[0], lane[34], lane[-1]) == ("+", "7", "─")  # who has left is not on the plane
 

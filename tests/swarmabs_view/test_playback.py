@@ -11,8 +11,8 @@ from tests.swarmabs_analysis.figures.conftest import ReadBag, record
 from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import write_bag
 
-from swarmabs_bag.membership_timeline import SILENT_STEPS
 from swarmabs_core.messages import AgentState
+from swarmabs_core.swarm_state import SILENT_STEPS, STATUSES
 from swarmabs_view.facts import regions
 from swarmabs_view.playback import COLUMNS, PlaybackSession, Recording, open_recording
 from swarmabs_view.protocol import Frame, Message, Pause, Play, Seek, Sets, Speed, State
@@ -64,6 +64,17 @@ def test_a_robot_is_silent_as_it_is_live_and_in_the_terminal(tmp_path: Path) -> 
     recording = open_recording(write(tmp_path / "bag", said))
     for step, status in ((9, "active"), (9 + SILENT_STEPS, "active"), (10 + SILENT_STEPS, "silent")):
         assert recording.frame(recording.row_at(step)).robots.status == ["active", "active", status]
+
+
+def test_the_whole_run_has_the_statuses_and_places_of_its_frames(recording: Recording) -> None:
+    swarm = recording.swarm
+    order = [agent.id for agent in swarm.scenario.agents]
+    columns = [swarm.arrays.agents.ids.tolist().index(robot) for robot in order]
+    for row in range(len(swarm)):
+        for robot, column in zip(swarm.shown_robots(row), columns, strict=True):
+            assert [name for name in STATUSES if swarm.have_status(name)[row, column]] == [robot.status]
+            if robot.position is not None:
+                assert swarm.positions[row, column] == robot.position
 
 
 def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
@@ -133,7 +144,7 @@ def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(tmp_path: Path, 
 def test_the_sets_are_those_of_whoever_takes_part(run: Path) -> None:
     recording = open_recording(run)
     recording.shading = Shading(recording.hello, lambda work: work())
-    agents = {agent.id: agent for agent in recording.recorded.scenario.agents}
+    agents = {agent.id: agent for agent in recording.swarm.scenario.agents}
     place = ReadBag(run).column("/swarm/agent_state", "position", 1)[-1]
     session = PlaybackSession(recording)
     session.hello()
@@ -144,7 +155,7 @@ def test_the_sets_are_those_of_whoever_takes_part(run: Path) -> None:
     assert list(found) == [101, 201, 50]  # at 101 once more it is the same message
     assert found[50] == recording.shading.first
     assert found[50].regions == recording.hello.regions
-    plane, manifold = recording.recorded.scenario.plane, recording.recorded.scenario.manifold
+    plane, manifold = recording.swarm.scenario.plane, recording.swarm.scenario.manifold
     for step, moving in ((101, [2, 3, 4]), (201, [3, 4])):
         assert (found[step].moving, found[step].standing) == (moving, [1])
         assert found[step].regions == regions(

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from tests.swarmabs_view.test_live import HELLO
 
+from swarmabs_core.swarm_state import SwarmState
 from swarmabs_run.steering.place import SOCKET
 from swarmabs_view import wheel as module
 from swarmabs_view.live import LiveSession, LiveView
-from swarmabs_view.picture import Picture
 from swarmabs_view.protocol import Answer, Message, Steer, Steering
 from swarmabs_view.wheel import MOST_WAITING, OVER, WRONG, SteeredSession, Wheel
 
@@ -122,7 +122,7 @@ def test_before_and_after_a_run_nothing_can_be_asked(tmp_path: Path) -> None:
 
 def test_a_page_hears_what_holds_and_its_answers_and_no_other(tmp_path: Path) -> None:
     async def work(wheel: Wheel, _heard: list[Any]) -> None:
-        live = LiveView(HELLO, Picture())
+        live = LiveView(HELLO, SwarmState())
         one, other = (SteeredSession(LiveSession(live), wheel) for _ in range(2))
 
         def new(page: SteeredSession) -> list[Message]:
@@ -143,7 +143,7 @@ def test_a_page_hears_what_holds_and_its_answers_and_no_other(tmp_path: Path) ->
         assert texts.pop(str(MOST_WAITING)) == "too many requests wait already"
         assert texts == {str(number): "from step 12 on, 0.12 s" for number in range(MOST_WAITING)}
         assert new(other) == []
-        live.learn(HELLO, Picture())  # the page begins anew, and needs what holds once more
+        live.learn(HELLO, SwarmState())  # the page begins anew, and needs what holds once more
         assert new(one) == [HELD]
 
     with_run(tmp_path, work)

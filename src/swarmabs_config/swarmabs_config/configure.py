@@ -17,6 +17,7 @@ from swarmabs_core.plant import Disturbance
 from swarmabs_core.sensing import Sensor
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Stair, Staircase
 from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -197,6 +198,16 @@ def reference(scenario: Scenario) -> OffsetReference:
     """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
     offsets = Staircase(stairs(scenario, REFERENCE))
     return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
+
+
+def swarm_state(scenario: Scenario) -> SwarmState:
+    """Return what is shown of a scenario's swarm before anything is heard of it; its robots are listed."""
+    there = {agent.id for agent in scenario.initial_agents}
+    robots = [
+        RobotIdentity(agent.id, KINDS[agent.kind], agent.mass, agent.damping, joins=agent.id not in there)
+        for agent in scenario.agents
+    ]
+    return SwarmState(robots, reference=reference(scenario), period_ns=scenario.step_ns)
 
 
 def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:

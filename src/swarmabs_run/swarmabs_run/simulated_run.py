@@ -79,7 +79,7 @@ def record_steps(
         if on_progress is not None and latest is not None:
             rate = latest.step / (now - begun) if now > begun else 0.0
             done = Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error)
-            on_progress(replace(done, glance=recording.glance()))
+            on_progress(replace(done, robots=recording.summary()))
 
     try:
         with end_asked() as asked:

@@ -1,26 +1,17 @@
-"""The curves over time of something that goes on: never more points than a screen can show."""
+"""The curves over time of a swarm that is running: never more points than a screen can show."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
-from swarmabs_view.protocol import Curves
+from swarmabs_view.frame import curves_of
+
+if TYPE_CHECKING:
+    from swarmabs_core.swarm_state import Instant
+    from swarmabs_view.protocol import Curves
 
 MOST = 4000
 """Points that are kept; when there are more, every second one goes."""
-
-
-class Point(NamedTuple):
-    """What the curves show of a step; None where it is not known or not finite."""
-
-    step: int
-    time: float
-    angle: float | None
-    reference: float | None
-    torque: float | None
-    desired_torque: float | None
-    inertia: float | None
-    desired_inertia: float | None
 
 
 class CurveBuffer:
@@ -35,13 +26,13 @@ class CurveBuffer:
     def __init__(self, most: int = MOST) -> None:
         self._most = most
         self._stride = 1
-        self._points: list[Point] = []
+        self._points: list[Instant] = []
         self.epoch = 0
 
     def __len__(self) -> int:
         return len(self._points)
 
-    def add(self, point: Point) -> None:
+    def add(self, point: Instant) -> None:
         """Take a point; one that is not later than the last is left out."""
         if point.step % self._stride or (self._points and point.step <= self._points[-1].step):
             return
@@ -55,18 +46,4 @@ class CurveBuffer:
         """Return what someone lacks who has this many points of an epoch; None if nothing."""
         replace = epoch != self.epoch
         missing = self._points if replace else self._points[count:]
-        return curves(missing, replace=replace) if missing or replace else None
-
-
-def curves(points: list[Point], *, replace: bool) -> Curves:
-    """Return points as a message."""
-    return Curves(
-        replace=replace,
-        time=[point.time for point in points],
-        angle=[point.angle for point in points],
-        reference=[point.reference for point in points],
-        torque=[point.torque for point in points],
-        desired_torque=[point.desired_torque for point in points],
-        inertia=[point.inertia for point in points],
-        desired_inertia=[point.desired_inertia for point in points],
-    )
+        return curves_of(missing, replace=replace) if missing or replace else None

@@ -6,8 +6,11 @@ from itertools import chain
 from math import fsum, isfinite
 from typing import TYPE_CHECKING, Any
 
+from swarmabs_config import configure
+from swarmabs_core.swarm_state import finite
 from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
-from swarmabs_view.protocol import Manifold, Plane, Regions, Robot
+from swarmabs_view.frame import robots_of
+from swarmabs_view.protocol import Manifold, Plane, Regions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,21 +36,10 @@ UNKNOWN: dict[str, Any] = {
 
 def scenario_facts(scenario: Scenario) -> dict[str, Any]:
     """Return the fields of a `Hello` that a scenario determines; generated robots are listed."""
-    initial = scenario.initial_agents
-    there = {agent.id for agent in initial}
     return {
         "period": scenario.period,
         "last_step": scenario.steps,
-        "robots": [
-            Robot(
-                id=agent.id,
-                kind=agent.kind,
-                mass=agent.mass,
-                damping=agent.damping,
-                joins=agent.id not in there,
-            )
-            for agent in scenario.agents
-        ],
+        "robots": robots_of(configure.swarm_state(scenario).robots),
         "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia, gravity=scenario.plane.gravity),
         "manifold": Manifold(
             curvature=scenario.manifold.curvature,
@@ -55,7 +47,7 @@ def scenario_facts(scenario: Scenario) -> dict[str, Any]:
             torque_max=scenario.manifold.torque_max,
         ),
         "regions": regions(
-            [agent.mass for agent in initial],
+            [agent.mass for agent in scenario.initial_agents],
             scenario.plane.length,
             scenario.plane.gravity,
             scenario.manifold.torque_max,
@@ -107,8 +99,3 @@ def regions(
         admissible=admissible,
         reachable=reachable,
     )
-
-
-def finite(value: float) -> float | None:
-    """Return a number that JSON can hold, None for others."""
-    return value if isfinite(value) else None

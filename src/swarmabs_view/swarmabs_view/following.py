@@ -12,11 +12,11 @@ from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
+from swarmabs_core.swarm_state import SwarmState
 from swarmabs_run.orchestration.looking_in import RunOverError, environment_of_run, goes_on, read_processes
 from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.health import ProcessWatch
-from swarmabs_view.picture import Picture
 from swarmabs_view.protocol import Hello, Seek
 from swarmabs_view.wheel import SteeredSession, Wheel
 
@@ -61,7 +61,7 @@ class RunView:
             playback=False,
             **UNKNOWN,
         )
-        self._live = LiveView(hello, Picture())
+        self._live = LiveView(hello, SwarmState())
         self._live.text = "the processes start"
         self._wheel = None if token is None else Wheel(folder, token)
 
@@ -80,7 +80,7 @@ class RunView:
         environment = None if processes is None else self._environment()
         if processes is not None and environment is not None:
             os.environ.update(environment)
-            listener = Listener("/", len(self._live.picture.robots))
+            listener = Listener("/", len(self._live.state.robots))
             os.nice(NICENESS)
             watch = asyncio.ensure_future(self._watch(processes))
             try:
@@ -113,8 +113,7 @@ class RunView:
         scenario = find_scenario(str(self._folder.scenario))
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
-        reference = configure.reference(scenario)
-        self._live.learn(hello, Picture(facts["robots"], reference=reference, period_ns=scenario.step_ns))
+        self._live.learn(hello, configure.swarm_state(scenario))
 
     async def _watch(self, processes: Mapping[str, int]) -> None:
         watch = ProcessWatch(processes)

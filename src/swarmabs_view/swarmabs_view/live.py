@@ -17,21 +17,31 @@ import rclpy
 
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    BASIS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+)
 from swarmabs_ros.endpoints import receiver
 from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import SwarmNode
 from swarmabs_ros.start import initialise
-from swarmabs_view.picture import Picture
-from swarmabs_view.protocol import Curves, Events, Frame, Hello, Message, Sets, State
+from swarmabs_view.curves import CurveBuffer
+from swarmabs_view.frame import events_of, frame_of, robots_of
+from swarmabs_view.protocol import Curves, Events, Frame, Hello, Sets, State
 from swarmabs_view.shading import Shading
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from rclpy.node import Node
 
-    from swarmabs_core.messages import Topic
+    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.swarm_state import SwarmState
+    from swarmabs_view import protocol
     from swarmabs_view.protocol import Control, Health, Phase
     from swarmabs_view.server import Session
 
@@ -70,18 +80,18 @@ class Listener:
         self._receiver = receiver(self._node, asked, "wait_set")
         self.malformed = 0
 
-    def poll(self, picture: Picture) -> None:
-        """Hand what has come to a picture; bytes that are no message of a swarm are counted and left out."""
+    def poll(self) -> Iterator[Message]:
+        """Yield what has come; bytes that are no message of a swarm are counted and left out."""
         for topic, most in self._most.items():
-            self._drain(topic, most, picture)
+            yield from self._drain(topic, most)
 
-    def _drain(self, topic: Topic, most: int, picture: Picture) -> None:
+    def _drain(self, topic: Topic, most: int) -> Iterator[Message]:
         for _ in range(most):
             data = self._receiver.take(topic)
             if data is None:
                 return
             try:
-                picture.add(decode(topic.message, data))
+                yield decode(topic.message, data)
             except MalformedMessageError:
                 self.malformed += 1
 
@@ -130,54 +140,63 @@ class LiveView:
     Parameters
     ----------
     hello : Hello
-        What is known of it before anything is heard; its robots are then those of the picture.
+        What is known of it before anything is heard; its robots are then those of the state.
+    state : SwarmState
+        What is shown.
 
     Attributes
     ----------
-    picture : Picture
-        Its state.
+    state : SwarmState
+        What is shown.
+    curves : CurveBuffer
+        The curves so far.
     health : Health or None
         Its processes, as far as they are known.
     phase, text : str
         How it is doing.
     """
 
-    def __init__(self, hello: Hello, picture: Picture) -> None:
-        self._hello = hello
-        self.picture = picture
-        self.shading = Shading(hello)
+    def __init__(self, hello: Hello, state: SwarmState) -> None:
         self.health: Health | None = None
         self.phase: Phase = "waiting"
         self.text = "waiting for the first step"
-        self.facts = 0
+        self.facts = -1
         self.rate = StepRate()
+        self.learn(hello, state)
 
-    def learn(self, hello: Hello, picture: Picture) -> None:
-        """Begin anew, with what has become known."""
-        self._hello, self.picture, self.shading = hello, picture, Shading(hello)
+    def learn(self, hello: Hello, state: SwarmState) -> None:
+        """Begin again, with what has become known."""
+        self._hello, self.state, self.curves, self.shading = hello, state, CurveBuffer(), Shading(hello)
         self.facts += 1
 
     def hello(self) -> Hello:
         """Return the first message for a page."""
-        return self._hello.model_copy(update={"robots": list(self.picture.robots)})
+        return self._hello.model_copy(update={"robots": robots_of(self.state.robots)})
+
+    def add(self, message: Message) -> None:
+        """Take a message of the swarm."""
+        complete = self.state.add(message)
+        if complete is not None:
+            self.curves.add(complete)
 
     def look(self, now: float) -> None:
         """Conclude from the steps that have come how the swarm is doing."""
-        self.rate.take(now, self.picture.step)
+        self.rate.take(now, self.state.step)
         silence = self.rate.silent_for(now)
         if silence is None:
             return
         if silence < SILENCE:
             self.phase, self.text = "running", ""
         else:
-            self.phase, self.text = "silent", f"no step since {self.picture.step}"
+            self.phase, self.text = "silent", f"no step since {self.state.step}"
 
     async def listen(self, listener: Listener, over: Callable[[], bool]) -> None:
         """Listen until it is over, and some time longer for what is still on its way."""
         clock = asyncio.get_running_loop().time
         left = 3
         while left:
-            listener.poll(self.picture)
+            for message in listener.poll():
+                self.add(message)
             self.look(clock())
             left = left - 1 if over() else 3
             await asyncio.sleep(INTERVAL)
@@ -207,15 +226,15 @@ class LiveSession:
         self._state: tuple[str, str] | None = None
         self._told = float("-inf")
 
-    def hello(self) -> list[Message]:
+    def hello(self) -> list[protocol.Message]:
         """Return what a page needs first."""
         live = self._live
-        self._known = (live.facts, len(live.picture.robots))
+        self._known = (live.facts, len(live.state.robots))
         self._version, self._curves, self._events, self._state = -1, (-1, 0), 0, None
         self._sets = live.shading.first
         return [live.hello(), Events(replace=True, events=[])]
 
-    def poll(self, now: float) -> list[Message]:
+    def poll(self, now: float) -> list[protocol.Message]:
         """Return what is new at a time (s) of the clock."""
         if self._after is None:
             self._after = self._make_after()
@@ -223,12 +242,12 @@ class LiveSession:
                 return self._after.hello()
         if self._after is not None:
             return self._after.poll(now)
-        live, picture = self._live, self._live.picture
-        messages: list[Message] = []
-        if self._known != (live.facts, len(picture.robots)):
+        live, state = self._live, self._live.state
+        messages: list[protocol.Message] = []
+        if self._known != (live.facts, len(state.robots)):
             messages += self.hello()
-        if picture.version != self._version:
-            self._version = picture.version
+        if state.version != self._version:
+            self._version = state.version
             messages += [*self._new_curves(), *self._new_events(), *self._frame(now)]
         messages += self._new_sets()
         if live.health is not self._health and live.health is not None:
@@ -247,27 +266,29 @@ class LiveSession:
             self._after.control(wish)
 
     def _frame(self, now: float) -> list[Frame]:
-        frame = self._live.picture.frame(self._live.rate.at(now))
-        return [] if frame is None else [frame]
+        instant = self._live.state.instant()
+        if instant is None:
+            return []
+        return [frame_of(instant, self._live.state.shown_robots(instant.step), self._live.rate.at(now))]
 
     def _new_sets(self) -> list[Sets]:
-        found = self._live.shading.of(self._live.picture.members())
+        found = self._live.shading.of(self._live.state.members())
         if found is None or found is self._sets:
             return []
         self._sets = found
         return [found]
 
     def _new_curves(self) -> list[Curves]:
-        buffer = self._live.picture.curves
+        buffer = self._live.curves
         found = buffer.since(*self._curves)
         self._curves = (buffer.epoch, len(buffer))
         return [] if found is None else [found]
 
     def _new_events(self) -> list[Events]:
-        picture = self._live.picture
-        count = min(picture.event_count - self._events, len(picture.events))
-        self._events = picture.event_count
-        return [Events(replace=False, events=picture.events[-count:])] if count else []
+        state = self._live.state
+        count = min(state.event_count - self._events, len(state.events))
+        self._events = state.event_count
+        return [Events(replace=False, events=events_of(state.events[-count:]))] if count else []
 
 
 async def closed(descriptor: int) -> None:

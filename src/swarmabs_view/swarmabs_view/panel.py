@@ -11,12 +11,12 @@ from rich.console import Group
 from rich.panel import Panel
 from rich.text import Text
 
-from swarmabs_bag.recorder.glance import DEAD, LEFT, SILENT, THOUSAND, UNHEARD
+from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
-    from swarmabs_bag.recorder.glance import Glance
+    from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.progress import Progress
 
@@ -29,14 +29,14 @@ _BINS = 400
 _BARS = " ▁▂▃▄▅▆▇█"
 _ASCII_BARS = " .:-=+*#@"
 _STATUS = {
-    "A": ("active", "green"),
-    "S": ("in safe stop", "yellow"),
-    LEFT: ("left", "dim"),
-    DEAD: ("dead", "magenta"),
-    SILENT: ("silent", "red"),
-    UNHEARD: ("not heard", "dim"),
+    LETTERS["active"]: ("active", "green"),
+    LETTERS["safe_stop"]: ("in safe stop", "yellow"),
+    LETTERS["left"]: ("left", "dim"),
+    LETTERS["dead"]: ("dead", "magenta"),
+    LETTERS["silent"]: ("silent", "red"),
+    LETTERS[None]: ("not heard", "dim"),
 }
-_NOWHERE = (LEFT, UNHEARD)
+_NOWHERE = (LETTERS["left"], LETTERS[None])
 """Those who are not on the plane, or of whom it is not known where."""
 _LABEL = 8
 
@@ -87,7 +87,7 @@ class RunPanel:
             _line("error", self._sparkline(width - _LABEL - 12, progress, ascii_only=ascii_only)),
             _line("speed", self._speed(progress)),
         ]
-        seen = progress.glance
+        seen = progress.robots
         if seen is not None:
             lines.append(_line("robots", _counts(seen)))
             lanes = self._lanes(seen, width - _LABEL, ascii_only=ascii_only)
@@ -144,7 +144,7 @@ class RunPanel:
         times = progress.step_rate * self._scenario.period
         return Text(f"{progress.step_rate:.0f} steps/s, {times:.1f} x real time")
 
-    def _lanes(self, seen: Glance, width: int, *, ascii_only: bool) -> list[Text]:
+    def _lanes(self, seen: SwarmSummary, width: int, *, ascii_only: bool) -> list[Text]:
         """Draw each robot in its lane, or all in one where they are many."""
         if not seen.places:
             return []
@@ -160,7 +160,7 @@ class RunPanel:
             lanes.append(_line(f"{agent_id:>6}", _joined(cells)))
         return lanes
 
-    def _one_lane(self, seen: Glance, width: int, *, ascii_only: bool) -> list[Text]:
+    def _one_lane(self, seen: SwarmSummary, width: int, *, ascii_only: bool) -> list[Text]:
         if not seen.places:
             return []
         numbers = [0] * width
@@ -177,7 +177,7 @@ class RunPanel:
         return [_line("plane", _joined(cells))]
 
     def _sign(self, agent_id: int, status: str, *, ascii_only: bool) -> str:
-        if status == DEAD:
+        if status == LETTERS["dead"]:
             return "x" if ascii_only else "×"
         round_ = self._kinds[agent_id] == "single_integrator"
         if ascii_only:
@@ -196,7 +196,7 @@ def _plain(content: Text) -> Text:
     return plain
 
 
-def _counts(seen: Glance) -> Text:
+def _counts(seen: SwarmSummary) -> Text:
     text = Text()
     for status, (name, style) in _STATUS.items():
         number = seen.counts.get(status, 0)

@@ -11,15 +11,14 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import models_json_schema
 
+from swarmabs_core.swarm_state import RobotStatus
+
 VERSION = 1
 """Of the messages; it is raised when one changes its meaning or goes. Messages and fields of the server may be added: a
 page leaves out what it does not know."""
 
 Number: TypeAlias = float | None
 Phase: TypeAlias = Literal["waiting", "running", "silent", "ended", "recorded"]
-RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent"]
-
-STATUSES: tuple[RobotStatus, ...] = ("active", "safe_stop", "left", "dead", "silent")
 FASTEST = 1000.0
 """Highest speed of a playback, in parts of real time."""
 

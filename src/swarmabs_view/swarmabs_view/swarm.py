@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
+from swarmabs_core.swarm_state import SwarmState
 from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN
-from swarmabs_view.picture import Picture
 from swarmabs_view.protocol import Hello
 
 with tracing_files_removed():
@@ -32,7 +32,7 @@ class SwarmView:
             playback=False,
             **UNKNOWN,
         )
-        self._live = LiveView(hello, Picture())
+        self._live = LiveView(hello, SwarmState())
 
     def session(self) -> LiveSession:
         """Return what a new page sees."""

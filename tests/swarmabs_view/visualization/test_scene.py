@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swarmabs_bag.membership_timeline import SILENT_STEPS
+from swarmabs_config import configure
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.messages import (
     NEVER,
@@ -26,8 +26,9 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Staircase
+from swarmabs_core.swarm_state import SILENT_STEPS, SwarmState
 from swarmabs_view.visualization.geometry import Layout, Vector, tilt, tilted
-from swarmabs_view.visualization.scene import GREY, HISTORY, KINDS, SAFE_STOP, Frame, Scene, Shape
+from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Scene, Shape
 
 LAYOUT = Layout.of(2.0, [(3, Kind.DOUBLE_INTEGRATOR, 0.5), (1, Kind.SINGLE_INTEGRATOR, 4.0)])
 PERIOD = 10_000_000
@@ -55,11 +56,17 @@ def by_time() -> OffsetReference:
     return OffsetReference(lambda time: time, Staircase(), PERIOD)
 
 
-def drawn(*messages: object, scene: Scene | None = None) -> tuple[Frame, dict[tuple[str, int], Shape]]:
-    scene = scene or Scene(LAYOUT, torque_max=5.0, reference=by_time())
+def new() -> tuple[Scene, SwarmState]:
+    return Scene(LAYOUT, torque_max=5.0), SwarmState(reference=by_time(), period_ns=PERIOD)
+
+
+def drawn(
+    *messages: object, scene: tuple[Scene, SwarmState] | None = None
+) -> tuple[Frame, dict[tuple[str, int], Shape]]:
+    scene, swarm = scene or new()
     for message in messages:
-        scene.hear(message)  # type: ignore[arg-type]
-    frame = scene.frame()
+        swarm.add(message)  # type: ignore[arg-type]
+    frame = scene.frame(swarm)
     assert frame is not None
     return frame, {(shape.group, shape.number): shape for shape in frame.shapes}
 
@@ -130,7 +137,7 @@ def test_states_of_robots_are_seen() -> None:
 
 
 def test_who_leaves_the_plane_is_taken_away_once() -> None:
-    scene = Scene(LAYOUT, torque_max=5.0)
+    scene = new()
     drawn(plane(0, 0.0), robot(0, 1, 0.1), robot(0, 3, 0.2), scene=scene)
     frame, shapes = drawn(plane(1, 0.0), robot(1, 1, 0.1), robot(1, 3, 0.2, Status.LEFT), scene=scene)
     assert ("robots", 3) not in shapes and 3 not in frame.places
@@ -142,7 +149,7 @@ def test_who_leaves_the_plane_is_taken_away_once() -> None:
 
 def test_who_was_removed_is_taken_away_and_one_that_is_dead_stands_where_its_event_says() -> None:
     """A robot that is removed says nothing of it: the observer does."""
-    scene = Scene(LAYOUT, torque_max=5.0)
+    scene = new()
     drawn(plane(0, 0.0), robot(0, 1, 0.1), robot(0, 3, 0.2), scene=scene)
     removed = SwarmEvent(0, 1, 3, EventKind.LEFT, 0.0, "remove")
     frame, shapes = drawn(removed, plane(1, 0.0), robot(1, 1, 0.1), scene=scene)
@@ -155,7 +162,7 @@ def test_who_was_removed_is_taken_away_and_one_that_is_dead_stands_where_its_eve
 
 
 def test_the_reference_has_its_offsets() -> None:
-    scene = Scene(LAYOUT, torque_max=5.0, reference=by_time())
+    scene = new()
     offset = SwarmEvent(0, 30, 0, EventKind.STEERING, 0.25, REFERENCE)
     _, shapes = drawn(offset, offset._replace(value=9.0, detail=DISTURBANCE), plane(29, 0.0), scene=scene)
     assert shapes["reference", 0].pose.orientation == tilt(0.29)
@@ -165,52 +172,38 @@ def test_the_reference_has_its_offsets() -> None:
 
 def test_a_scenario_with_offsets_is_drawn_with_them() -> None:
     scenario = find_scenario("pd_het_4", ["faults=[{kind: reference, at: 1.0, offset: 0.1}]"]).resolved()
-    _, shapes = drawn(plane(100, 0.0), scene=Scene.of(scenario))
+    _, shapes = drawn(plane(100, 0.0), scene=(Scene.of(scenario), configure.swarm_state(scenario)))
     assert shapes["reference", 0].pose.orientation == tilt(0.1)
 
 
 def test_what_does_not_belong_here_is_left_out() -> None:
-    scene = Scene(LAYOUT, torque_max=5.0)
-    assert scene.frame() is None
+    scene = new()
+    assert scene[0].frame(scene[1]) is None
     frame, shapes = drawn(plane(3, 0.3), plane(2, 0.2), robot(3, 99, 0.1), robot(3, 1, math.nan), scene=scene)
     assert (frame.step, frame.angle, frame.stamp, frame.rate) == (3, 0.3, 3 * PERIOD, 0.25)
     assert not any(group == "robots" for group, _ in shapes)
-    scene.hear(plane(4, math.nan))
-    scene.hear(robot(4, 1, 0.0))
-    assert scene.frame() is None
+    scene[1].add(plane(4, math.nan))
+    scene[1].add(robot(4, 1, 0.0))
+    assert scene[0].frame(scene[1]) is None
 
 
 def test_what_is_drawn_together_is_of_one_step() -> None:
     """Queues are read one after the other, and the swarm goes on meanwhile."""
-    messages: list[object] = [robot(step, agent_id, step / 1000.0) for step in range(40) for agent_id in (1, 3)]
-    messages += [desired(step, step / 100.0) for step in range(10, 60)]
+    messages: list[object] = [plane(step, step / 1000.0) for step in range(30, 90)]
     messages += [abstract(step, -step / 100.0) for step in range(20, 80)]
-    messages += [plane(step, step / 1000.0) for step in range(30, 90)]
+    messages += [desired(step, step / 100.0) for step in range(10, 60)]
+    messages += [robot(step, agent_id, step / 1000.0) for step in range(100) for agent_id in (1, 3)]
     frame, shapes = drawn(*messages)
-    assert (frame.step, frame.angle) == (39, 0.039)
-    assert [place.x for place in frame.places.values()] == [0.039, 0.039]
-    assert shapes["torque", 0].size.x == shapes["torque", 1].size.x == pytest.approx(0.39 / 5.0)
-    # Who is known to be dead, or silent for long, is not waited for.
-    dead = SwarmEvent(0, 0, 1, EventKind.DEAD, 0.0, "kill")
-    frame, _ = drawn(*messages, robot(40, 3, 0.5), dead)
-    assert frame.step == 40
-    frame, _ = drawn(*messages, *(plane(step, 0.0) for step in range(90, 300)))
-    assert frame.step == 299
-
-
-def test_what_is_kept_is_bounded() -> None:
-    scene = Scene(LAYOUT, torque_max=5.0)
-    for step in range(10 * HISTORY):
-        for message in (plane(step, 0.1), robot(step, 1, 0.1), abstract(step, 1.0), desired(step, 1.0)):
-            scene.hear(message)
-    kept = (scene._planes, scene._abstract, scene._desired, scene._robots[1])
-    assert {len(each) for each in kept} == {HISTORY}
-    frame = scene.frame()
-    assert frame is not None and frame.step == 10 * HISTORY - 1
+    assert (frame.step, frame.angle) == (59, 0.059)
+    assert [place.x for place in frame.places.values()] == [0.059, 0.059]
+    assert shapes["torque", 0].size.x == shapes["torque", 1].size.x == pytest.approx(0.59 / 5.0)
+    frame, shapes = drawn(*messages, *(plane(step, 0.0) for step in range(90, 300)))
+    assert frame.step == 299  # observer and controller are silent
+    assert ("torque", 0) not in shapes
 
 
 def test_by_a_clock_the_reference_begins_with_the_law() -> None:
-    scene = Scene(LAYOUT, 5.0, by_time(), PERIOD)
+    scene = new()
     begin = 1_700_000_000 * 10**9
     _, shapes = drawn(plane(30, 0.0)._replace(stamp=begin), scene=scene)
     assert ("reference", 0) not in shapes
@@ -220,8 +213,9 @@ def test_by_a_clock_the_reference_begins_with_the_law() -> None:
 
 
 def test_a_scenario_gives_its_dimensions() -> None:
-    scene = Scene.of(find_scenario("arise_het_200", ["plane.length=3"]).resolved())
-    layout = scene.layout
+    scenario = find_scenario("arise_het_200", ["plane.length=3"]).resolved()
+    scene = (Scene.of(scenario), configure.swarm_state(scenario))
+    layout = scene[0].layout
     assert (layout.length, len(layout.robots)) == (3.0, 200)
     lanes = sorted(robot.lane for robot in layout.robots.values())
     assert layout.width / 2.0 >= lanes[-1] + layout.lane_width / 2.0 - 1e-9

@@ -57,7 +57,7 @@ def make_report(path: Path, *, namespace: str | None = None) -> Report:
     margin = margins(recorded, on_plane)
     drawn = list(panels(recorded, on_plane, margin)) if recorded.drawable else []
     return Report(
-        recorded.bag,
+        recorded.swarm.bag,
         page(recorded, drawn, margin),
         overview(recorded, {panel.key: panel for panel in drawn}),
         _numbers(recorded, margin),
@@ -67,12 +67,12 @@ def make_report(path: Path, *, namespace: str | None = None) -> Report:
 def _numbers(recorded: Recorded, margin: Margins) -> dict[str, Any]:
     return {
         "scenario": recorded.scenario.name,
-        "status": recorded.status,
-        "reason": recorded.reason,
+        "status": recorded.swarm.status,
+        "reason": recorded.swarm.reason,
         "agents": len(recorded.arrays.agents.ids),
         "steps": recorded.steps,
         **recorded.metrics,
-        "events": len(recorded.events),
+        "events": len(recorded.swarm.events),
         "margins": {
             "end": _lowest(margin.end),
             "abstract_state": _lowest(margin.actual),

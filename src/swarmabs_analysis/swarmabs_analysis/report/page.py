@@ -95,9 +95,9 @@ def _section(key: str, heading: str, inside: Iterable[Child]) -> ET.Element:
 
 def _header(recorded: Recorded, name: str) -> Iterator[ET.Element]:
     yield element("h1", name)
-    good = recorded.status == "ok"
-    text = "completed" if good else recorded.status
-    reason = f": {shown(recorded.reason)}" if recorded.reason not in {None, recorded.status} else ""
+    good = recorded.swarm.status == "ok"
+    text = "completed" if good else recorded.swarm.status
+    reason = f": {shown(recorded.swarm.reason)}" if recorded.swarm.reason not in {None, recorded.swarm.status} else ""
     yield element("p", element("span", text, class_=f"status {'good' if good else 'bad'}"), reason)
     scenario, agents = recorded.scenario, recorded.arrays.agents
     singles = int((agents.kind == 1).any(axis=0).sum())
@@ -190,7 +190,7 @@ def _figure(panel: Panel) -> ET.Element:
 
 
 def _events(recorded: Recorded) -> Iterator[ET.Element]:
-    events = recorded.events
+    events = recorded.swarm.events
     if not events:
         yield element("p", "Nothing happened that a node announced.")
         return
@@ -203,7 +203,7 @@ def _events(recorded: Recorded) -> Iterator[ET.Element]:
     if len(events) <= MOST_EVENTS:
         rows = [
             (
-                f"{recorded.time_of(event):g} s",
+                f"{recorded.swarm.time_of(event):g} s",
                 str(event.step),
                 str(event.agent_id or "-"),
                 _kind(event),
@@ -227,8 +227,8 @@ def _events(recorded: Recorded) -> Iterator[ET.Element]:
                 kind,
                 who,
                 f"{len(group):,}",
-                f"{recorded.time_of(group[0]):g} s",
-                f"{recorded.time_of(group[-1]):g} s",
+                f"{recorded.swarm.time_of(group[0]):g} s",
+                f"{recorded.swarm.time_of(group[-1]):g} s",
                 f"{values[0]:.4g}" if len(group) == 1 else f"{min(values):.4g} to {max(values):.4g}",
                 shown(group[0].detail),
             )
@@ -321,7 +321,7 @@ def _origin(recorded: Recorded) -> Iterator[ET.Element]:
     else:
         yield element("p", "The bag does not say with what it was made.")
     counts = [(f"/{topic}", f"{count:,}") for topic, count in recorded.counts.items()]
-    yield table(("topic", "messages"), counts, f"Messages in {shown(recorded.bag.name)}")
+    yield table(("topic", "messages"), counts, f"Messages in {shown(recorded.swarm.bag.name)}")
 
 
 def _lowest(values: Any) -> float | None:

@@ -20,11 +20,22 @@ from swarmabs_analysis.figures.responses import (
     same_limits,
     time_axis,
 )
-from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from swarmabs_analysis.figures.style import (
+    BLACK,
+    BLUE,
+    DASHED,
+    DOTTED,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+)
 from swarmabs_analysis.report.spread import density, draw_bands
 from swarmabs_analysis.report.words import counted, joined, quantity, span
 from swarmabs_config import configure
-from swarmabs_core.messages import EventKind, Kind, Status
+from swarmabs_core.messages import EventKind, Kind
 from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
 
 if TYPE_CHECKING:
@@ -107,7 +118,7 @@ def _plane(recorded: Recorded) -> Iterator[Panel]:
 
     about = joined(
         span("angle θ", arrays.angle, "rad"),
-        span("angle wanted", recorded.reference, "rad") if np.any(recorded.reference) else "",
+        span("angle wanted", recorded.swarm.reference, "rad") if np.any(recorded.swarm.reference) else "",
         span("rate ω", arrays.angular_velocity, "rad/s"),
     )
     stretched = _STRETCH if float(arrays.time[-1]) >= 2.0 * STRETCHED else ""
@@ -340,12 +351,14 @@ def _sums(recorded: Recorded) -> Panel:
 
 def _membership(recorded: Recorded, on_plane: Weights) -> Panel:
     arrays, agents = recorded.arrays, recorded.arrays.agents
-    reporting, stopped = agents.kind > 0, agents.status == Status.SAFE_STOP
-    standing = on_plane.there & ~reporting
+    reporting, stopped = agents.kind > 0, recorded.swarm.have_status("safe_stop")
     looks = {
-        "follows": (reporting & ~stopped, GREEN),
+        "follows": (recorded.swarm.have_status("active"), GREEN),
         "safe stop": (stopped, ORANGE),
-        "stands still, out of the run": (standing, GREY),
+        "stands still, out of the run": (
+            recorded.swarm.have_status("dead") | recorded.swarm.have_status("silent"),
+            GREY,
+        ),
     }
 
     def rows(figure: FigureBase) -> None:
@@ -519,9 +532,9 @@ def _mark_events(axes: Axes, recorded: Recorded) -> None:
     end = float(recorded.arrays.time[-1])
     edge = axes.get_xaxis_transform()
     times: dict[str, set[float]] = defaultdict(set)
-    for event in recorded.events:
-        if 0.0 <= recorded.time_of(event) <= end:
-            times[EVENT_COLOURS.get(event.kind, GREY)].add(recorded.time_of(event))
+    for event in recorded.swarm.events:
+        if 0.0 <= recorded.swarm.time_of(event) <= end:
+            times[EVENT_COLOURS.get(event.kind, GREY)].add(recorded.swarm.time_of(event))
     few = sum(len(found) for colour, found in times.items() if colour != GREY) <= _FEW_MARKS
     scale = axes.xaxis.get_transform()
     first, last = scale.transform(np.array([0.0, end]))

@@ -107,7 +107,7 @@ def _title(recorded: Recorded) -> str:
         shown(recorded.scenario.name),
         f"{len(recorded.arrays.agents.ids)} robots",
         f"{recorded.steps} steps",
-        recorded.status,
+        recorded.swarm.status,
         f"rms error {quantity(rms, 'rad')}" if isinstance(rms, float) else "",
         f"digest {str(metrics['digest'])[:16]}…" if metrics["digest"] else "",
     ]

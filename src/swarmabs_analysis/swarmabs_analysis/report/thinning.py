@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmabs_core.thinning import column_points
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -32,30 +34,6 @@ def thin_lines(figure: Figure) -> None:
             if len(points) > _FEW and line.get_transform() == axes.transData:
                 chosen = _chosen(axes, points, scale)
                 line.set_data(points[chosen, 0], points[chosen, 1])
-
-
-def column_points(column: Integers, values: Floats) -> Integers:
-    """Return which points of a line stand for it, ascending.
-
-    Parameters
-    ----------
-    column : ndarray of int, (n,)
-        The column of the picture in which each point lies, ascending.
-    values : ndarray, (n,)
-        Their heights; NaN is a gap, whose borders are kept.
-    """
-    begins = np.flatnonzero(np.diff(column, prepend=column[0] - 1))
-    ends = np.append(begins[1:], len(column))
-    missing = np.isnan(values)
-    gaps = np.flatnonzero(missing[1:] != missing[:-1])
-    lowest = np.where(missing, np.inf, values)
-    highest = np.where(missing, -np.inf, values)
-    extremes = [
-        found
-        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)
-        for found in (begin + int(np.argmin(lowest[begin:end])), begin + int(np.argmax(highest[begin:end])))
-    ]
-    return np.unique(np.concatenate([begins, ends - 1, gaps, gaps + 1, np.array(extremes, dtype=np.int64)]))
 
 
 def _chosen(axes: Axes, points: Floats, scale: float) -> Integers:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_core.messages import EventKind, Status
 from swarmabs_core.theory.constrained_region import clearance
 
 if TYPE_CHECKING:
@@ -70,27 +69,10 @@ class Weights:
 
 
 def weights(recorded: Recorded) -> Weights:
-    """Find out which robots are on the plane: a robot that died stays where it was, one that left is gone."""
-    arrays = recorded.arrays
-    agents, rows = arrays.agents, len(arrays.step)
-    there = np.zeros((rows, len(agents.ids)), dtype=np.bool_)
-    position = np.full((rows, len(agents.ids)), np.nan)
-    mass = np.zeros(len(agents.ids))
-    left = {event.agent_id: event.step for event in recorded.events if event.kind == EventKind.LEFT}
-    for column, number in enumerate(agents.ids.tolist()):
-        known = np.flatnonzero(agents.kind[:, column])
-        first, last = int(known[0]), int(known[-1])
-        end = rows
-        if agents.status[last, column] == Status.LEFT:
-            end = last + 1
-        elif number in left:
-            end = int(np.searchsorted(arrays.step, left[number]))
-        # The row of the latest state at each step.
-        latest = known[np.searchsorted(known, np.arange(first, end), side="right") - 1]
-        there[first:end, column] = True
-        position[first:end, column] = agents.position[latest, column]
-        mass[column] = agents.mass[first, column]
-    return Weights(there, position, mass)
+    """Return which robots are on the plane: a robot that died stays where it was, one that left is gone."""
+    agents = recorded.arrays.agents
+    mass = np.nanmax(np.where(agents.kind > 0, agents.mass, -np.inf), axis=0, initial=-np.inf)
+    return Weights(recorded.swarm.on_plane, recorded.swarm.positions, mass)
 
 
 @dataclass(frozen=True, slots=True)

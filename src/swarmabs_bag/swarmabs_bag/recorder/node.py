@@ -198,11 +198,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         now = time.monotonic()
         if now - reported >= REPORT_SECONDS or steps - 1 in planned or steps > scenario.steps:
             reported = now
-            latest, glance = recording.latest, recording.glance()
-            if latest is not None and glance is not None:
-                status.send(
-                    "progress", step=latest.step, angle=latest.angle, error=latest.error, glance=glance.report()
-                )
+            latest, seen = recording.latest, recording.summary()
+            if latest is not None and seen is not None:
+                status.send("progress", step=latest.step, angle=latest.angle, error=latest.error, robots=seen.report())
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
     steered = settings.flag(STEERED.name)

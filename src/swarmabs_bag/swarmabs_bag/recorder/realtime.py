@@ -139,9 +139,9 @@ class RealtimeRecorder:
             self._status.send("failed", reason=recording.fallen)
         latest = recording.latest
         angle, error = (None, None) if latest is None else (latest.angle, latest.error)
-        seen = recording.glance()
+        seen = recording.summary()
         told = None if seen is None else seen.report()
-        self._status.send("progress", step=recording.newest, angle=angle, error=error, glance=told)
+        self._status.send("progress", step=recording.newest, angle=angle, error=error, robots=told)
 
 
 def _scenario(settings: Settings) -> Scenario:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_bag.provenance import provenance_json
 from swarmabs_bag.realtime import DRIVER, RealtimeWorld
 from swarmabs_bag.realtime_recording import RECORDED, RealtimeCollector, RealtimeFigures
-from swarmabs_bag.recorder.glance import Onlooker
+from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from swarmabs_bag.recorder.glance import Glance
+    from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.recording import Latest
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message
@@ -76,7 +76,7 @@ class RealtimeRecording:
         members = configure.members(scenario)
         self._collector = RealtimeCollector(members, schedule)
         self._figures = RealtimeFigures(configure.parent_controller(scenario).reference, schedule)
-        self._onlooker = Onlooker(members, scenario.plane.length)
+        self._tracker = SummaryTracker(members, scenario.plane.length)
         self._received = 0
         self._heard = self._heard_before = 0
         self._last_step = last_step
@@ -101,9 +101,9 @@ class RealtimeRecording:
         """What the run looks like now; None until the law of the parent controller has begun."""
         return self._figures.latest
 
-    def glance(self) -> Glance | None:
+    def summary(self) -> SwarmSummary | None:
         """Return what people see of the robots now; it costs some time, so not for every message."""
-        return self._onlooker.glance()
+        return self._tracker.summary()
 
     @property
     def newest(self) -> int:
@@ -130,7 +130,7 @@ class RealtimeRecording:
         self._received = max(self._received, now)
         for kept in self._collector.add(message, now):
             self._figures.add(kept)
-            self._onlooker.hear(kept)
+            self._tracker.hear(kept)
             if self._writer is not None:
                 self._writer.write(TOPIC_OF[type(kept)], self._received, encode(kept), max(0, kept.stamp))
 

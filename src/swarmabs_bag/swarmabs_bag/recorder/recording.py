@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.provenance import provenance_json
-from swarmabs_bag.recorder.glance import Onlooker
+from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.recording import Digest, Metrics
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from swarmabs_bag.recorder.glance import Glance
+    from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.recording import Latest, Step
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
@@ -68,7 +68,7 @@ class Recording:
         self._digest = Digest()
         self._reference = configure.reference(scenario)
         self._metrics = Metrics(self._reference)
-        self._onlooker = Onlooker(configure.members(scenario), scenario.plane.length)
+        self._tracker = SummaryTracker(configure.members(scenario), scenario.plane.length)
         self._writer = None
         if folder is not None:
             self._writer = BagWriter(
@@ -87,9 +87,9 @@ class Recording:
         """What the run looks like now."""
         return self._metrics.latest
 
-    def glance(self) -> Glance | None:
+    def summary(self) -> SwarmSummary | None:
         """Return what people see of the robots now; it costs some time, so not for every step."""
-        return self._onlooker.glance()
+        return self._tracker.summary()
 
     def add(self, step: Step) -> None:
         """Record a step.
@@ -101,7 +101,7 @@ class Recording:
         """
         self._digest.update(step)
         self._metrics.update(step)
-        self._onlooker.take(step)
+        self._tracker.take(step)
         if self._writer is not None:
             for topic, stamp, payload in step.stored():
                 self._writer.write(topic, stamp, payload)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from swarmabs_bag.recorder.glance import Glance
+from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_run.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain, domains_spanned
 from swarmabs_run.orchestration.launcher_client import LauncherClient
@@ -289,7 +289,7 @@ class ProcessRun:
     def _tell(self, phase: Phase) -> None:
         state = self._supervision
         progress = state.progress or {}
-        step, seen = progress.get("step", 0), progress.get("glance")
+        step, seen = progress.get("step", 0), progress.get("robots")
         self._told.tell(phase, step, self._scenario.steps, time.monotonic())
         if self._on_progress is None:
             return
@@ -304,7 +304,7 @@ class ProcessRun:
                 step / elapsed if elapsed > 0.0 else 0.0,
                 progress.get("angle"),
                 progress.get("error"),
-                None if seen is None else Glance.of(seen),
+                None if seen is None else SwarmSummary.of(seen),
             )
         )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from swarmabs_bag.recorder.glance import Glance
+    from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 
 Phase = Literal["starting", "running", "closing"]
 
@@ -27,7 +27,7 @@ class Progress:
         Steps per second of wall time since the start.
     angle, error : float, optional
         Of the latest step recorded, rad.
-    glance : Glance, optional
+    robots : SwarmSummary, optional
         The robots in that step, and what has happened.
     """
 
@@ -39,7 +39,7 @@ class Progress:
     step_rate: float = 0.0
     angle: float | None = None
     error: float | None = None
-    glance: Glance | None = None
+    robots: SwarmSummary | None = None
 
 
 @dataclass(frozen=True, slots=True)

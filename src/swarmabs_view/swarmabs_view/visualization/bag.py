@@ -16,6 +16,7 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.writer import BagWriter
+from swarmabs_config import configure
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, PlaneState, Topic
@@ -62,7 +63,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
     scenario = attached_scenario(bag).resolved()
-    scene, translator = Scene.of(scenario), Translator()
+    scene, translator, swarm = Scene.of(scenario), Translator(), configure.swarm_state(scenario)
     check_definitions(bag.path, bag.channels)
     own = tuple(topic for topic in RECORDED if topic in bag.topics())
     drawn = {topic: Topic(topic.name, PlaneState, topic.ros_type) for topic in _recordable()}
@@ -76,7 +77,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
             qos=(REALTIME if BASIS in own else OFFERED) | {topic: shown.qos for shown, topic in drawn.items()},
         ) as writer,
     ):
-        now = bag.start
+        now, period = bag.start, 1e9 / rate
 
         def write(shown: VisualTopic, message: Any) -> None:
             if shown in drawn:
@@ -84,32 +85,31 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
 
         write(*description(plane_urdf(scene.layout, scenario.plane.inertia)))
         due = float(now)
+
+        def draw() -> float:
+            """Draw a frame if it is time for one, and return when the next is due."""
+            if now < due - _TOLERANCE * period:
+                return due
+            frame = scene.frame(swarm)
+            for shown, message in translator.messages(frame, clock=False) if frame is not None else ():
+                write(shown, message)
+            return max(due + period, float(now))
+
         for channel, stored in bag.stored_messages():
             if channel.topic is None:
                 continue
             if stored.log_time > now:  # all of the time before has been heard
-                due = _draw(scene, translator, write, now, due, 1e9 / rate)
+                due = draw()
                 now = stored.log_time
             writer.write(channel.topic, stored.log_time, stored.payload, stored.publish_time)
             try:
-                scene.hear(decode(channel.topic.message, stored.payload))
+                swarm.add(decode(channel.topic.message, stored.payload))
             except MalformedMessageError as error:
                 raise DamagedBagError(
                     f"{bag.path}: {channel.name} at {stored.log_time / 1e9:.9g} s: {error}"
                 ) from error
-        _draw(scene, translator, write, now, due, 1e9 / rate)
+        draw()
     return folder
-
-
-def _draw(scene: Scene, translator: Translator, write: Any, now: int, due: float, period: float) -> float:
-    """Write a frame if it is time for one, and return when the next is due."""
-    if now < due - _TOLERANCE * period:
-        return due
-    frame = scene.frame()
-    if frame is not None:
-        for shown, message in translator.messages(frame, clock=False):
-            write(shown, message)
-    return max(due + period, float(now))
 
 
 def _recordable() -> list[VisualTopic]:

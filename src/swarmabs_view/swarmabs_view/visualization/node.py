@@ -14,10 +14,18 @@ from typing import TYPE_CHECKING
 
 import rclpy
 
+from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import agent_id_of, decode
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    BASIS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+)
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
@@ -35,6 +43,7 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
+    from swarmabs_core.swarm_state import SwarmState
     from swarmabs_view.visualization.sinks import Sink
 
 RATE = 30.0
@@ -68,9 +77,9 @@ class Audience:
     """
 
     def __init__(self, node: SwarmNode, robots: int) -> None:
-        # The robots first: what is read later reaches back to the steps of what was read before.
-        self._most = {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
-        self._most |= dict.fromkeys((DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, PLANE_STATE, BASIS), DEPTH)
+        # The robots last: the states of a step are there when its broadcasts are.
+        self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
+        self._most |= {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
         asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
         self._receiver = WaitSetReceiver(node, asked)
 
@@ -79,7 +88,7 @@ class Audience:
         """What it listens to."""
         return tuple(self._most)
 
-    def hear(self, scene: Scene, sinks: Sequence[Sink]) -> None:
+    def hear(self, swarm: SwarmState, sinks: Sequence[Sink]) -> None:
         """Hand on what has come, to the sinks only the newest of each; bytes that are no message are left out."""
         newest: dict[tuple[Topic, int], bytes] = {}
         for topic, most in self._most.items():
@@ -91,7 +100,7 @@ class Audience:
                     message = decode(topic.message, payload)
                 except MalformedMessageError:
                     continue
-                scene.hear(message)
+                swarm.add(message)
                 newest[topic, number if topic is EVENTS else agent_id_of(message)] = payload
         for (topic, _), payload in newest.items():
             for sink in sinks:
@@ -146,7 +155,7 @@ def show(
     scenario: Scenario, audience: Audience, sinks: Sequence[Sink], settings: Settings, wait: Callable[[float], bool]
 ) -> None:
     """Show the swarm, a frame whenever there is a new step and it is time for one."""
-    scene, translator = Scene.of(scenario), Translator()
+    scene, translator, swarm = Scene.of(scenario), Translator(), configure.swarm_state(scenario)
     urdf = description(plane_urdf(scene.layout, scenario.plane.inertia))
     for sink in sinks:
         sink.publish(*urdf)
@@ -154,8 +163,8 @@ def show(
     period, pause, shown = 1.0 / settings.number("rate"), 0.0, None
     while not wait(pause):
         begun = time.monotonic()
-        audience.hear(scene, sinks)
-        frame = scene.frame()
+        audience.hear(swarm, sinks)
+        frame = scene.frame(swarm)
         if frame is not None and frame.step != shown:
             shown = frame.step
             for topic, message in translator.messages(frame, clock=settings.flag("clock")):

@@ -7,12 +7,17 @@ import json
 import pytest
 from tests.swarmabs_bag.sample_run import AGENTS, make_step
 
-from swarmabs_bag.membership_timeline import SILENT_STEPS
-from swarmabs_bag.recorder.glance import EVENT_CHARACTERS, Glance, Onlooker, describe_event
+from swarmabs_bag.recorder.swarm_summary import (
+    EVENT_CHARACTERS,
+    SummaryTracker,
+    SwarmSummary,
+    describe_event,
+)
 from swarmabs_bag.recording import Record, RecordedStep
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.messages import EVENTS, TOPIC_OF, AgentState, EventKind, Message, Status, SwarmEvent
+from swarmabs_core.swarm_state import SILENT_STEPS
 from swarmabs_run.simulation import simulated_steps
 from swarmabs_run.vector_simulation import vectorisable
 
@@ -33,34 +38,34 @@ def robots(step: int, states: dict[int, tuple[Status, float]]) -> RecordedStep:
 
 
 def test_statuses_and_places() -> None:
-    onlooker = Onlooker(AGENTS, length=2.0)
-    assert onlooker.glance() is None
+    tracker = SummaryTracker(AGENTS, length=2.0)
+    assert tracker.summary() is None
     states = {1: (Status.ACTIVE, 0.5), 2: (Status.SAFE_STOP, -1.0), 7: (Status.LEFT, 0.0004)}
-    onlooker.take(robots(0, states))
-    assert onlooker.glance() == Glance({"A": 1, "L": 1, "S": 1}, "ASL", [500, -1000, 0], [])
+    tracker.take(robots(0, states))
+    assert tracker.summary() == SwarmSummary({"A": 1, "L": 1, "S": 1}, "ASL", [500, -1000, 0], [])
 
 
 def test_a_robot_that_falls_silent_stays_where_it_was_seen() -> None:
-    onlooker = Onlooker((1, 2), length=1.0)
-    onlooker.take(robots(0, {1: (Status.ACTIVE, 0.25), 2: (Status.ACTIVE, -0.25)}))
-    onlooker.glance()
-    onlooker.take(robots(SILENT_STEPS, {1: (Status.ACTIVE, 0.1)}))
-    assert onlooker.glance() == Glance({"A": 2}, "AA", [200, -500], [])
-    onlooker.take(robots(SILENT_STEPS + 1, {1: (Status.ACTIVE, 0.1)}))
-    assert onlooker.glance() == Glance({"-": 1, "A": 1}, "A-", [200, -500], [])
+    tracker = SummaryTracker((1, 2), length=1.0)
+    tracker.take(robots(0, {1: (Status.ACTIVE, 0.25), 2: (Status.ACTIVE, -0.25)}))
+    tracker.summary()
+    tracker.take(robots(SILENT_STEPS, {1: (Status.ACTIVE, 0.1)}))
+    assert tracker.summary() == SwarmSummary({"A": 2}, "AA", [200, -500], [])
+    tracker.take(robots(SILENT_STEPS + 1, {1: (Status.ACTIVE, 0.1)}))
+    assert tracker.summary() == SwarmSummary({"-": 1, "A": 1}, "A-", [200, -500], [])
 
 
 def test_in_real_time_messages_come_one_by_one() -> None:
-    onlooker = Onlooker((1, 2, 3), length=2.0)
-    assert onlooker.glance() is None
+    tracker = SummaryTracker((1, 2, 3), length=2.0)
+    assert tracker.summary() is None
     said = {state.agent_id: state for state in make_step(0, (1, 2, 3)) if isinstance(state, AgentState)}
-    onlooker.hear(said[1]._replace(position=0.5))
-    onlooker.hear(said[2]._replace(position=-0.5, status=Status.LEFT))
-    assert onlooker.glance() == Glance({"?": 1, "A": 1, "L": 1}, "AL?", [500, -500, 0], [])
-    onlooker.hear(SwarmEvent(0, 7, 1, EventKind.HELD, 0.0, ""))
-    onlooker.hear(said[3]._replace(step=SILENT_STEPS + 1, position=1.0))
-    seen = onlooker.glance()
-    assert seen == Glance({"-": 1, "A": 1, "L": 1}, "-LA", [500, -500, 1000], ["step 7: robot 1 held"])
+    tracker.hear(said[1]._replace(position=0.5))
+    tracker.hear(said[2]._replace(position=-0.5, status=Status.LEFT))
+    assert tracker.summary() == SwarmSummary({"?": 1, "A": 1, "L": 1}, "AL?", [500, 0, 0], [])
+    tracker.hear(SwarmEvent(0, 7, 1, EventKind.HELD, 0.0, ""))
+    tracker.hear(said[3]._replace(step=SILENT_STEPS + 1, position=1.0))
+    seen = tracker.summary()
+    assert seen == SwarmSummary({"-": 1, "A": 1, "L": 1}, "-LA", [500, 0, 1000], ["step 7: robot 1 held"])
 
 
 def ended(step: int, robot: int, kind: EventKind) -> SwarmEvent:
@@ -68,30 +73,30 @@ def ended(step: int, robot: int, kind: EventKind) -> SwarmEvent:
 
 
 def test_who_is_dead_or_has_left_is_called_so_and_who_waits_to_join_is_not_silent() -> None:
-    onlooker = Onlooker((1, 2, 3, 4), length=1.0)
+    tracker = SummaryTracker((1, 2, 3, 4), length=1.0)
     there = (Status.ACTIVE, 0.1)
-    onlooker.take(robots(0, {1: there, 2: there, 3: there}))
-    assert onlooker.glance() == Glance({"?": 1, "A": 3}, "AAA?", [200, 200, 200, 0], [])
+    tracker.take(robots(0, {1: there, 2: there, 3: there}))
+    assert tracker.summary() == SwarmSummary({"?": 1, "A": 3}, "AAA?", [200, 200, 200, 0], [])
     told = [ended(1, 1, EventKind.DEAD), ended(1, 2, EventKind.LEFT)]
     later = robots(1, {3: there})
-    onlooker.take(recorded(1, [*(record.message for record in later.records if record.message is not None), *told]))
-    seen = onlooker.glance()
+    tracker.take(recorded(1, [*(record.message for record in later.records if record.message is not None), *told]))
+    seen = tracker.summary()
     assert seen is not None
-    assert (seen.counts, seen.statuses, seen.places) == ({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [500, 200, 200, 0])
+    assert (seen.counts, seen.statuses, seen.places) == ({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [500, 0, 200, 0])
     assert seen.events == ["step 1: robot 1 dead, 0.25: kill", "step 1: robot 2 left, 0.25: kill"]
 
 
 def test_in_real_time_a_dead_robot_may_come_back() -> None:
-    onlooker = Onlooker((1, 2), length=1.0)
+    tracker = SummaryTracker((1, 2), length=1.0)
     said = {state.agent_id: state for state in make_step(9, (1, 2)) if isinstance(state, AgentState)}
     for state in said.values():
-        onlooker.hear(state._replace(position=0.1))
-    onlooker.hear(ended(9, 1, EventKind.DEAD))
-    seen = onlooker.glance()
+        tracker.hear(state._replace(position=0.1))
+    tracker.hear(ended(9, 1, EventKind.DEAD))
+    seen = tracker.summary()
     assert seen is not None
     assert (seen.statuses, seen.places) == ("DA", [500, 200])
-    onlooker.hear(ended(9, 1, EventKind.JOINED))
-    seen = onlooker.glance()
+    tracker.hear(ended(9, 1, EventKind.JOINED))
+    seen = tracker.summary()
     assert seen is not None
     assert (seen.statuses, seen.places) == ("AA", [200, 200])
 
@@ -110,20 +115,20 @@ def test_events_are_told_with_their_values(kind: EventKind, value: float, detail
     assert describe_event(SwarmEvent(0, 7, 0, kind, value, detail)) == text
 
 
-@pytest.mark.parametrize(("position", "place"), [(7.0, 1000), (-7.0, -1000), (float("inf"), 1000), (float("nan"), 0)])
+@pytest.mark.parametrize(("position", "place"), [(7.0, 1000), (-7.0, -1000), (float("inf"), 0), (float("nan"), 0)])
 def test_places_beyond_the_plane(position: float, place: int) -> None:
-    onlooker = Onlooker((1,), length=1.0)
-    onlooker.take(robots(0, {1: (Status.ACTIVE, position)}))
-    seen = onlooker.glance()
+    tracker = SummaryTracker((1,), length=1.0)
+    tracker.take(robots(0, {1: (Status.ACTIVE, position)}))
+    seen = tracker.summary()
     assert seen is not None and seen.places == [place]
 
 
 def test_the_latest_events_are_kept_in_order() -> None:
-    onlooker = Onlooker((1,), length=1.0)
+    tracker = SummaryTracker((1,), length=1.0)
     for step in range(5):
         event = SwarmEvent(0, step, 1, EventKind.LIMIT_HIT, 0.0, "")
-        onlooker.take(recorded(step, [*make_step(step, (1,)), event]))
-    seen = onlooker.glance()
+        tracker.take(recorded(step, [*make_step(step, (1,)), event]))
+    seen = tracker.summary()
     assert seen is not None
     assert seen.events == [f"step {step}: robot 1 limit hit" for step in (2, 3, 4)]
 
@@ -144,19 +149,19 @@ def test_a_report_is_short_whatever_robots_say(detail: str) -> None:
     event = SwarmEvent(0, 2**64 - 1, 65535, EventKind.REFUSED, 0.0, detail)
     text = describe_event(event)
     assert len(text) <= EVENT_CHARACTERS and text.isprintable()
-    onlooker = Onlooker(range(1, 201), length=1.0)
+    tracker = SummaryTracker(range(1, 201), length=1.0)
     states = dict.fromkeys(range(1, 201), (Status.SAFE_STOP, -0.5))
     for step in range(3):
-        onlooker.take(robots(step, states))
-        onlooker.take(RecordedStep(step, recorded(step, [event._replace(step=step)]).records))
-    seen = onlooker.glance()
+        tracker.take(robots(step, states))
+        tracker.take(RecordedStep(step, recorded(step, [event._replace(step=step)]).records))
+    seen = tracker.summary()
     assert seen is not None and len(seen.places) == 200 and len(seen.events) == 3
     line = {"node": "recorder", "pid": 2**22, "event": "progress", "step": 2**63, "angle": -1 / 3, "error": 1e-300 / 3}
-    assert len(json.dumps({**line, "glance": seen.report()})) < 4000
-    assert Glance.of(json.loads(json.dumps(seen.report()))) == seen
+    assert len(json.dumps({**line, "robots": seen.report()})) < 4000
+    assert SwarmSummary.of(json.loads(json.dumps(seen.report()))) == seen
 
 
 def test_very_many_robots_are_counted_only() -> None:
-    onlooker = Onlooker(range(1, 1001), length=1.0)
-    onlooker.take(robots(0, dict.fromkeys(range(1, 901), (Status.ACTIVE, 0.0))))
-    assert onlooker.glance() == Glance({"?": 100, "A": 900}, "", [], [])
+    tracker = SummaryTracker(range(1, 1001), length=1.0)
+    tracker.take(robots(0, dict.fromkeys(range(1, 901), (Status.ACTIVE, 0.0))))
+    assert tracker.summary() == SwarmSummary({"?": 100, "A": 900}, "", [], [])

@@ -1,4 +1,4 @@
-"""Who takes part in which step, as those see it who only look on: by what the events of the swarm say."""
+"""Who takes part in which step, as the events of a swarm say."""
 
 from __future__ import annotations
 
@@ -12,15 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from swarmabs_core.messages import SwarmEvent
-
-
-SILENT_STEPS = 50
-"""A robot is silent in a step if its latest state is older than that by more steps than these."""
-
-
-def is_silent(heard: int, step: int) -> bool:
-    """Return whether a robot whose latest state is of step `heard` is silent in a step."""
-    return step - heard > SILENT_STEPS
 
 
 class Out(NamedTuple):
@@ -37,11 +28,11 @@ class Members(NamedTuple):
     standing: tuple[tuple[int, float], ...]
 
 
-class Attendance:
-    """Who is in and who is out by step; events may come in any order, and more than once.
+class MembershipTimeline:
+    """Which robots are in and out by step; events may come in any order, and more than once.
 
-    Only the observer knows who is dead, and says when somebody is back. What a robot says of itself after its end
-    changes nothing, but that it leaves and joins.
+    Only the observer knows which robots are dead, and announces when one is back. What a robot says of itself after
+    its end changes nothing, except that it leaves and joins.
 
     Parameters
     ----------
@@ -86,6 +77,10 @@ class Attendance:
             return None
         place = bisect_right(changes, step, key=itemgetter(0))
         return changes[place - 1][1] if place else None
+
+    def changes(self, robot: int) -> tuple[tuple[int, Out | None], ...]:
+        """Return the steps at which a robot goes out (how) or comes in (None), ascending."""
+        return tuple(self._changes.get(robot, ()))
 
     def members(self, step: int) -> Members:
         """Return who takes part at a step, of the robots that are known beforehand."""

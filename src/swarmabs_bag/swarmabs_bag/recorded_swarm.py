@@ -1,0 +1,309 @@
+"""What is shown of a swarm whose run was recorded: any step of a bag at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarmabs_bag.arrays import arrays_of, load_tables
+from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.realtime import is_realtime, law_begins
+from swarmabs_config import configure
+from swarmabs_core.arrays import MessageArrays
+from swarmabs_core.membership_timeline import MembershipTimeline
+from swarmabs_core.messages import AGENT_STATE, EVENTS, NEVER, PLANE_STATE, AgentState, Kind, Status, SwarmEvent
+from swarmabs_core.swarm_state import (
+    STATUS_NAMES,
+    STATUSES,
+    Abstract,
+    Instant,
+    ShownRobot,
+    TimedEvent,
+    finite,
+    is_silent,
+    shown_robot,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from swarmabs_bag.reader import BagReader
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.arrays import RunArrays, Tables
+    from swarmabs_core.membership_timeline import Members
+    from swarmabs_core.swarm_state import RobotStatus
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+_DRAWABLE = 1e100
+"""Numbers beyond are not drawn: no axis of a picture holds them."""
+
+
+@dataclass(frozen=True)
+class RecordedSwarm:
+    """A swarm as its bag holds it.
+
+    Attributes
+    ----------
+    bag : Path
+        The MCAP file.
+    scenario : Scenario
+        What was run.
+    arrays : RunArrays
+        The recorded steps; what cannot be drawn, such as infinity, is NaN in them.
+    events : tuple of SwarmEvent
+        In the order of their steps.
+    law_time : ndarray, (n+1,)
+        Time of the parent controller's law at each step, s; in real time it begins again with each reset, and is NaN
+        where the controller has not answered.
+    status, reason : str, str or None
+        How the run ended, as far as the bag says.
+    name : str or None
+        Namespace of the swarm; None where it is in none, and the bag holds no other.
+    """
+
+    bag: Path
+    scenario: Scenario
+    arrays: RunArrays
+    events: tuple[SwarmEvent, ...]
+    law_time: Floats
+    status: str
+    reason: str | None
+    name: str | None
+
+    def __len__(self) -> int:
+        return len(self.arrays.step)
+
+    @cached_property
+    def reference(self) -> Floats:
+        """The angle wanted at each step, rad."""
+        reference = configure.reference(self.scenario)
+        return np.array([reference(t) if t == t else t for t in self.law_time.tolist()])  # noqa: PLR0124 - NaN stays
+
+    @cached_property
+    def timeline(self) -> MembershipTimeline:
+        """Who is in, dead or gone by step, in the order of the scenario."""
+        there = {agent.id for agent in self.scenario.initial_agents}
+        robots = [agent.id for agent in self.scenario.agents]
+        timeline = MembershipTimeline(robots, [robot for robot in robots if robot not in there])
+        for event in self.events:
+            timeline.take(event)
+        return timeline
+
+    def time_of(self, event: SwarmEvent) -> float:
+        """Return the time of an event's step, s: the clock that has stamped it may be wrong."""
+        return event.step * self.scenario.period
+
+    def timed_events(self) -> list[TimedEvent]:
+        """Return all events with their times."""
+        return [TimedEvent(event, self.time_of(event)) for event in self.events]
+
+    def instant(self, row: int) -> Instant:
+        """Return what is shown at a row of the arrays."""
+        arrays = self.arrays
+        abstract, desired = arrays.abstract, arrays.desired
+        return Instant(
+            int(arrays.step[row]),
+            round(float(arrays.time[row]) * 1e9),
+            float(arrays.time[row]),
+            _number(arrays.angle, row),
+            _number(arrays.angular_velocity, row),
+            _number(self.reference, row),
+            Abstract(_number(abstract.torque, row), _number(abstract.inertia, row)),
+            Abstract(_number(desired.torque, row), _number(desired.inertia, row)),
+        )
+
+    def shown_robots(self, row: int) -> list[ShownRobot]:
+        """Return what is shown of the robots at a row, in the order of the scenario."""
+        step, latest = int(self.arrays.step[row]), self._latest[row]
+        return [
+            shown_robot(self.timeline.out(agent.id, step), self._state(column, latest), step)
+            for agent, column in zip(self.scenario.agents, self._columns, strict=True)
+        ]
+
+    def members(self, row: int) -> Members:
+        """Return who takes part at a row."""
+        return self.timeline.members(int(self.arrays.step[row]))
+
+    def have_status(self, status: RobotStatus) -> Flags:
+        """Return which robots are shown with a status at each row, (n+1, N), in the order of the arrays."""
+        return np.asarray(self._membership[0] == STATUSES.index(status))
+
+    @property
+    def on_plane(self) -> Flags:
+        """Which robots weigh on the plane at each row, (n+1, N)."""
+        return self._membership[1]
+
+    @property
+    def positions(self) -> Floats:
+        """Where they are, m, (n+1, N): a dead one where its event says; NaN of those who are not on the plane."""
+        return self._membership[2]
+
+    @cached_property
+    def _membership(self) -> tuple[NDArray[np.int8], Flags, Floats]:
+        """Status and place of all robots at all rows, as `shown_robot` has them of one; -1 is a robot not heard yet."""
+        step, agents = self.arrays.step, self.arrays.agents
+        columns = np.arange(len(agents.ids))
+        said = agents.status[self._latest, columns]
+        place = np.array(agents.position[self._latest, columns])
+        codes = np.full(place.shape, -1, dtype=np.int8)
+        for known, name in STATUS_NAMES.items():
+            codes[said == known] = STATUSES.index(name)
+        codes[is_silent(step[self._latest], step[:, None])] = STATUSES.index("silent")
+        codes[said == Status.LEFT] = STATUSES.index("left")
+        codes[self._latest < 0] = -1
+        # A robot that says that it leaves is on the plane in that step for the last time.
+        there = (self._latest >= 0) & ~((said == Status.LEFT) & (self._latest < np.arange(len(self))[:, None]))
+        for column, robot in enumerate(agents.ids.tolist()):
+            changes = self.timeline.changes(robot)
+            begins = [int(np.searchsorted(step, begin)) for begin, _ in changes]
+            for (_, out), begin, end in zip(changes, begins, [*begins, len(self)][1:], strict=True):
+                if out is not None and out.status != "absent":
+                    codes[begin:end, column] = STATUSES.index(out.status)
+                    there[begin:end, column] = out.status == "dead"
+                    place[begin:end, column] = out.place
+        return codes, there, np.where(there, place, np.nan)
+
+    @cached_property
+    def _columns(self) -> list[int]:
+        """The column of the arrays of each robot of the scenario, -1 if the bag has nothing of it."""
+        ids = self.arrays.agents.ids
+        place = {robot: column for column, robot in enumerate(ids.tolist())}
+        return [place.get(agent.id, -1) for agent in self.scenario.agents]
+
+    @cached_property
+    def _latest(self) -> Integers:
+        """The row in which each robot was heard last, -1 before the first, (n+1, N)."""
+        heard = self.arrays.agents.kind > 0
+        rows = np.where(heard, np.arange(len(heard))[:, None], -1)
+        return np.asarray(np.maximum.accumulate(rows, axis=0))
+
+    def _state(self, column: int, latest: Integers) -> AgentState | None:
+        """Return what a robot has said last, None if nothing."""
+        row = -1 if column < 0 else int(latest[column])
+        if row < 0:
+            return None
+        agents = self.arrays.agents
+        numbers = (agents.mass, agents.damping, agents.position, agents.velocity, agents.command)
+        return AgentState(
+            0,
+            int(self.arrays.step[row]),
+            NEVER,
+            int(agents.ids[column]),
+            int(agents.kind[row, column]),
+            int(agents.status[row, column]),
+            *(float(values[row, column]) for values in numbers),
+        )
+
+
+def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
+    """Read the swarm of a bag, also of one that has lost its end, as far as it goes.
+
+    Raises
+    ------
+    InputError
+        If it is no bag of a swarm, or holds no valid scenario.
+    DamagedBagError
+        If it cannot be read, or holds a robot of an unknown kind.
+    """
+    bag = open_bag(path, namespace=namespace, damaged=True)
+    tables = load_tables(bag)
+    return recorded_swarm(bag, tables, arrays_of(bag, tables))
+
+
+def recorded_swarm(bag: BagReader, tables: Tables, arrays: RunArrays) -> RecordedSwarm:
+    """Return the swarm of an open bag whose tables and arrays were loaded; errors as of `read_swarm`."""
+    scenario = attached_scenario(bag)
+    _check_kinds(bag, tables)
+    events = _events(bag)
+    realtime = is_realtime(bag)
+    if realtime:
+        events = _since_first(events, tables)
+    status, reason = _ending(bag, scenario, None if realtime else len(tables[PLANE_STATE]))
+    return RecordedSwarm(
+        bag=bag.path,
+        scenario=scenario,
+        arrays=_drawable(arrays),
+        events=events,
+        law_time=_law_time(bag, scenario, arrays) if realtime else arrays.time,
+        status=status,
+        reason=reason,
+        name=_name(bag),
+    )
+
+
+def _name(bag: BagReader) -> str | None:
+    if bag.namespace is None or (bag.namespace == "/" and len(bag.swarms) <= 1):
+        return None
+    return bag.namespace.rstrip("/") or "/"
+
+
+def _check_kinds(bag: BagReader, tables: Tables) -> None:
+    states = tables[AGENT_STATE]
+    wrong = states[~np.isin(states["kind"], [kind.value for kind in Kind])]
+    if len(wrong):
+        first = wrong[0]
+        raise DamagedBagError(
+            f"{bag.path}: agent {first['agent_id']} at step {first['step']}: {first['kind']} is no kind of robot"
+        )
+
+
+def _events(bag: BagReader) -> tuple[SwarmEvent, ...]:
+    found = [message for _, _, message in bag.decoded((EVENTS,)) if isinstance(message, SwarmEvent)]
+    return tuple(sorted(found, key=lambda event: event.step))
+
+
+def _law_time(bag: BagReader, scenario: Scenario, arrays: RunArrays) -> Floats:
+    begins = law_begins(bag)
+    periods = [step - begins[step] if step in begins else np.nan for step in arrays.step.tolist()]
+    return np.array(periods, dtype=np.float64) * scenario.period
+
+
+def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmEvent, ...]:
+    """Return events at their times since the first message of a run, as the arrays have them."""
+    first = min(
+        (int(rows["sec"][0]) * 10**9 + int(rows["nanosec"][0]) for rows in tables.values() if len(rows)), default=0
+    )
+    return tuple(event._replace(stamp=max(0, event.stamp - first)) for event in events)
+
+
+def _ending(bag: BagReader, scenario: Scenario, states: int | None) -> tuple[str, str | None]:
+    """Return how the run ended; `states` of the plane are not counted where a step may have none."""
+    if bag.problem is not None:
+        return "damaged", f"the bag has lost its end: {bag.problem}"
+    reason = bag.aborted()
+    if reason is not None:
+        return ("interrupted" if reason.startswith("interrupted") else "failed"), reason
+    if states is not None and states != scenario.steps + 1:
+        return "incomplete", f"{states} of {scenario.steps + 1} states of the plane are recorded"
+    return "ok", None
+
+
+def _drawable(run: RunArrays) -> RunArrays:
+    """Replace by NaN what no picture can show."""
+    found = {field.name: getattr(run, field.name) for field in fields(run)}
+    groups = {name: value for name, value in found.items() if isinstance(value, MessageArrays)}
+    shown = {name: _finite(value) for name, value in found.items() if name not in groups}
+    for name, group in groups.items():
+        shown[name] = MessageArrays({field: _finite(column) for field, column in group.items()})
+    return replace(run, **shown)
+
+
+def _finite(column: Any) -> Any:
+    if column.dtype.kind != "f":
+        return column
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(column) < _DRAWABLE, column, np.nan)
+
+
+def _number(values: Floats, row: int) -> float | None:
+    return finite(float(values[row]))

@@ -1,0 +1,419 @@
+"""What is shown of a swarm: one projection of its messages, which every presenter reads.
+
+Terminal, page, RViz, Foxglove and reports show what is decided here: which robots are active, silent, dead or gone,
+where dead ones stand, which step is shown, what time the law has, and which angle is wanted. It has no clock and no
+network, and takes messages in any order and with gaps.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right, insort
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args, overload
+
+from swarmabs_core.membership_timeline import MembershipTimeline
+from swarmabs_core.messages import (
+    AbstractState,
+    AgentState,
+    Basis,
+    DesiredAbstractState,
+    Kind,
+    Message,
+    PlaneState,
+    Source,
+    Status,
+    SwarmEvent,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from swarmabs_core.membership_timeline import Members, Out
+    from swarmabs_core.steering import OffsetReference
+
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent"]
+STATUSES: tuple[RobotStatus, ...] = get_args(RobotStatus)
+STATUS_NAMES: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
+"""What a robot says of itself, by `AgentState.status`."""
+
+SILENT_STEPS = 50
+"""Whatever was last heard more steps before the one that is shown is silent: a robot, the observer, the controller."""
+MOST_EVENTS = 1000
+"""Events that are kept, the latest."""
+MOST_ROBOTS = 4096
+"""Robots that are shown; a stranger in the network cannot fill the memory."""
+MOST_CHANGES = 16
+"""How often a robot is in and out that is remembered, the latest times."""
+PENDING = 256
+"""Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
+CLOCK = 10**17
+"""Stamps beyond, ns, are those of a clock and not of steps: three years."""
+
+
+class RobotIdentity(NamedTuple):
+    """What does not change of a robot: id, kind, mass (kg), damping (N s/m); whether it is absent until it joins."""
+
+    id: int
+    kind: Kind
+    mass: float | None
+    damping: float | None
+    joins: bool = False
+
+
+class ShownRobot(NamedTuple):
+    """What is shown of a robot: position (m), velocity (m/s), command (m/s, of double integrators N), and status.
+
+    None is what is not known or not finite; all is None of a robot that was not heard yet.
+    """
+
+    position: float | None = None
+    velocity: float | None = None
+    command: float | None = None
+    status: RobotStatus | None = None
+
+
+class Abstract(NamedTuple):
+    """An abstract state: torque (N m) and inertia (kg m^2); None where it is not known or not finite."""
+
+    torque: float | None = None
+    inertia: float | None = None
+
+
+class Instant(NamedTuple):
+    """What is shown of the whole swarm in a step; None is what is not known or not finite.
+
+    Parameters
+    ----------
+    step, stamp : int
+        Of the plane's state; the stamp in ns.
+    time : float
+        Of the step, s.
+    angle, angular_velocity : float, optional
+        Of the plane, rad and rad/s.
+    reference : float, optional
+        The angle wanted, with its offsets, rad.
+    abstract, desired : Abstract
+        The abstract state, actual and wanted.
+    """
+
+    step: int
+    stamp: int
+    time: float
+    angle: float | None
+    angular_velocity: float | None
+    reference: float | None
+    abstract: Abstract
+    desired: Abstract
+
+
+class TimedEvent(NamedTuple):
+    """An event and its time, s."""
+
+    event: SwarmEvent
+    time: float
+
+
+def finite(value: float) -> float | None:
+    """Return a number that can be shown, None for others."""
+    return value if isfinite(value) else None
+
+
+@overload
+def is_silent(heard: int, step: int) -> bool: ...
+@overload
+def is_silent(heard: Integers, step: Integers) -> Flags: ...
+def is_silent(heard: int | Integers, step: int | Integers) -> bool | Flags:
+    """Return whether what was last heard in step `heard` is silent in a step."""
+    return step - heard > SILENT_STEPS
+
+
+def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRobot:
+    """Return what is shown of a robot in a step: what it has said last, unless it is out.
+
+    Parameters
+    ----------
+    out : Out, optional
+        How it is out: a dead one stands still at its place, whatever its process goes on saying.
+    state : AgentState, optional
+        What it has said last up to that step; None if it was not heard.
+    step : int
+        The step.
+    """
+    if out is not None and out.status == "dead":
+        return ShownRobot(finite(out.place), 0.0, None, "dead")
+    if (out is not None and out.status == "left") or (state is not None and state.status == Status.LEFT):
+        return ShownRobot(status="left")
+    if state is None:
+        return ShownRobot()
+    status = "silent" if is_silent(state.step, step) else STATUS_NAMES.get(state.status)
+    return ShownRobot(finite(state.position), finite(state.velocity), finite(state.command), status)
+
+
+class RobotHistory:
+    """What robots have said, and who of them is in, dead or gone, by step.
+
+    Parameters
+    ----------
+    robots : iterable of int
+        Ids of the robots that are known beforehand.
+    absent : iterable of int
+        Those of them that take part only from when they have joined.
+    states : int
+        States that are kept of a robot, the latest.
+    """
+
+    def __init__(self, robots: Iterable[int] = (), absent: Iterable[int] = (), *, states: int = PENDING) -> None:
+        self._timeline = MembershipTimeline(robots, absent, most=MOST_CHANGES)
+        self._states: dict[int, list[AgentState]] = {}
+        self._most = states
+
+    def add(self, state: AgentState) -> None:
+        """Take what a robot says."""
+        known = self._states.setdefault(state.agent_id, [])
+        if not known or known[-1].step < state.step:
+            known.append(state)
+        else:
+            place = bisect_left(known, state.step, key=_step_of)
+            if known[place].step != state.step:
+                known.insert(place, state)
+        del known[: -self._most]
+
+    def take(self, event: SwarmEvent) -> None:
+        """Take an event; those that do not say who takes part change nothing, nor do those of too many strangers."""
+        if event.agent_id in self._states or len(self._timeline) < MOST_ROBOTS:
+            self._timeline.take(event)
+
+    def shown(self, robot: int, step: int) -> ShownRobot:
+        """Return what is shown of a robot in a step."""
+        known = self._states.get(robot, [])
+        place = bisect_right(known, step, key=_step_of)
+        return shown_robot(self._timeline.out(robot, step), known[place - 1] if place else None, step)
+
+    def members(self, step: int) -> Members:
+        """Return who takes part in a step, of the robots that were known beforehand."""
+        return self._timeline.members(step)
+
+
+@dataclass(slots=True)
+class _Step:
+    """What has come of a step."""
+
+    plane: PlaneState | None = None
+    abstract: AbstractState | None = None
+    desired: DesiredAbstractState | None = None
+
+
+@dataclass(slots=True)
+class _Events:
+    """The latest events, each once, and how many there were in all."""
+
+    latest: list[TimedEvent] = field(default_factory=list)
+    count: int = 0
+    known: dict[tuple[int, int, int, str], None] = field(default_factory=dict)
+
+    def is_new(self, event: SwarmEvent) -> bool:
+        """Note an event; return False if it was there already: the same one may come more than once."""
+        key = (event.step, event.agent_id, event.kind, event.detail)
+        if key in self.known:
+            return False
+        self.known[key] = None
+        if len(self.known) > 4 * MOST_EVENTS:
+            del self.known[next(iter(self.known))]
+        return True
+
+    def add(self, event: SwarmEvent, time: float) -> None:
+        """Keep an event at its time, s."""
+        self.latest.append(TimedEvent(event, time))
+        self.count += 1
+        del self.latest[:-MOST_EVENTS]
+
+
+class SwarmState:
+    """What is known of a swarm now.
+
+    It shows the latest step of which plane, observer and controller were heard, with each robot as it was last heard up
+    to then. If observer or controller is silent, it shows the plane's latest step without it.
+
+    Parameters
+    ----------
+    robots : sequence of RobotIdentity
+        Those that are known beforehand; others are added when they are heard.
+    reference : OffsetReference, optional
+        The angle wanted (rad) at a time (s) of the law; it gets the offsets that are announced.
+    period_ns : int, optional
+        The control period, ns. Times are then those of the steps, whatever the clocks say that stamp the messages.
+
+    Attributes
+    ----------
+    robots : list of RobotIdentity
+        All that are known, by id where they were not known beforehand.
+    version : int
+        Changes with everything that comes.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[RobotIdentity] = (),
+        *,
+        reference: OffsetReference | None = None,
+        period_ns: int | None = None,
+    ) -> None:
+        self.robots = list(robots)
+        self.version = 0
+        self._ids = {robot.id for robot in robots}
+        self._history = RobotHistory([robot.id for robot in robots], [robot.id for robot in robots if robot.joins])
+        self._reference = reference
+        self._period_ns = period_ns
+        self._begun: Basis | None = None
+        self._first_stamp: int | None = None
+        self._events = _Events()
+        self._plane: PlaneState | None = None
+        self._shown = _Step()
+        self._steps: dict[int, _Step] = {}
+
+    @property
+    def step(self) -> int | None:
+        """The latest step of the plane that was heard, None before the first."""
+        return None if self._plane is None else self._plane.step
+
+    @property
+    def events(self) -> Sequence[TimedEvent]:
+        """The latest events, in the order of their arrival."""
+        return self._events.latest
+
+    @property
+    def event_count(self) -> int:
+        """How many events there were in all."""
+        return self._events.count
+
+    def add(self, message: Message) -> Instant | None:
+        """Take a message, and return the step that it completes, if it does.
+
+        A message that is older than what is known changes nothing.
+        """
+        self.version += 1
+        if isinstance(message, AgentState):
+            self._hear(message)
+        elif isinstance(message, SwarmEvent):
+            self._happened(message)
+        elif isinstance(message, Basis):
+            if message.source == Source.CONTROLLER and _newer(message, self._begun):
+                self._begun = message
+        elif isinstance(message, PlaneState):
+            if _newer(message, self._plane):
+                self._plane = message
+            self._pending(message.step).plane = message
+            return self._complete(message.step)
+        elif isinstance(message, AbstractState):
+            self._pending(message.step).abstract = message
+            return self._complete(message.step)
+        elif isinstance(message, DesiredAbstractState):
+            self._pending(message.step).desired = message
+            return self._complete(message.step)
+        return None
+
+    def instant(self) -> Instant | None:
+        """Return the step that is shown, None before the plane was heard."""
+        if self._plane is None:
+            return None
+        shown = self._shown
+        if shown.plane is None or is_silent(shown.plane.step, self._plane.step):
+            shown = self._steps.get(self._plane.step, _Step(self._plane))
+        return self._instant(shown.plane or self._plane, shown)
+
+    def shown_robots(self, step: int) -> list[ShownRobot]:
+        """Return what is shown of all robots in a step, in their order."""
+        return [self._history.shown(robot.id, step) for robot in self.robots]
+
+    def members(self) -> Members:
+        """Return who takes part in the step that is shown, of the robots that were known beforehand."""
+        instant = self.instant()
+        return self._history.members(0 if instant is None else instant.step)
+
+    def _hear(self, state: AgentState) -> None:
+        if state.agent_id not in self._ids:
+            if len(self.robots) >= MOST_ROBOTS:
+                return
+            self._ids.add(state.agent_id)
+            insort(self.robots, _identity(state), key=lambda robot: robot.id)
+        self._history.add(state)
+
+    def _happened(self, event: SwarmEvent) -> None:
+        if not self._events.is_new(event):
+            return
+        self._events.add(event, self._time(event))
+        if self._reference is not None:
+            self._reference.hear(event)
+        self._history.take(event)
+
+    def _pending(self, step: int) -> _Step:
+        found = self._steps.get(step)
+        if found is None:
+            found = self._steps[step] = _Step()
+            if len(self._steps) > PENDING:
+                del self._steps[min(self._steps)]
+        return found
+
+    def _complete(self, step: int) -> Instant | None:
+        """Return a step if all of it is there; those before it will not come any more."""
+        found = self._steps.get(step, _Step())
+        if found.plane is None or found.abstract is None or found.desired is None:
+            return None
+        if _newer(found.plane, self._shown.plane):
+            self._shown = found
+        for earlier in [one for one in self._steps if one <= step]:
+            del self._steps[earlier]
+        return self._instant(found.plane, found)
+
+    def _instant(self, plane: PlaneState, found: _Step) -> Instant:
+        return Instant(
+            plane.step,
+            plane.stamp,
+            self._time(plane),
+            finite(plane.angle),
+            finite(plane.angular_velocity),
+            self._wanted(plane),
+            _pair(found.abstract),
+            _pair(found.desired),
+        )
+
+    def _time(self, message: Message) -> float:
+        """Return the time of a message's step, s; without a period by its stamp, of a clock since the first one."""
+        if self._period_ns is not None:
+            return message.step * self._period_ns / 1e9
+        if self._first_stamp is None:
+            self._first_stamp = message.stamp
+        return (message.stamp - (self._first_stamp if self._first_stamp > CLOCK else 0)) / 1e9
+
+    def _wanted(self, plane: PlaneState) -> float | None:
+        """Return the angle wanted at a step, rad; by the clock the law's time begins when the controller says."""
+        if self._reference is None or (self._begun is None and plane.stamp > CLOCK):
+            return None
+        begun = 0 if self._begun is None else self._begun.begun
+        if begun > plane.step:
+            return None
+        return finite(self._reference(self._time(plane._replace(step=plane.step - begun))))
+
+
+def _step_of(state: AgentState) -> int:
+    return state.step
+
+
+def _newer(message: Message, known: Message | None) -> bool:
+    return known is None or message.step > known.step
+
+
+def _identity(state: AgentState) -> RobotIdentity:
+    kind = Kind.DOUBLE_INTEGRATOR if state.kind == Kind.DOUBLE_INTEGRATOR else Kind.SINGLE_INTEGRATOR
+    return RobotIdentity(state.agent_id, kind, finite(state.mass), finite(state.damping))
+
+
+def _pair(state: AbstractState | DesiredAbstractState | None) -> Abstract:
+    return Abstract() if state is None else Abstract(finite(state.torque), finite(state.inertia))
