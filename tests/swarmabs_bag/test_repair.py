@@ -432,7 +432,7 @@ def test_of_less_than_a_step_no_step_is_said_to_be_complete(
     assert main(["repair", str(bag)]) == 0
     shown = capfd.readouterr().out
     assert "no step is complete, of 0 to 40" in shown
-    assert "-1" not in shown
+    assert "-1" not in shown.replace(str(tmp_path), "")
 
 
 def test_a_disk_that_is_full_leaves_nothing_behind(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
