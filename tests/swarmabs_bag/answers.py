@@ -17,9 +17,8 @@ from mcap.records import Channel, Schema
 from rosbags.rosbag2 import Reader
 from tests.swarmabs_bag.damage import split
 
-from swarmabs_bag.index import encoded
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.records import HEAD_SIZE, Record, inner_records, parse, uncompress
+from swarmabs_bag.records import HEAD_SIZE, Record, encoded, inner_records, parse, uncompress
 from swarmabs_cli import main
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import SwarmabsError

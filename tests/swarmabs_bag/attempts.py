@@ -27,10 +27,10 @@ from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_analysis.replay.playback import choose_topics
 from swarmabs_analysis.rerun import recorded_run
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.channels import bag_channel
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.split_reader import SplitBagReader
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.cdr import encode
@@ -353,8 +353,9 @@ class Repairing:
 def _described(bag: BagReader) -> set[tuple[str, ...]]:
     """Return what a bag says of its topics and itself; what no robot has said is not for every reader to accept."""
     found: set[tuple[str, ...]] = set()
-    for part in bag.parts if isinstance(bag, SplitBagReader) else (bag,):
-        found |= {(c.name, c.ros_type, c.type_hash, c.qos_profiles, c.encoding) for c in part.channels}
+    for part in bag.files:
+        channels = [bag_channel(channel, part.index) for channel in part.index.channels.values()]
+        found |= {(c.name, c.ros_type, c.type_hash, c.qos_profiles, c.encoding) for c in channels}
         found |= {(schema.name, schema.encoding, schema.data.hex()) for schema in part.index.schemas.values()}
         found.add((part.index.header.profile,))
     return found

@@ -14,8 +14,8 @@ from mcap.records import Attachment, Channel, Header, Message, MessageIndex, Met
 from mcap.stream_reader import StreamReader
 from tests.swarmabs_bag.damage import EXTREMES, HOSTILE_TEXTS, MAGIC, Damage, chunk, sealed
 
-from swarmabs_bag.index import encoded
-from swarmabs_bag.reader import load_yaml
+from swarmabs_bag.metadata import load_yaml
+from swarmabs_bag.records import encoded
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import MalformedMessageError

@@ -12,7 +12,7 @@ import yaml
 from tests.swarmabs_bag.damage import BLIND, EXTREMES, HOSTILE_TEXTS, damage
 from tests.swarmabs_bag.forgery import forge
 
-from swarmabs_bag.reader import load_yaml
+from swarmabs_bag.metadata import load_yaml
 
 METADATA = "metadata.yaml"
 Files = dict[str, bytes]

@@ -23,7 +23,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import scan_index, tail
 from swarmabs_bag.info import bag_info
-from swarmabs_bag.reader import find_bag, open_bag
+from swarmabs_bag.places import find_bag
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError

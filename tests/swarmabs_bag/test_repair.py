@@ -23,10 +23,10 @@ from tests.swarmabs_bag.conftest import WriteBag
 from tests.swarmabs_bag.damage import MAGIC, chunk as packed, sealed
 
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError, NotABagError
-from swarmabs_bag.index import encoded
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.output import RecordFile
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.records import encoded
 from swarmabs_bag.repair import repair_bag
 from swarmabs_bag.repair_report import RepairReport
 from swarmabs_bag.splitting import Split

@@ -17,7 +17,8 @@ from rosbags.rosbag2 import Reader
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.errors import BagWriteError, DamagedBagError, NotABagError
 from swarmabs_bag.info import bag_info
-from swarmabs_bag.reader import find_bag, open_bag
+from swarmabs_bag.places import find_bag
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
 from swarmabs_bag.splitting import Split
 from swarmabs_bag.writer import BagWriter

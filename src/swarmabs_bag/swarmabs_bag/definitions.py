@@ -10,7 +10,7 @@ from swarmabs_config.scenario.errors import printable, shorten
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_bag.reader import BagChannel
+    from swarmabs_bag.channels import BagChannel
 
 READABLE = {
     "swarmabs_msgs/msg/AgentState": ("RIHS01_920c20b49337933ad2a2a54073afa24dac7f0bf85b89c0d8dd1b57ebfc9011bc",),

@@ -16,7 +16,6 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO
 
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -42,6 +41,8 @@ from swarmabs_bag.records import (
     RecordError,
     chunk_head,
     crc_with,
+    encoded,
+    indexed_channel,
     inner_records,
     parse,
     read_message,
@@ -56,9 +57,7 @@ if TYPE_CHECKING:
 
 _FOOTER_SIZE = HEAD_SIZE + 20
 _FOOTER_HEAD = struct.Struct("<BQQQ")
-_RECORD_HEAD = struct.Struct("<BQ")
-_MESSAGE_INDEX_HEAD = struct.Struct("<HI")
-_MESSAGE_INDEX_ENTRY = 16
+_DATA_END_SIZE = HEAD_SIZE + 4
 _PIECE = 2**20
 
 MOST_ENTRIES = 2**18
@@ -69,17 +68,9 @@ MOST_DEFINITIONS = 2**26
 
 
 def _no_statistics() -> Statistics:
-    return Statistics(
-        attachment_count=0,
-        channel_count=0,
-        channel_message_counts=defaultdict(int),
-        chunk_count=0,
-        message_count=0,
-        metadata_count=0,
-        message_end_time=0,
-        message_start_time=0,
-        schema_count=0,
-    )
+    numbers = ("message_count", "message_start_time", "message_end_time")
+    kinds = ("schema_count", "channel_count", "chunk_count", "attachment_count", "metadata_count")
+    return Statistics(**dict.fromkeys((*numbers, *kinds), 0), channel_message_counts=defaultdict(int))
 
 
 @dataclass(slots=True)
@@ -118,14 +109,132 @@ class FileIndex:
     problem: str | None = None
     definitions: int = 0
 
-    def add_metadata(self, metadata: Metadata) -> bytes:
-        """Take a metadata record that is to be appended at `data_end` into the index; return its bytes."""
-        data = encoded(metadata)
-        self.metadata.append(MetadataIndex(offset=self.data_end, length=len(data), name=metadata.name))
-        self.statistics.metadata_count += 1
-        self.data_end += len(data)
-        self.crc = zlib.crc32(data, self.crc)
-        return data
+    def take(self, record: Record, data: bytes | None = None) -> None:
+        """Take over the record of the data section that stands at `data_end`; `data` is what a chunk holds.
+
+        Raises
+        ------
+        RecordError
+            If the record is not as the format says, or beyond all measure; nothing counts then.
+        """
+        opcode, statistics = record.opcode, self.statistics
+        if opcode == Opcode.CHUNK:
+            self._take_chunk(record, uncompress(record) if data is None else data)
+        elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
+            self.chunks[-1].message_index_offsets[indexed_channel(record)] = record.offset
+            self.chunks[-1].message_index_length += record.size
+        elif opcode == Opcode.ATTACHMENT:
+            self.attachments.append(_attachment_index(record))
+            statistics.attachment_count += 1
+        elif opcode == Opcode.METADATA:
+            metadata: Metadata = parse(Metadata, record)
+            self.metadata.append(MetadataIndex(offset=record.offset, length=record.size, name=metadata.name))
+            statistics.metadata_count += 1
+        elif opcode == Opcode.HEADER and record.offset == len(MAGIC):
+            self.header = parse(Header, record)
+        else:
+            self._take_inner(opcode, record.content, (0, len(record.content)), record.offset)
+        self.check_number(record.offset)
+        self.crc = crc_with(self.crc, record)
+        self.data_end = record.end
+
+    def append(self, content: bytes) -> bytes:
+        """Take over a whole record that is to be appended at `data_end`; return it."""
+        self.take(Record(self.data_end, content[0], content[HEAD_SIZE:]))
+        return content
+
+    def define(self, record: Record) -> None:
+        """Take over a schema or a channel; what is repeated replaces what was before."""
+        if record.opcode == Opcode.SCHEMA:
+            schema: Schema = parse(Schema, record)
+            known = self.schemas.get(schema.id) == schema
+            self.schemas[schema.id] = schema
+            self.statistics.schema_count = len(self.schemas)
+        else:
+            channel: Channel = parse(Channel, record)
+            known = self.channels.get(channel.id) == channel
+            self.channels[channel.id] = channel
+            self.statistics.channel_count = len(self.channels)
+        self.definitions += 0 if known else len(record.content)
+        if self.definitions > MOST_DEFINITIONS:
+            raise RecordError(record.offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
+
+    def check_number(self, offset: int) -> None:
+        """Refuse more entries than a file of any use has."""
+        for name, entries in (
+            ("chunks", self.chunks),
+            ("attachments", self.attachments),
+            ("metadata records", self.metadata),
+        ):
+            if len(entries) > MOST_ENTRIES:
+                raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
+
+    def _take_chunk(self, record: Record, data: bytes) -> None:
+        head = chunk_head(record)
+        # Lengths first: a record that reaches beyond the chunk must not leave half of it in the statistics.
+        for _ in inner_records(data, record.offset):
+            pass
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=record.size,
+                chunk_start_offset=record.offset,
+                compression=head.compression,
+                compressed_size=len(head.data),
+                message_end_time=head.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=head.message_start_time,
+                uncompressed_size=head.uncompressed_size,
+            )
+        )
+        self.statistics.chunk_count += 1
+        for opcode, begin, end in inner_records(data, record.offset):
+            self._take_inner(opcode, data, (begin, end), record.offset)
+
+    def _take_inner(self, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
+        """Take over a record that stands in a chunk or outside of any; unknown kinds are passed over."""
+        statistics = self.statistics
+        begin, end = span
+        if opcode == Opcode.MESSAGE:
+            message = read_message(data, begin, end, offset)
+            if statistics.message_count == 0:
+                statistics.message_start_time = message.log_time
+            statistics.message_start_time = min(statistics.message_start_time, message.log_time)
+            statistics.message_end_time = max(statistics.message_end_time, message.log_time)
+            statistics.message_count += 1
+            statistics.channel_message_counts[message.channel_id] += 1
+        elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            self.define(Record(offset, opcode, data[begin:end]))
+
+
+def read_attachment(record: Record) -> Attachment:
+    """Read an attachment, its CRC checked.
+
+    Raises
+    ------
+    RecordError
+        If the record is no attachment, is malformed, or its CRC does not match.
+    """
+    if record.opcode != Opcode.ATTACHMENT:
+        raise RecordError(record.offset, "no attachment is here, although the summary says so")
+    attachment: Attachment = parse(Attachment, record)
+    crc = int.from_bytes(record.content[-4:], "little")
+    if crc and zlib.crc32(memoryview(record.content)[:-4]) != crc:
+        raise RecordError(record.offset, f"CRC of the attachment {show(attachment.name)} does not match")
+    return attachment
+
+
+def _attachment_index(record: Record) -> AttachmentIndex:
+    attachment = read_attachment(record)
+    return AttachmentIndex(
+        offset=record.offset,
+        length=record.size,
+        log_time=attachment.log_time,
+        create_time=attachment.create_time,
+        data_size=len(attachment.data),
+        name=attachment.name,
+        media_type=attachment.media_type,
+    )
 
 
 def scan_index(stream: BinaryIO, size: int) -> FileIndex:
@@ -146,163 +255,24 @@ def scan_index(stream: BinaryIO, size: int) -> FileIndex:
     RecordError
         If there is not even a header.
     """
-    index = FileIndex()
     stream.seek(0)
-    magic = stream.read(len(MAGIC))
-    if magic != MAGIC:
+    if stream.read(len(MAGIC)) != MAGIC:
         raise RecordError(0, "no MCAP file")
-    index.crc = zlib.crc32(magic)
+    index = FileIndex(crc=zlib.crc32(MAGIC))
     first = read_record(stream, len(MAGIC), size)
     if first.opcode != Opcode.HEADER:
         raise RecordError(first.offset, "no header")
-    index.header = parse(Header, first)
-    _advance(index, first)
+    index.take(first)
     try:
         for record in read_records(stream, first.end, size):
             if record.opcode == Opcode.DATA_END:
                 return index
-            _take(index, record)
-            _advance(index, record)
+            index.take(record)
     except RecordError as error:
         index.problem = str(error)
     else:
         index.problem = f"at byte {index.data_end}: a footer without an end of the data section"
     return index
-
-
-def append(index: FileIndex, opcode: int, content: bytes) -> bytes:
-    """Take a record that is to be appended at `FileIndex.data_end` into the index; return its bytes."""
-    record = Record(index.data_end, opcode, content)
-    _take(index, record)
-    _advance(index, record)
-    return struct.pack("<BQ", opcode, len(content)) + content
-
-
-def read_attachment(record: Record) -> Attachment:
-    """Read an attachment, its CRC checked.
-
-    Raises
-    ------
-    RecordError
-        If the record is no attachment, is malformed, or its CRC does not match.
-    """
-    if record.opcode != Opcode.ATTACHMENT:
-        raise RecordError(record.offset, "no attachment is here, although the summary says so")
-    attachment: Attachment = parse(Attachment, record)
-    crc = int.from_bytes(record.content[-4:], "little")
-    if crc and zlib.crc32(memoryview(record.content)[:-4]) != crc:
-        raise RecordError(record.offset, f"CRC of the attachment {show(attachment.name)} does not match")
-    return attachment
-
-
-def _advance(index: FileIndex, record: Record) -> None:
-    index.crc = crc_with(index.crc, record)
-    index.data_end = record.end
-
-
-def _indexed_channel(record: Record) -> int:
-    """Return the channel of a message index, of which nothing else is needed."""
-    entries = len(record.content) - _MESSAGE_INDEX_HEAD.size
-    channel, length = _MESSAGE_INDEX_HEAD.unpack_from(record.content) if entries >= 0 else (0, None)
-    if length != entries or entries % _MESSAGE_INDEX_ENTRY:
-        raise RecordError(record.offset, "malformed MessageIndex record")
-    return int(channel)
-
-
-def _check_number(index: FileIndex, offset: int) -> None:
-    for name, entries in (
-        ("chunks", index.chunks),
-        ("attachments", index.attachments),
-        ("metadata records", index.metadata),
-    ):
-        if len(entries) > MOST_ENTRIES:
-            raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
-
-
-def _take(index: FileIndex, record: Record) -> None:
-    opcode, statistics = record.opcode, index.statistics
-    if opcode == Opcode.CHUNK:
-        _take_chunk(index, record)
-    elif opcode == Opcode.MESSAGE_INDEX and index.chunks:
-        index.chunks[-1].message_index_offsets[_indexed_channel(record)] = record.offset
-        index.chunks[-1].message_index_length += record.size
-    elif opcode == Opcode.ATTACHMENT:
-        attachment = read_attachment(record)
-        index.attachments.append(
-            AttachmentIndex(
-                offset=record.offset,
-                length=record.size,
-                log_time=attachment.log_time,
-                create_time=attachment.create_time,
-                data_size=len(attachment.data),
-                name=attachment.name,
-                media_type=attachment.media_type,
-            )
-        )
-        statistics.attachment_count += 1
-    elif opcode == Opcode.METADATA:
-        metadata: Metadata = parse(Metadata, record)
-        index.metadata.append(MetadataIndex(offset=record.offset, length=record.size, name=metadata.name))
-        statistics.metadata_count += 1
-    else:
-        _take_inner(index, record.opcode, record.content, (0, len(record.content)), record.offset)
-    _check_number(index, record.offset)
-
-
-def _take_chunk(index: FileIndex, record: Record) -> None:
-    head, data = chunk_head(record), uncompress(record)
-    # Lengths first: a record that reaches beyond the chunk must not leave half of it in the statistics.
-    for _ in inner_records(data, record.offset):
-        pass
-    index.chunks.append(
-        ChunkIndex(
-            chunk_length=record.size,
-            chunk_start_offset=record.offset,
-            compression=head.compression,
-            compressed_size=len(head.data),
-            message_end_time=head.message_end_time,
-            message_index_length=0,
-            message_index_offsets={},
-            message_start_time=head.message_start_time,
-            uncompressed_size=head.uncompressed_size,
-        )
-    )
-    index.statistics.chunk_count += 1
-    for opcode, begin, end in inner_records(data, record.offset):
-        _take_inner(index, opcode, data, (begin, end), record.offset)
-
-
-def _take_inner(index: FileIndex, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
-    statistics = index.statistics
-    begin, end = span
-    if opcode == Opcode.MESSAGE:
-        message = read_message(data, begin, end, offset)
-        if statistics.message_count == 0:
-            statistics.message_start_time = message.log_time
-        statistics.message_start_time = min(statistics.message_start_time, message.log_time)
-        statistics.message_end_time = max(statistics.message_end_time, message.log_time)
-        statistics.message_count += 1
-        statistics.channel_message_counts[message.channel_id] += 1
-    elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-        _define(index, Record(offset, opcode, data[begin:end]))
-
-
-def _define(index: FileIndex, record: Record) -> None:
-    """Take a schema or a channel; what is repeated replaces what was before."""
-    statistics = index.statistics
-    if record.opcode == Opcode.SCHEMA:
-        schema: Schema = parse(Schema, record)
-        known = index.schemas.get(schema.id) == schema
-        index.schemas[schema.id] = schema
-        statistics.schema_count = len(index.schemas)
-    else:
-        channel: Channel = parse(Channel, record)
-        known = index.channels.get(channel.id) == channel
-        index.channels[channel.id] = channel
-        statistics.channel_count = len(index.channels)
-    index.definitions += 0 if known else len(record.content)
-    if index.definitions > MOST_DEFINITIONS:
-        raise RecordError(record.offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
 
 
 def read_index(stream: BinaryIO, size: int) -> FileIndex:
@@ -336,12 +306,17 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
         raise RecordError(footer.summary_start, f"a summary section of more than {MAX_SIZE} bytes")
     _check_summary_crc(stream, footer, size - end_size)
     index = FileIndex(header=parse(Header, read_record(stream, len(MAGIC), size)))
-    index.data_end = footer.summary_start - len(encoded(DataEnd(0)))
+    index.data_end = footer.summary_start - _DATA_END_SIZE
     before = read_record(stream, index.data_end, size)
     if before.opcode != Opcode.DATA_END or before.end != footer.summary_start:
         raise RecordError(index.data_end, "no end of the data section is where the summary section begins")
+    return _read_summary(index, stream, size, footer.summary_start)
+
+
+def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> FileIndex:
+    """Return the index with what the summary section from byte `start` on says, completed by a scan if need be."""
     stated: Statistics | None = None
-    for record in read_records(stream, footer.summary_start, size):
+    for record in read_records(stream, start, size):
         if record.opcode == Opcode.STATISTICS:
             stated = parse(Statistics, record)
         elif record.opcode == Opcode.CHUNK_INDEX:
@@ -351,12 +326,21 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
         elif record.opcode == Opcode.METADATA_INDEX:
             index.metadata.append(parse(MetadataIndex, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            _define(index, record)
-        _check_number(index, record.offset)
+            index.define(record)
+        index.check_number(record.offset)
     if stated is not None:
         index.statistics = stated
-    if stated is None or _leaves_out(index):
-        _complete(index, stream, size, footer.summary_start, counted=stated is not None)
+        if not _leaves_out(index):
+            return index
+    try:
+        found = _scanned(stream, size, start)
+    except RecordError:
+        if stated is not None:  # whoever reads the file finds the damage where it is
+            return index
+        raise
+    for kind in ("schemas", "channels", "chunks", "attachments", "metadata"):
+        setattr(index, kind, getattr(index, kind) or getattr(found, kind))
+    index.statistics = stated or found.statistics
     return index
 
 
@@ -372,23 +356,6 @@ def _leaves_out(index: FileIndex) -> bool:
     )
 
 
-def _complete(index: FileIndex, stream: BinaryIO, size: int, end: int, *, counted: bool) -> None:
-    """Take over from the data section what the summary section leaves out: numbers, and kinds it lists none of."""
-    try:
-        found = _scanned(stream, size, end)
-    except RecordError:
-        if counted:  # whoever reads the file finds the damage where it is
-            return
-        raise
-    index.schemas = index.schemas or found.schemas
-    index.channels = index.channels or found.channels
-    index.chunks = index.chunks or found.chunks
-    index.attachments = index.attachments or found.attachments
-    index.metadata = index.metadata or found.metadata
-    if not counted:
-        index.statistics = found.statistics
-
-
 def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
     """Return what a data section holds that is whole and ends at byte `end`.
 
@@ -400,7 +367,7 @@ def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
     found = scan_index(stream, size)
     if found.problem is not None:
         raise RecordError(found.data_end, found.problem.removeprefix(f"at byte {found.data_end}: "))
-    if found.data_end + len(encoded(DataEnd(0))) != end:
+    if found.data_end + _DATA_END_SIZE != end:
         raise RecordError(found.data_end, f"the data section ends here and not at byte {end}, as the file says")
     return found
 
@@ -451,10 +418,3 @@ def tail(index: FileIndex) -> Iterator[bytes]:
     yield bytes(summary)
     yield encoded(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
     yield MAGIC
-
-
-def encoded(record: McapRecord) -> bytes:
-    """Return a record as it stands in a file."""
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())

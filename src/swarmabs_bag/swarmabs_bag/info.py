@@ -12,10 +12,10 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
+from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY
-from swarmabs_bag.reader import BagReader, load_yaml, open_bag
-from swarmabs_bag.swarms import named_swarms
+from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
+from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_config.scenario.errors import shorten, show
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from swarmabs_config.scenario.errors import ScenarioError
+from swarmabs_config.scenario.yaml_tree import read_tree
 from swarmabs_ros.qos import Qos
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ ABORTED_KEY = "swarmabs.aborted"
 REPAIRED_KEY = "swarmabs.repaired"
 """Key under ``custom_data`` that says what `repair_bag` could not save; absent from all others."""
 
+_LONGEST_YAML = 2**20
 _VERSION = 9
 _DISTRO = "jazzy"
 _INFINITE = (9223372036, 854775807)  # RMW_DURATION_INFINITE: seconds, nanoseconds
@@ -197,6 +200,24 @@ def write_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def load_yaml(text: str) -> Any:
+    """Read YAML from a bag: plain data only; None if it is not YAML, or too long or too deep to be ours."""
+    if len(text) > _LONGEST_YAML:
+        return None
+    try:
+        return read_tree(text, "").plain()
+    except ScenarioError:
+        return None
+
+
+def custom_texts(description: object) -> dict[str, str]:
+    """Return the entries under ``custom_data`` of rosbag2's description that are texts."""
+    custom = description.get("custom_data") if isinstance(description, dict) else None
+    if not isinstance(custom, dict):
+        return {}
+    return {key: value for key, value in custom.items() if isinstance(value, str)}
 
 
 def dump_yaml(value: object) -> str:

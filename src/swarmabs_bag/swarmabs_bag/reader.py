@@ -1,88 +1,36 @@
 """Reading bags: file order, bounded memory, and every length, CRC and type checked on the way.
 
-A bag is read from its MCAP file alone; ``metadata.yaml`` is a copy for rosbag2. What is not as the format
+A bag is read from its MCAP files alone; ``metadata.yaml`` is a copy for rosbag2. What is not as the format
 says raises `DamagedBagError` with its position in the file, and never anything else.
 """
 
 from __future__ import annotations
 
-import math
-import stat
-import zlib
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcap.opcode import Opcode
-from mcap.records import DataEnd, Metadata as MetadataRecord, Statistics
-
+from swarmabs_bag.bag_file import BagFile, open_file
+from swarmabs_bag.channels import BagChannel, bag_channel, chosen_swarm, named_swarms, swarm_topics
 from swarmabs_bag.definitions import check_definitions
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.index import FileIndex, read_attachment, read_index, scan_index
-from swarmabs_bag.metadata import ABORTED_KEY, RECORD_KEY, RECORD_NAME
-from swarmabs_bag.records import (
-    MAGIC,
-    Record,
-    RecordError,
-    StoredMessage,
-    crc_with,
-    inner_records,
-    parse,
-    read_message,
-    read_record,
-    read_records,
-    uncompress,
-)
-from swarmabs_bag.swarms import chosen_swarm, named_swarms, ros_type, swarm_topics
-from swarmabs_config.scenario.errors import ScenarioError, show
-from swarmabs_config.scenario.yaml_tree import read_tree
+from swarmabs_bag.index import FileIndex
+from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
+from swarmabs_bag.places import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-    from typing import BinaryIO
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+    from mcap.records import Channel, Statistics
+
+    from swarmabs_bag.records import StoredMessage
     from swarmabs_core.messages import Message, Topic
-
-_SUFFIX = ".mcap"
-_LONGEST_YAML = 2**20
-
-
-@dataclass(frozen=True, slots=True)
-class BagChannel:
-    """A topic as a bag holds it.
-
-    Attributes
-    ----------
-    name : str
-        Topic with namespace.
-    ros_type : str
-        Full ROS name of the message type.
-    type_hash : str
-        RIHS01 hash of the type, empty if the bag does not give it.
-    qos_profiles : str
-        YAML text of what the publishers offered, empty if the bag does not give it.
-    encoding : str
-        Encoding of the messages, ``cdr`` in bags of ROS 2.
-    message_count : int
-        Number of messages.
-    topic : Topic or None
-        Which topic of the swarm it is, None if it is another one.
-    """
-
-    name: str
-    ros_type: str
-    type_hash: str
-    qos_profiles: str
-    encoding: str
-    message_count: int
-    topic: Topic | None
 
 
 class BagReader:
-    """A bag, open for reading; made by `open_bag`.
+    """A bag of one or several files, open for reading; made by `open_bag`.
 
     Nothing stays open between calls, and several iterations may go on at once.
 
@@ -90,35 +38,39 @@ class BagReader:
     ----------
     path : Path
         The MCAP file, or the folder of a split bag.
+    files : tuple of BagFile
+        The files that can be read, in order.
     size : int
-        Its size in bytes.
+        Their size in bytes.
     index : FileIndex
-        What the file says it holds.
+        What they say they hold; of several files, channels have the same number in all of them.
     channels : tuple of BagChannel
         Its topics in the order of their ids.
     swarms : tuple of str
         Namespaces of all swarms in it, with their last slash.
     namespace : str or None
         Namespace of the swarm that is read, None if there is no topic of one, or none of several was chosen.
+    problem : str or None
+        Why the bag has no end, if it was opened with ``damaged=True``; None for a complete one.
     """
 
-    def __init__(self, path: Path, size: int, index: FileIndex, namespace: str | None) -> None:
+    def __init__(self, path: Path, files: Sequence[BagFile], problem: str | None, namespace: str | None) -> None:
         self.path = path
-        self.size = size
-        self.index = index
-        topics = swarm_topics(index)
+        self.files = tuple(files)
+        self.problem = problem
+        self.size = sum(file.size for file in files)
+        indexes = [file.index for file in files]
+        self.index, self._numbers = _merged(indexes) if len(indexes) > 1 else (indexes[0], [{}])
+        topics = swarm_topics(self.index)
         self.swarms = tuple(sorted({swarm for swarm, _ in topics.values()}))
-        self._channels = _describe(index, topics, chosen_swarm(path, self.swarms, namespace))
+        chosen = chosen_swarm(path, self.swarms, namespace)
+        of_chosen = {number: topic for number, (swarm, topic) in topics.items() if swarm == chosen}
+        self._channels = {
+            number: bag_channel(channel, self.index, of_chosen.get(number))
+            for number, channel in sorted(self.index.channels.items())
+        }
         self.channels = tuple(self._channels.values())
-        self.namespace = next(
-            (channel.name.removesuffix(channel.topic.name) for channel in self.channels if channel.topic),
-            None,
-        )
-
-    @property
-    def problem(self) -> str | None:
-        """Why the file has no end, if it was opened with ``damaged=True``; None for a complete one."""
-        return self.index.problem
+        self.namespace = chosen
 
     @property
     def start(self) -> int:
@@ -140,12 +92,12 @@ class BagReader:
         return tuple(channel.topic for channel in self.channels if channel.topic is not None)
 
     def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
-        """Yield every message of the file in file order, also those on topics that are not of the swarm.
+        """Yield every message of the bag in file order, also those on topics that are not of the swarm.
 
         Raises
         ------
         DamagedBagError
-            Where the file is damaged; all before it has been yielded then.
+            Where a file is damaged; all before it has been yielded then.
         """
         channels = self._channels
         for message in self._stored():
@@ -162,7 +114,7 @@ class BagReader:
         Raises
         ------
         DamagedBagError
-            Where the file is damaged; all before it has been yielded then.
+            Where a file is damaged; all before it has been yielded then.
         UnknownTypeError
             If messages have a definition that this version does not know.
         """
@@ -180,15 +132,6 @@ class BagReader:
             if topic is not None:
                 yield topic, message.log_time, message.publish_time, message.payload
 
-    def _wanted(self, topics: Collection[Topic] | None) -> dict[int, Topic]:
-        """Return the topics of the swarm to be read, by the numbers of their channels."""
-        check_definitions(self.path, self._channels.values())
-        return {
-            number: channel.topic
-            for number, channel in self._channels.items()
-            if channel.topic is not None and (topics is None or channel.topic in topics)
-        }
-
     def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
         """Yield topic, log time in ns and message, in file order; parameters and errors as of `messages`."""
         for topic, log_time, payload in self.messages(topics):
@@ -198,8 +141,25 @@ class BagReader:
                 raise DamagedBagError(f"{self.path}: /{topic.name} at {log_time / 1e9:.9g} s: {error}") from error
             yield topic, log_time, message
 
+    def _wanted(self, topics: Collection[Topic] | None) -> dict[int, Topic]:
+        """Return the topics of the swarm to be read, by the numbers of their channels."""
+        check_definitions(self.path, self._channels.values())
+        return {
+            number: channel.topic
+            for number, channel in self._channels.items()
+            if channel.topic is not None and (topics is None or channel.topic in topics)
+        }
+
+    def _stored(self) -> Iterator[StoredMessage]:
+        for file, numbers in zip(self.files, self._numbers, strict=True):
+            if all(number == own for own, number in numbers.items()):
+                yield from file.stored()
+            else:
+                for message in file.stored():
+                    yield message._replace(channel_id=numbers[message.channel_id])
+
     def attachment_names(self) -> tuple[str, ...]:
-        """Return the names of all attachments in file order."""
+        """Return the names of all attachments in file order, of several files each once."""
         return tuple(attachment.name for attachment in self.index.attachments)
 
     def attachment(self, name: str) -> bytes | None:
@@ -207,101 +167,49 @@ class BagReader:
         return next(self.attachments(name), None)
 
     def attachments(self, name: str) -> Iterator[bytes]:
-        """Yield the contents of all attachments of a name, in file order.
+        """Yield the contents of all attachments of a name, file by file.
 
         Raises
         ------
         DamagedBagError
             If one is not where the bag says, or its CRC does not match.
         """
-        for entry in self.index.attachments:
-            if entry.name == name:
-                with self._opened() as stream:
-                    attachment = read_attachment(read_record(stream, entry.offset, self.size))
-                    if attachment.name != name:
-                        raise RecordError(entry.offset, f"the attachment here is not {show(name)}, as the summary says")
-                yield attachment.data
+        for file in self.files:
+            yield from file.attachments(name)
 
     def contradicts_itself(self, name: str) -> bool:
         """Tell whether there are different attachments of a name; errors as of `attachments`."""
         return len(set(self.attachments(name))) > 1
 
     def rosbag2_metadata(self) -> dict[str, Any]:
-        """Return rosbag2's description of the bag from within the file, empty if it has none.
+        """Return rosbag2's description from within the last file, which says how the run ended; empty without one.
 
         Raises
         ------
         DamagedBagError
             If it is not where the bag says.
         """
-        for entry in reversed(self.index.metadata):  # rosbag2 writes one at opening, too
-            if entry.name == RECORD_NAME:
-                with self._opened() as stream:
-                    record: MetadataRecord = parse(MetadataRecord, read_record(stream, entry.offset, self.size))
-                found = load_yaml(record.metadata.get(RECORD_KEY, ""))
-                return found if isinstance(found, dict) else {}
-        return {}
+        found = load_yaml(self.files[-1].description())
+        return found if isinstance(found, dict) else {}
+
+    def custom_data(self) -> dict[str, str]:
+        """Return the texts under ``custom_data`` of rosbag2's description; errors as of `rosbag2_metadata`."""
+        return custom_texts(self.rosbag2_metadata())
 
     def aborted(self) -> str | None:
         """Return why the bag ends before its run was over, None if it does not."""
-        custom = self.rosbag2_metadata().get("custom_data")
-        reason = custom.get(ABORTED_KEY) if isinstance(custom, dict) else None
-        return reason if isinstance(reason, str) else None
+        return self.custom_data().get(ABORTED_KEY)
 
     def check(self) -> None:
-        """Read the whole file and compare it with every CRC and with what its summary says.
+        """Read all files and compare them with every CRC and with what their summaries say.
 
         Raises
         ------
         DamagedBagError
             At the first contradiction.
         """
-        with self._opened() as stream:
-            found = scan_index(stream, self.size)
-            if found.problem is not None:
-                raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
-            _check_crc(read_record(stream, found.data_end, self.size), found.crc)
-        counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
-        for name in {**counted, **said}:
-            number, stated_number = counted.get(name, 0), said.get(name, 0)
-            if stated_number != number:
-                raise DamagedBagError(_miscounted(self.path, name, stated_number, str(number)))
-
-    @contextmanager
-    def _opened(self) -> Iterator[BinaryIO]:
-        try:
-            with self.path.open("rb") as stream:
-                yield stream
-        except RecordError as error:
-            raise DamagedBagError(f"{self.path}: {error}") from error
-        except OSError as error:
-            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
-
-    def _stored(self) -> Iterator[StoredMessage]:
-        latest = count = 0
-        most = math.inf if self.problem else self.message_count
-        try:
-            with self.path.open("rb") as stream:
-                for message in _stored_messages(stream, self.index):
-                    if message.channel_id not in self._channels:
-                        raise RecordError(  # noqa: TRY301 - one place adds the file's name
-                            self.index.data_end,
-                            f"channel {message.channel_id} of a message is not in the summary",
-                        )
-                    latest = message.log_time
-                    count += 1
-                    if count > most:
-                        break
-                    yield message
-        except RecordError as error:
-            raise DamagedBagError(
-                f"{self.path}: {error}; the messages before it, up to {latest / 1e9:.9g} s, can be read"
-            ) from error
-        except OSError as error:
-            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
-        if self.problem is None and count != self.message_count:
-            counted = f"at least {count}" if count > most else str(count)
-            raise DamagedBagError(_miscounted(self.path, "message_count", self.message_count, counted))
+        for file in self.files:
+            file.check()
 
 
 def open_bag(
@@ -327,161 +235,78 @@ def open_bag(
     DamagedBagError
         If the bag has lost its end; the text says what can still be read.
     """
-    from swarmabs_bag.split_reader import open_split, split_files  # noqa: PLC0415 - builds upon this one
-
-    file = find_bag(Path(path))
-    if file.is_dir() and (files := split_files(file.glob(f"*{_SUFFIX}"))) is not None:
-        bag: BagReader = open_split(file, files, namespace=namespace, damaged=damaged)
+    found = find_bag(Path(path))
+    row = split_files(found.glob(f"*{SUFFIX}")) if found.is_dir() else None
+    if row is None:
+        file = open_file(found, damaged=damaged)
+        bag = BagReader(found, (file,), file.index.problem, namespace)
     else:
-        bag = _open_file(file, namespace, damaged=damaged)
+        files, problems = _open_row(found, row, damaged=damaged)
+        bag = BagReader(found, files, "; ".join(problems) or None, namespace)
     if namespace is None and len(bag.swarms) > 1 and not several:
         raise NotABagError(f"{bag.path} holds several swarms: choose one with --namespace: {named_swarms(bag.swarms)}")
     return bag
 
 
-def _open_file(file: Path, namespace: str | None, *, damaged: bool) -> BagReader:
-    try:
-        with file.open("rb") as stream:
-            size = stream.seek(0, 2)
-            stream.seek(0)
-            magic = stream.read(len(MAGIC))
-            if not MAGIC.startswith(magic):
-                raise NotABagError(f"{file} is not a bag: it does not begin as an MCAP file")
-            if len(magic) < len(MAGIC):
-                raise DamagedBagError(f"{file} has only {size} bytes: nothing was written into it")
-            index = _index(file, stream, size, damaged=damaged)
-    except OSError as error:
-        raise NotABagError(f"cannot read {file}: {error.strerror or error}") from error
-    except RecordError as error:
-        raise DamagedBagError(f"{file}: {error}; nothing can be read") from error
-    return BagReader(file, size, index, namespace)
+def _open_row(folder: Path, row: dict[int, Path], *, damaged: bool) -> tuple[list[BagFile], list[str]]:
+    """Open the files of a split bag, as far as they can be read, and say what is wrong; errors as of `open_bag`."""
+    problems = missing_files(row)
+    if problems and not damaged:
+        raise DamagedBagError(f"{folder} is incomplete: {', '.join(problems)}; name one of its files to read that one")
+    files = []
+    for path in row.values():
+        try:
+            file = open_file(find_bag(path), damaged=damaged)
+        except DamagedBagError as error:
+            if not damaged:
+                raise
+            problems.append(str(error))
+        else:
+            files.append(file)
+            if file.index.problem is not None:
+                problems.append(f"{path.name}: {file.index.problem}")
+    if not files:
+        raise DamagedBagError(problems[0])
+    return files, problems
 
 
-def find_bag(path: Path) -> Path:
-    """Return the MCAP file of a run folder, of a bag's folder, or the file itself; of a split bag its folder.
-
-    Raises
-    ------
-    NotABagError
-        If there is none, or more than one that do not belong together.
-    """
-    from swarmabs_bag.split_reader import split_files  # noqa: PLC0415 - builds upon this one
-
-    try:
-        mode = path.stat().st_mode
-        if stat.S_ISREG(mode):
-            return path
-        if not stat.S_ISDIR(mode):
-            raise _neither(path)
-        for folder in (path / "bag", path):
-            files = sorted(folder.glob(f"*{_SUFFIX}"))
-            if len(files) > 1:
-                if split_files(files) is not None:
-                    return folder
-                raise NotABagError(f"{folder} holds {len(files)} .mcap files: name one of them")
-            if files:
-                mode = files[0].stat().st_mode
-                if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-                    raise _neither(files[0])
-                return files[0]
-    except (OSError, ValueError) as error:  # ValueError: the path has a NUL
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise NotABagError(f"cannot read {path}: {reason}; name a run folder, its bag/, or an .mcap file") from error
-    raise NotABagError(f"{path} holds no bag: name a run folder, its bag/, or an .mcap file")
+def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int]]]:
+    """Return the index of all files together, and for each file the new numbers of its channels."""
+    merged = FileIndex()
+    known: dict[object, int] = {}
+    renumbered = []
+    for position, index in enumerate(indexes):
+        if position == 0:
+            merged.header = index.header
+        numbers = {own: _number(channel, index, merged, known) for own, channel in sorted(index.channels.items())}
+        renumbered.append(numbers)
+        merged.chunks += index.chunks
+        names = {attachment.name for attachment in merged.attachments}
+        merged.attachments += [attachment for attachment in index.attachments if attachment.name not in names]
+        _add(merged.statistics, index.statistics, numbers)
+    return merged, renumbered
 
 
-def _neither(path: Path) -> NotABagError:
-    return NotABagError(f"{path} is neither a folder nor a file: name a run folder, its bag/, or an .mcap file")
+def _add(total: Statistics, found: Statistics, numbers: Mapping[int, int]) -> None:
+    """Add the numbers of messages in a file to those of all."""
+    if found.message_count:
+        start = found.message_start_time
+        total.message_start_time = min(total.message_start_time, start) if total.message_count else start
+        total.message_end_time = max(total.message_end_time, found.message_end_time)
+    total.message_count += found.message_count
+    for own, count in found.channel_message_counts.items():
+        if own in numbers:
+            total.channel_message_counts[numbers[own]] += count
 
 
-def load_yaml(text: str) -> Any:
-    """Read YAML from a bag: plain data only; None if it is not YAML, or too long or too deep to be ours."""
-    if len(text) > _LONGEST_YAML:
-        return None
-    try:
-        return read_tree(text, "").plain()
-    except ScenarioError:
-        return None
-
-
-def _index(file: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileIndex:
-    try:
-        return read_index(stream, size)
-    except RecordError as error:
-        found = scan_index(stream, size)
-        found.problem = found.problem or str(error)
-        if damaged:
-            return found
-        raise DamagedBagError(
-            f"{file} is incomplete: {found.problem}{_readable(found)}; repair saves what can be saved"
-        ) from error
-
-
-def _miscounted(path: Path, name: str, said: int, counted: str) -> str:
-    return f"{path}: the summary says {name} = {said}, but it is {counted}"
-
-
-def _readable(index: FileIndex) -> str:
-    count, end = index.statistics.message_count, index.statistics.message_end_time
-    return (
-        f"; {count} messages before it, up to {end / 1e9:.9g} s, can be read" if count else "; no message can be read"
-    )
-
-
-def _numbers(statistics: Statistics) -> dict[str, int]:
-    return {
-        "message_count": statistics.message_count,
-        "message_start_time": statistics.message_start_time,
-        "message_end_time": statistics.message_end_time,
-        "chunk_count": statistics.chunk_count,
-        **{
-            f"messages of channel {channel}": count
-            for channel, count in sorted(statistics.channel_message_counts.items())
-            if count
-        },
-    }
-
-
-def _check_crc(end: Record, crc: int) -> None:
-    """Compare the CRC of the data section with what its end says."""
-    stated: DataEnd = parse(DataEnd, end)
-    if stated.data_section_crc not in {0, crc}:
-        raise RecordError(
-            end.offset, f"CRC of the data section is {crc:#010x}, but the file says {stated.data_section_crc:#010x}"
-        )
-
-
-def _stored_messages(stream: BinaryIO, index: FileIndex) -> Iterator[StoredMessage]:
-    if index.data_end <= len(MAGIC):
-        return
-    crc = zlib.crc32(MAGIC)
-    # A damaged bag ends at data_end; a complete one has a DataEnd record there, which ends the loop.
-    for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
-        if record.opcode == Opcode.CHUNK:
-            data = uncompress(record)
-            for opcode, begin, end in inner_records(data, record.offset):
-                if opcode == Opcode.MESSAGE:
-                    yield read_message(data, begin, end, record.offset)
-        elif record.opcode == Opcode.MESSAGE:
-            yield read_message(record.content, 0, len(record.content), record.offset)
-        elif record.opcode == Opcode.DATA_END:
-            _check_crc(record, crc)
-        crc = crc_with(crc, record)
-        if index.problem and record.end >= index.data_end:
-            return
-
-
-def _describe(index: FileIndex, topics: Mapping[int, tuple[str, Topic]], chosen: str | None) -> dict[int, BagChannel]:
-    counts = index.statistics.channel_message_counts
-    return {
-        number: BagChannel(
-            name=channel.topic,
-            ros_type=ros_type(channel, index),
-            type_hash=channel.metadata.get("topic_type_hash", ""),
-            qos_profiles=channel.metadata.get("offered_qos_profiles", ""),
-            encoding=channel.message_encoding,
-            message_count=counts.get(number, 0),
-            topic=topics[number][1] if number in topics and topics[number][0] == chosen else None,
-        )
-        for number, channel in sorted(index.channels.items())
-    }
+def _number(channel: Channel, index: FileIndex, merged: FileIndex, known: dict[object, int]) -> int:
+    """Return the number of a channel in all files together; take it up there if it is new."""
+    schema = index.schemas.get(channel.schema_id)
+    text = (schema.name, schema.encoding, schema.data) if schema is not None else None
+    key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), text)
+    number = known.setdefault(key, channel.id if channel.id not in merged.channels else max(merged.channels) + 1)
+    if number not in merged.channels:
+        merged.channels[number] = replace(channel, id=number, schema_id=0 if schema is None else number)
+        if schema is not None:
+            merged.schemas[number] = replace(schema, id=number)
+    return number

@@ -4,67 +4,74 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, BinaryIO, Protocol
+from typing import TYPE_CHECKING, BinaryIO
 
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Header, Metadata
+from mcap.records import Channel, Chunk, Header, Metadata
 
-from swarmabs_bag.index import FileIndex, append, encoded, read_index, tail
+from swarmabs_bag.index import FileIndex, read_index, tail
 from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
-from swarmabs_bag.records import MAGIC, Record, RecordError, chunk_head, inner_records, parse, read_message
+from swarmabs_bag.records import (
+    HEAD_SIZE,
+    MAGIC,
+    Record,
+    RecordError,
+    chunk_head,
+    encoded,
+    inner_records,
+    parse,
+    read_message,
+    record_head,
+)
 from swarmabs_bag.salvage import Damage, Salvage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from swarmabs_bag.output import RecordFile
     from swarmabs_bag.records import StoredMessage
     from swarmabs_bag.salvage import Saved
 
+OWN = "swarmabs"
+"""With what the name of the library begins in files of this project."""
+
 _PROFILE = "ros2"
 _CHUNK_TIMES = struct.Struct("<QQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
+_INDEX_ENTRY = struct.Struct("<QQ")
 _CHUNK_BYTES = 2**20
-_OWN = "swarmabs"
 
 
-class Output(Protocol):
-    """Where the new file goes."""
-
-    def write(self, data: bytes) -> object:
-        """Take over whole records."""
-        ...
-
-    def commit(self) -> None:
-        """Hand them on."""
-        ...
-
-
-class Nowhere:
-    """An output that keeps nothing: for finding out what a repair would come to."""
-
-    def write(self, data: bytes) -> None:
-        """Forget the bytes."""
-
-    def commit(self) -> None:
-        """Do nothing."""
-
-
-@dataclass(slots=True)
 class Rebuilt:
-    """What became of a file.
+    """What can be saved of a file, and what becomes of it: chunks that are whole are taken over as they are.
+
+    Parameters
+    ----------
+    stream : binary file
+        The old file, open for reading.
+    size : int
+        Its size in bytes.
+    output : RecordFile, optional
+        Where the new one goes; without it nothing is written, and it is only found out what a repair would come to.
+    definitions : FileIndex, optional
+        Schemas and channels with the same numbers, for a file that has lost them.
+    describe : callable
+        Told everything when all messages are written; returns rosbag2's description of the file.
 
     Attributes
     ----------
     index : FileIndex
         What the new file holds, and where.
+    before : FileIndex
+        What the old file holds before the first damage, and where.
     stated : FileIndex or None
         What the old file says it holds, if that can be read.
+    unstated : str
+        Why that cannot be read.
     damage : list of Damage
         What was left out.
-    ended : bool
-        Whether the old file's writer had ended its data section.
+    end : DataEnd or None
+        The end of the old file's data section, None if its writer had not ended it.
     reindexed : int
         Chunks whose message indexes were missing or wrong, or whose stated times were wrong.
     repacked : int
@@ -74,70 +81,44 @@ class Rebuilt:
     gaps : dict
         Messages missing between those that are there, by number of the channel, from the sequence numbers that this
         project's writer gives.
-    description : dict of str to str
-        rosbag2's metadata record of the old file.
+    description : str
+        rosbag2's description of the old file, of the new one if it was written.
     """
 
-    index: FileIndex
-    stated: FileIndex | None
-    damage: list[Damage]
-    ended: bool = False
-    reindexed: int = 0
-    repacked: int = 0
-    unschemed: set[int] = field(default_factory=set)
-    gaps: dict[int, int] = field(default_factory=dict)
-    description: dict[str, str] = field(default_factory=dict)
-
-
-def rebuild(
-    stream: BinaryIO,
-    size: int,
-    output: Output,
-    *,
-    definitions: FileIndex | None = None,
-    describe: Callable[[Rebuilt], str],
-) -> Rebuilt:
-    """Write a file anew from what can be saved of it.
-
-    Chunks that are whole are taken over as they are.
-
-    Parameters
-    ----------
-    stream : binary file
-        The old file, open for reading.
-    size : int
-        Its size in bytes.
-    output : Output
-        Where the new one goes.
-    definitions : FileIndex, optional
-        Schemas and channels with the same numbers, for a file that has lost them.
-    describe : callable
-        Told everything when all messages are written; returns rosbag2's description of the file.
-    """
-    try:
-        stated = read_index(stream, size)
-    except RecordError:
-        stated = None
-    salvage = Salvage(stream, size)
-    rebuilder = _Rebuilder(output, Rebuilt(FileIndex(), stated, salvage.damage), stated or definitions)
-    for saved in salvage.records():
-        rebuilder.take(saved)
-    rebuilder.result.ended = salvage.ended
-    return rebuilder.finish(describe)
-
-
-class _Rebuilder:
-    def __init__(self, output: Output, result: Rebuilt, definitions: FileIndex | None) -> None:
-        self.result = result
+    def __init__(
+        self,
+        stream: BinaryIO,
+        size: int,
+        output: RecordFile | None = None,
+        *,
+        definitions: FileIndex | None = None,
+        describe: Callable[[Rebuilt], str] = lambda _: "",
+    ) -> None:
+        self.index = FileIndex()
+        self.stated: FileIndex | None = None
+        self.unstated = ""
+        self.reindexed = self.repacked = 0
+        self.unschemed: set[int] = set()
+        self.gaps: dict[int, int] = {}
+        self.description = ""
         self._output = output
-        self._definitions = definitions
-        self._begun = False
         self._loose = bytearray()
         self._loose_count = 0
         self._expected: dict[int, bytes] = {}
         self._next_sequence: dict[int, int] = {}
+        try:
+            self.stated = read_index(stream, size)
+        except RecordError as error:
+            self.unstated = str(error)
+        self._definitions = self.stated or definitions
+        salvage = Salvage(stream, size)
+        self.damage: list[Damage] = salvage.damage
+        for saved in salvage.records():
+            self._take(saved)
+        self.before, self.end = salvage.before, salvage.end
+        self._finish(describe)
 
-    def take(self, saved: Saved) -> None:
+    def _take(self, saved: Saved) -> None:
         record = saved.record
         if record.opcode == Opcode.HEADER:
             self._begin(parse(Header, record))
@@ -145,52 +126,49 @@ class _Rebuilder:
         self._begin(Header(profile=_PROFILE, library=""))
         if record.opcode == Opcode.MESSAGE_INDEX:
             self._compare_index(record.content)
-            return
-        if record.opcode == Opcode.CHUNK:
+        elif record.opcode == Opcode.CHUNK:
             self._take_chunk(saved)
         elif record.opcode == Opcode.MESSAGE:
             self._take_loose(record.content, record.offset)
         elif record.opcode == Opcode.METADATA and (metadata := parse(Metadata, record)).name == RECORD_NAME:
-            self.result.description = dict(metadata.metadata)
+            self.description = metadata.metadata.get(RECORD_KEY, "")
         else:
             self._flush()
             self._put_other(record.opcode, record.content)
 
-    def finish(self, describe: Callable[[Rebuilt], str]) -> Rebuilt:
+    def _finish(self, describe: Callable[[Rebuilt], str]) -> None:
         """Write the end of the file."""
         self._begin(Header(profile=_PROFILE, library=""))
         self._flush()
         self._define()  # also topics without messages, which other writers describe in the summary section alone
-        text = describe(self.result)
-        self._output.write(self.result.index.add_metadata(Metadata(name=RECORD_NAME, metadata={RECORD_KEY: text})))
-        for piece in tail(self.result.index):
-            self._output.write(piece)
-        self._output.commit()
-        return self.result
+        if self._output is None:
+            return
+        self.description = describe(self)
+        metadata = Metadata(name=RECORD_NAME, metadata={RECORD_KEY: self.description})
+        self._write(self.index.append(encoded(metadata)))
+        for piece in tail(self.index):
+            self._write(piece)
 
     def _begin(self, header: Header) -> None:
-        if self._begun:
-            return
-        self._begun = True
-        self._output.write(MAGIC)
-        self.result.index.crc = zlib.crc32(MAGIC)
-        self.result.index.header = header
-        content = encoded(header)
-        self._put(Opcode.HEADER, content[9:])
+        if self.index.crc == 0:
+            self._write(MAGIC)
+            self.index.crc = zlib.crc32(MAGIC)
+            self._put(Opcode.HEADER, encoded(header)[HEAD_SIZE:])
 
-    def _put(self, opcode: int, content: bytes) -> None:
-        self._output.write(append(self.result.index, opcode, content))
-        if opcode != Opcode.MESSAGE_INDEX:
+    def _put(self, opcode: int, content: bytes, data: bytes | None = None) -> None:
+        """Write a record; `data` is what a chunk holds."""
+        self.index.take(Record(self.index.data_end, opcode, content), data)
+        self._write(record_head(opcode, len(content)) + content)
+
+    def _write(self, data: bytes) -> None:
+        if self._output is not None:
+            self._output.write(data)
             self._output.commit()
 
     def _compare_index(self, content: bytes) -> None:
-        (channel,) = struct.unpack_from("<H", content)
+        channel = int.from_bytes(content[:2], "little")
         if self._expected.get(channel) == content:
             del self._expected[channel]
-
-    def _count_unindexed(self) -> None:
-        self.result.reindexed += bool(self._expected)
-        self._expected = {}
 
     def _take_chunk(self, saved: Saved) -> None:
         record, data = saved.record, saved.data
@@ -204,7 +182,7 @@ class _Rebuilder:
 
     def _is_described(self, data: bytes, offset: int) -> bool:
         """Tell whether the channels of all messages in a chunk, and the schemas of its channels, are known."""
-        known, schemas = set(self.result.index.channels), {0, *self.result.index.schemas}
+        known, schemas = set(self.index.channels), {0, *self.index.schemas}
         for opcode, begin, _ in inner_records(data, offset):
             number = int.from_bytes(data[begin : begin + 2], "little")
             if opcode == Opcode.SCHEMA:
@@ -225,94 +203,98 @@ class _Rebuilder:
                 self._put_other(opcode, data[begin:end])
 
     def _put_other(self, opcode: int, content: bytes) -> None:
-        """Write a record outside of a chunk."""
-        if opcode == Opcode.CHANNEL and not self._has_schema(content):
-            self._define()
-        self._put_definition(opcode, content)
-
-    def _put_definition(self, opcode: int, content: bytes) -> None:
-        """Write a schema, or a channel, which has none if its own is nowhere."""
-        if opcode == Opcode.CHANNEL and not self._has_schema(content):
-            self.result.unschemed.add(int.from_bytes(content[:2], "little"))
-            content = content[:2] + bytes(2) + content[4:]
+        """Write a record outside of a chunk; a channel whose schema is nowhere has none."""
+        if opcode == Opcode.CHANNEL:
+            channel: Channel = parse(Channel, Record(0, opcode, content))
+            if not self._has_schema(channel):
+                self._define()
+            if not self._has_schema(channel):
+                self.unschemed.add(channel.id)
+                content = content[:2] + bytes(2) + content[4:]
         self._put(opcode, content)
 
-    def _has_schema(self, channel: bytes) -> bool:
-        number = int.from_bytes(channel[2:4], "little")
-        return number == 0 or number in self.result.index.schemas
+    def _has_schema(self, channel: Channel) -> bool:
+        return channel.schema_id in {0, *self.index.schemas}
 
     def _take_loose(self, content: bytes, offset: int) -> None:
-        (channel,) = struct.unpack_from("<H", content)
-        if channel not in self.result.index.channels:
+        channel = int.from_bytes(content[:2], "little")
+        if channel not in self.index.channels:
             self._define()
-        if channel not in self.result.index.channels:
+        if channel not in self.index.channels:
             problem = f"messages of channel {channel}, which nothing in the file describes"
-            last = self.result.damage[-1] if self.result.damage else None
+            last = self.damage[-1] if self.damage else None
             if last is None or (last.offset, last.problem) != (offset, problem):
-                self.result.damage.append(Damage(offset, 0, problem))
+                self.damage.append(Damage(offset, 0, problem))
             return
-        self._loose += struct.pack("<BQ", Opcode.MESSAGE, len(content)) + content
+        self._loose += record_head(Opcode.MESSAGE, len(content)) + content
         self._loose_count += 1
         if len(self._loose) >= _CHUNK_BYTES:
             self._flush()
 
     def _define(self) -> None:
         """Write the schemas and channels that only the summary section or another file of the bag describes."""
-        if self._definitions is None:
+        definitions, self._definitions = self._definitions, None
+        if definitions is None:
             return
-        index = self.result.index
-        for records, own in ((self._definitions.schemas, index.schemas), (self._definitions.channels, index.channels)):
+        for records, own in (
+            (definitions.schemas, self.index.schemas), (definitions.channels, self.index.channels)
+        ):  # fmt: skip
             for number, record in sorted(records.items()):
                 if number not in own:
                     content = encoded(record)
-                    self._put_definition(content[0], content[9:])
+                    self._put_other(content[0], content[HEAD_SIZE:])
 
     def _flush(self) -> None:
         """Write the messages without a chunk into a new one."""
-        self._count_unindexed()
+        self.reindexed += bool(self._expected)
+        self._expected = {}
         if not self._loose:
             return
-        data, count = bytes(self._loose), self._loose_count
+        data = bytes(self._loose)
+        self.repacked += self._loose_count
         self._loose.clear()
         self._loose_count = 0
-        self.result.repacked += count
         packed = zstandard.ZstdCompressor().compress(data)
-        name = b"zstd"
-        head = _CHUNK_HEAD.pack(0, 0, len(data), zlib.crc32(data)) + struct.pack("<I", len(name)) + name
-        content = head + struct.pack("<Q", len(packed)) + packed
-        reindexed = self.result.reindexed
-        self._put_chunk(Record(self.result.index.data_end, Opcode.CHUNK, content), data)
-        self._expected, self.result.reindexed = {}, reindexed
+        chunk = Chunk(
+            compression="zstd",
+            data=packed,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        reindexed = self.reindexed
+        self._put_chunk(Record(self.index.data_end, Opcode.CHUNK, encoded(chunk)[HEAD_SIZE:]), data)
+        self._expected, self.reindexed = {}, reindexed
 
     def _put_chunk(self, record: Record, data: bytes) -> None:
         """Write a chunk, its stated times put right, and its message indexes."""
-        entries: dict[int, bytearray] = {}
+        entries: dict[int, bytearray] = {}  # the library's MessageIndex takes ten times the memory
         start, end = 2**64, 0
         for opcode, begin, stop in inner_records(data, record.offset):
             if opcode == Opcode.MESSAGE:
                 message = read_message(data, begin, stop, record.offset)
                 entries.setdefault(message.channel_id, bytearray()).extend(
-                    struct.pack("<QQ", message.log_time, begin - 9)
+                    _INDEX_ENTRY.pack(message.log_time, begin - HEAD_SIZE)
                 )
                 start, end = min(start, message.log_time), max(end, message.log_time)
                 self._count_gap(message)
-        times = _CHUNK_TIMES.pack(start if entries else 0, end)
-        head = chunk_head(record)
+        head, content = chunk_head(record), record.content
         if entries and (head.message_start_time, head.message_end_time) != (start, end):
-            self.result.reindexed += 1
-            record = record._replace(content=times + record.content[_CHUNK_TIMES.size :])
-        self._put(Opcode.CHUNK, record.content)
+            self.reindexed += 1
+            content = _CHUNK_TIMES.pack(start, end) + content[_CHUNK_TIMES.size :]
+        self._put(Opcode.CHUNK, content, data)
         self._expected = {
-            channel: struct.pack("<HI", channel, len(listed)) + bytes(listed) for channel, listed in entries.items()
+            channel: struct.pack("<HI", channel, len(listed)) + listed for channel, listed in entries.items()
         }
         for content in self._expected.values():
             self._put(Opcode.MESSAGE_INDEX, content)
 
     def _count_gap(self, message: StoredMessage) -> None:
-        if not self.result.index.header.library.startswith(_OWN):
+        if not self.index.header.library.startswith(OWN):
             return
         channel, sequence = message.channel_id, message.sequence
         gap = sequence - self._next_sequence.get(channel, 0)
         if gap > 0:
-            self.result.gaps[channel] = self.result.gaps.get(channel, 0) + gap
+            self.gaps[channel] = self.gaps.get(channel, 0) + gap
         self._next_sequence[channel] = sequence + 1

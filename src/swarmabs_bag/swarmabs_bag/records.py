@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from mcap.records import McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last eight bytes of a complete file."""
@@ -36,6 +38,8 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _LENGTH4 = struct.Struct("<I")
 _LENGTH8 = struct.Struct("<Q")
+_MESSAGE_INDEX_HEAD = struct.Struct("<HI")
+_MESSAGE_INDEX_ENTRY = 16
 
 
 class RecordError(Exception):
@@ -74,9 +78,14 @@ class StoredMessage(NamedTuple):
     payload: bytes
 
 
+def record_head(opcode: int, length: int) -> bytes:
+    """Return what stands before the content of a record of some length."""
+    return _HEAD.pack(opcode, length)
+
+
 def crc_with(crc: int, record: Record) -> int:
     """Return the CRC-32 of what stands before a record and of the record."""
-    return zlib.crc32(record.content, zlib.crc32(_HEAD.pack(record.opcode, len(record.content)), crc))
+    return zlib.crc32(record.content, zlib.crc32(record_head(record.opcode, len(record.content)), crc))
 
 
 class Parsable(Protocol):
@@ -258,6 +267,21 @@ def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
         yield opcode, begin, position
 
 
+def indexed_channel(record: Record) -> int:
+    """Return the channel of a message index, of which nothing else is needed.
+
+    Raises
+    ------
+    RecordError
+        If its length is not that of the entries that it says it has.
+    """
+    entries = len(record.content) - _MESSAGE_INDEX_HEAD.size
+    channel, length = _MESSAGE_INDEX_HEAD.unpack_from(record.content) if entries >= 0 else (0, None)
+    if length != entries or entries % _MESSAGE_INDEX_ENTRY:
+        raise RecordError(record.offset, "malformed MessageIndex record")
+    return int(channel)
+
+
 def read_message(content: bytes, begin: int, end: int, offset: int) -> StoredMessage:
     """Read a message from its record's content, which lies between `begin` and `end`.
 
@@ -271,3 +295,10 @@ def read_message(content: bytes, begin: int, end: int, offset: int) -> StoredMes
         raise RecordError(offset, "a message record is cut off")
     channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content, begin)
     return StoredMessage(channel_id, sequence, log_time, publish_time, content[head_end:end])
+
+
+def encoded(record: McapRecord) -> bytes:
+    """Return a record as it stands in a file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())

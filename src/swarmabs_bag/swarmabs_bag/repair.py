@@ -9,20 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
-from swarmabs_bag.examination import (
-    Part,
-    custom_data,
-    definitions_of,
-    examine,
-    metadata_problem,
-    stops_early,
-    topics_of,
-    topics_of_file,
-)
+from swarmabs_bag.examination import Part, definitions_of, examine, metadata_problem, stops_early, topics_of
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
     METADATA_FILE,
-    RECORD_KEY,
     REPAIRED_KEY,
     FileRecord,
     bag_metadata,
@@ -30,15 +20,14 @@ from swarmabs_bag.metadata import (
     write_metadata,
 )
 from swarmabs_bag.output import RecordFile
-from swarmabs_bag.reader import find_bag
-from swarmabs_bag.rebuild import rebuild
+from swarmabs_bag.places import find_bag
+from swarmabs_bag.rebuild import Rebuilt
 from swarmabs_bag.repair_report import RepairReport, report_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from swarmabs_bag.index import FileIndex
-    from swarmabs_bag.rebuild import Output, Rebuilt
     from swarmabs_bag.salvage import Damage
 
 CUT_OFF = "the recording was cut off"
@@ -81,23 +70,15 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
     folder = None if named.is_file() else found if found.is_dir() else found.parent
     target = _target(found if folder is None else folder, output, in_place=in_place, is_file=folder is None)
     parts, problems = examine(found)
-    kept = [part for part in parts if part.found is not None]
-    if not kept:
-        raise DamagedBagError(f"{found}: nothing can be saved: {parts[0].problems[0]}")
-    broken = [part for part in kept if part.found is not None and (part.found.damage or not part.found.ended)]
-    if broken and not any(part.found.index.statistics.message_count for part in kept if part.found is not None):
-        raise DamagedBagError(f"{broken[0].path}: no message can be saved: {broken[0].problems[0]}")
+    kept = _worth_keeping(found, parts)
     if in_place and any(part.name != part.path.name for part in kept):
         gap = next(iter(problems), None) or next(part.problems[0] for part in parts if part.found is None)
         raise BagFolderError(f"{found} cannot be repaired in place: {gap}; repair it into a new folder with -o")
-    unfinished = kept[-1] is not parts[-1] or (kept[-1].found is not None and not kept[-1].found.ended)
-    if folder is not None:
-        problem = metadata_problem(folder, kept)
-        if problem is not None and not problems and not any(part.problems for part in parts):
-            problems.append(problem)
-    if len(kept) > 1 and not unfinished and not (kept[0].path.parent / METADATA_FILE).exists():
-        unfinished = stops_early(found)
-    if unfinished and custom_data(kept[-1].found).get(ABORTED_KEY) is None and not kept[-1].problems:
+    idle = not problems and not any(part.problems for part in parts)
+    if folder is not None and idle and (problem := metadata_problem(folder, kept)) is not None:
+        problems.append(problem)
+    unfinished = _is_unfinished(found, parts, kept)
+    if unfinished and ABORTED_KEY not in kept[-1].custom_data() and not kept[-1].problems:
         kept[-1].problems.append(CUT_OFF)
     idle = not problems and not any(part.problems for part in parts)
     if idle and (output is None or in_place):
@@ -131,6 +112,31 @@ def _target(bag: Path, output: Path | None, *, in_place: bool, is_file: bool) ->
     return target
 
 
+def _worth_keeping(bag: Path, parts: Sequence[Part]) -> list[Part]:
+    """Return the files in which there is anything.
+
+    Raises
+    ------
+    DamagedBagError
+        If there is no such file, or no message in any of them although something is lost.
+    """
+    kept = [part for part in parts if part.found is not None]
+    if not kept:
+        raise DamagedBagError(f"{bag}: nothing can be saved: {parts[0].problems[0]}")
+    broken = [part for part in kept if part.found is not None and (part.found.damage or part.found.end is None)]
+    if broken and not any(part.index.statistics.message_count for part in kept):
+        raise DamagedBagError(f"{broken[0].path}: no message can be saved: {broken[0].problems[0]}")
+    return kept
+
+
+def _is_unfinished(bag: Path, parts: Sequence[Part], kept: Sequence[Part]) -> bool:
+    """Tell whether the writer did not come to its end: its last file has none, or was never begun."""
+    last = kept[-1]
+    if last is not parts[-1] or (last.found is not None and last.found.end is None):
+        return True
+    return len(kept) > 1 and not (last.path.parent / METADATA_FILE).exists() and stops_early(bag)
+
+
 def _refuse_earlier(parts: Sequence[Part], folder: Path) -> None:
     """Refuse to replace what an earlier repair has kept."""
     names = [part.path.name for part in parts if part.problems] + [METADATA_FILE]
@@ -146,11 +152,6 @@ def _lost_text(damage: Sequence[Damage]) -> str:
     places = "1 place" if len(damage) == 1 else f"{len(damage)} places"
     lost = sum(part.size for part in damage)
     return f"{lost} bytes in {places} could not be saved, the first at byte {first.offset}: {first.problem}"
-
-
-def _file_record(name: str, index: FileIndex) -> FileRecord:
-    statistics = index.statistics
-    return FileRecord(name, statistics.message_start_time, statistics.message_end_time, statistics.message_count)
 
 
 @contextmanager
@@ -180,48 +181,42 @@ def _work_folder(target: Path) -> Iterator[Path]:
 
 def _write(parts: Sequence[Part], work: Path, *, unfinished: bool) -> None:
     """Write the new files and ``metadata.yaml``."""
+    custom: dict[str, str] = {}
     for part in parts:
-        if not part.problems:
+        if part.problems:
+            said = part.custom_data()
+            if unfinished and part is parts[-1]:
+                said.setdefault(ABORTED_KEY, CUT_OFF)
+            if part.found is not None and part.found.damage:
+                said[REPAIRED_KEY] = _lost_text(part.found.damage)
+            definitions = definitions_of([part.path for part in parts]) if len(parts) > 1 else None
+            part.found = _rewritten(part, work / part.name, said, definitions)
+        else:
             shutil.copyfile(part.path, work / part.name)
-            continue
-        custom = custom_data(part.found)
-        if unfinished and part is parts[-1]:
-            custom.setdefault(ABORTED_KEY, CUT_OFF)
-        if part.found is not None and part.found.damage:
-            custom[REPAIRED_KEY] = _lost_text(part.found.damage)
-        part.found = _rewritten(part, work / part.name, custom, _shared(parts))
-    custom = {}
-    for part in parts:
-        custom |= custom_data(part.found)
-    description = bag_metadata(
-        topics_of(parts),
-        files=[_file_record(part.name, part.found.index) for part in parts if part.found is not None],
-        custom_data=custom,
+        custom |= part.custom_data()
+    write_metadata(
+        work, bag_metadata(topics_of(parts), files=[_file_record(part) for part in parts], custom_data=custom)
     )
-    write_metadata(work, description)
-
-
-def _shared(parts: Sequence[Part]) -> FileIndex | None:
-    return definitions_of([part.path for part in parts]) if len(parts) > 1 else None
 
 
 def _rewritten(part: Part, path: Path, custom: Mapping[str, str], definitions: FileIndex | None) -> Rebuilt:
     def describe(found: Rebuilt) -> str:
-        description = bag_metadata(
-            topics_of_file(found.index), files=[_file_record(part.name, found.index)], custom_data=custom
-        )
-        found.description = {RECORD_KEY: dump_yaml(description)}
-        return found.description[RECORD_KEY]
+        part.found = found
+        return dump_yaml(bag_metadata(topics_of([part]), files=[_file_record(part)], custom_data=custom))
 
-    file: RecordFile = RecordFile(path)
-    output: Output = file
+    file = RecordFile(path)
     try:
         with part.path.open("rb") as stream:
-            found = rebuild(stream, part.size, output, definitions=definitions, describe=describe)
+            found = Rebuilt(stream, part.size, file, definitions=definitions, describe=describe)
         file.sync()
     finally:
         file.close()
     return found
+
+
+def _file_record(part: Part) -> FileRecord:
+    statistics = part.index.statistics
+    return FileRecord(part.name, statistics.message_start_time, statistics.message_end_time, statistics.message_count)
 
 
 def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata: bool) -> None:

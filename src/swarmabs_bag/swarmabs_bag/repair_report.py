@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -125,19 +126,16 @@ def report_of(
     problems : sequence of str
         What was wrong with the bag as a whole.
     """
-    kept = [part for part in parts if part.found is not None]
-    lost: dict[str, int] = {}
+    kept = [part.found for part in parts if part.found is not None]
+    lost: Counter[str] = Counter()
     lost_attachments: list[str] = []
-    for part in kept:
-        if part.found is None:
-            continue
-        for name, count in _lost_messages(part.found).items():
-            lost[name] = lost.get(name, 0) + count
-        if part.found.stated is not None:
-            there = {entry.name for entry in part.found.index.attachments}
-            lost_attachments += [e.name for e in part.found.stated.attachments if e.name not in there]
+    for found in kept:
+        lost.update(_lost_messages(found))
+        if found.stated is not None:
+            there = {entry.name for entry in found.index.attachments}
+            lost_attachments += [entry.name for entry in found.stated.attachments if entry.name not in there]
     steps = recorded_steps(result)
-    topics = topics_of(kept)
+    topics = topics_of(parts)
     return RepairReport(
         bag=str(named),
         output=None if output is None else str(output),
@@ -149,19 +147,17 @@ def report_of(
                 repaired_as=part.name if part.problems and part.found is not None else None,
                 problems=tuple(part.problems),
                 lost=tuple(map(_lost_part, part.found.damage)) if part.found is not None else (),
-                messages=part.found.index.statistics.message_count if part.found is not None else 0,
+                messages=part.index.statistics.message_count,
             )
             for part in parts
         ),
         topics=tuple(
-            TopicRepair(topic.name, count, lost.get(topic.name, 0), steps.by_topic.get(topic.name) if steps else None)
+            TopicRepair(topic.name, count, lost[topic.name], steps.by_topic.get(topic.name) if steps else None)
             for topic, count in topics
         ),
         messages=sum(count for _, count in topics),
-        lost_bytes=sum(one.size for part in kept if part.found is not None for one in part.found.damage),
-        attachments=tuple(
-            dict.fromkeys(entry.name for part in kept if part.found for entry in part.found.index.attachments)
-        ),
+        lost_bytes=sum(one.size for found in kept for one in found.damage),
+        attachments=tuple(dict.fromkeys(entry.name for found in kept for entry in found.index.attachments)),
         lost_attachments=tuple(dict.fromkeys(lost_attachments)),
         first_step=steps.first if steps else None,
         last_complete_step=steps.last_complete if steps else None,
@@ -174,15 +170,14 @@ def _lost_part(damage: Damage) -> LostPart:
     return LostPart(damage.offset, damage.size, damage.problem, start, end)
 
 
-def _lost_messages(found: Rebuilt) -> dict[str, int]:
+def _lost_messages(found: Rebuilt) -> Counter[str]:
     """Return how many messages are known to be lost by topic: from the summary section, else from the gaps."""
-    lost: dict[str, int] = {}
+    lost: Counter[str] = Counter()
+    kept = found.index.statistics.channel_message_counts
     for number, channel in found.index.channels.items():
-        if found.stated is not None:
-            kept = found.index.statistics.channel_message_counts.get(number, 0)
-            count = found.stated.statistics.channel_message_counts.get(number, 0) - kept
+        if found.stated is None:
+            missing = found.gaps.get(number, 0)
         else:
-            count = found.gaps.get(number, 0)
-        if count > 0:
-            lost[channel.topic] = lost.get(channel.topic, 0) + count
+            missing = found.stated.statistics.channel_message_counts.get(number, 0) - kept.get(number, 0)
+        lost[channel.topic] += max(0, missing)
     return lost

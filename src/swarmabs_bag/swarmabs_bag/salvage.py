@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import re
 import struct
+import zlib
 from functools import cached_property
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
@@ -13,7 +14,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Header, Metadata, Schema
 
-from swarmabs_bag.index import read_attachment, scan_index
+from swarmabs_bag.index import FileIndex, read_attachment, scan_index
 from swarmabs_bag.records import (
     HEAD_SIZE,
     MAGIC,
@@ -21,6 +22,7 @@ from swarmabs_bag.records import (
     Record,
     RecordError,
     chunk_head,
+    indexed_channel,
     inner_records,
     parse,
     read_message,
@@ -33,8 +35,6 @@ if TYPE_CHECKING:
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
-_MESSAGE_INDEX_HEAD = struct.Struct("<HI")
-_IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 
 _KINDS: dict[int, str] = {
     Opcode.HEADER: "header",
@@ -91,8 +91,10 @@ class Salvage:
     ----------
     damage : list of Damage
         What was left out so far.
-    ended : bool
-        Whether the end of the data section was found.
+    before : FileIndex
+        What stands before the first damage.
+    end : DataEnd or None
+        The end of the data section, None if it was not found.
     """
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
@@ -100,7 +102,8 @@ class Salvage:
         self._size = size
         self._unchunked = False
         self.damage: list[Damage] = []
-        self.ended = False
+        self.before = FileIndex(crc=zlib.crc32(MAGIC))
+        self.end: DataEnd | None = None
 
     def records(self) -> Iterator[Saved]:
         """Yield what is whole."""
@@ -120,8 +123,10 @@ class Salvage:
                 offset = following
                 continue
             if saved.record.opcode == Opcode.DATA_END:
-                self.ended = True
+                self.end = parse(DataEnd, saved.record)
                 return
+            if not self.damage:
+                self.before.take(saved.record, saved.data)
             self._unchunked |= saved.record.opcode == Opcode.MESSAGE
             yield saved
             offset = saved.record.end
@@ -146,7 +151,7 @@ class Salvage:
         elif opcode == Opcode.METADATA:
             parse(Metadata, record)
         elif opcode == Opcode.MESSAGE_INDEX:
-            _check_message_index(record)
+            indexed_channel(record)
         elif opcode == Opcode.HEADER and offset == len(MAGIC):
             parse(Header, record)
         elif opcode == Opcode.DATA_END:
@@ -250,12 +255,6 @@ def _check_inner(opcode: int, content: bytes, offset: int) -> None:
         parse(Channel, Record(offset, opcode, content))
     else:
         raise RecordError(offset, f"a record of kind {opcode:#04x}, which cannot be here")
-
-
-def _check_message_index(record: Record) -> None:
-    entries = len(record.content) - _MESSAGE_INDEX_HEAD.size
-    if entries < 0 or entries % 16 or _MESSAGE_INDEX_HEAD.unpack_from(record.content)[1] != entries:
-        raise RecordError(record.offset, "malformed MessageIndex record")
 
 
 def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, int] | None:

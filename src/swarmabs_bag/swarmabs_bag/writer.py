@@ -26,7 +26,7 @@ from swarmabs_bag.metadata import (
     write_metadata,
 )
 from swarmabs_bag.output import RecordFile, Reserve
-from swarmabs_bag.records import RecordError
+from swarmabs_bag.records import RecordError, encoded
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_ros.qos import OFFERED
@@ -384,7 +384,7 @@ class BagWriter:
             try:
                 description = self._description(parts, reason)
                 record = Metadata(name=RECORD_NAME, metadata={RECORD_KEY: dump_yaml(description)})
-                self._file.write(index.add_metadata(record))
+                self._file.write(index.append(encoded(record)))
                 for piece in tail(index):
                     self._file.write(piece)
                 self._file.commit()

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from swarmabs_analysis.replay.pace import Pace
-    from swarmabs_bag.reader import BagChannel, BagReader
+    from swarmabs_bag.channels import BagChannel
+    from swarmabs_bag.reader import BagReader
 
 SLICE = 0.1
 """Longest time, s, for which the playback does not look whether it shall end."""

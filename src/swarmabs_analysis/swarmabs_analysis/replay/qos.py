@@ -13,7 +13,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from swarmabs_bag.reader import load_yaml
+from swarmabs_bag.metadata import load_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,0 +1,220 @@
+"""One MCAP file of a bag: opened, read in file order, and compared with every length, CRC and number in it."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mcap.opcode import Opcode
+from mcap.records import DataEnd, Metadata, Statistics
+
+from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.index import FileIndex, read_attachment, read_index, scan_index
+from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
+from swarmabs_bag.records import (
+    MAGIC,
+    Record,
+    RecordError,
+    StoredMessage,
+    crc_with,
+    inner_records,
+    parse,
+    read_message,
+    read_record,
+    read_records,
+    uncompress,
+)
+from swarmabs_config.scenario.errors import show
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from typing import BinaryIO
+
+
+@dataclass(frozen=True, slots=True)
+class BagFile:
+    """An MCAP file with its size in bytes and what it says it holds; nothing stays open between calls."""
+
+    path: Path
+    size: int
+    index: FileIndex
+
+    def stored(self) -> Iterator[StoredMessage]:
+        """Yield every message in file order.
+
+        Raises
+        ------
+        DamagedBagError
+            Where the file is damaged; all before it has been yielded then.
+        """
+        index, latest, count = self.index, 0, 0
+        said = index.statistics.message_count
+        most = math.inf if index.problem else said
+        try:
+            with self.path.open("rb") as stream:
+                for message in self._messages(stream):
+                    if message.channel_id not in index.channels:
+                        raise RecordError(  # noqa: TRY301 - one place adds the file's name
+                            index.data_end, f"channel {message.channel_id} of a message is not in the summary"
+                        )
+                    latest = message.log_time
+                    count += 1
+                    if count > most:
+                        break
+                    yield message
+        except RecordError as error:
+            raise DamagedBagError(
+                f"{self.path}: {error}; the messages before it, up to {latest / 1e9:.9g} s, can be read"
+            ) from error
+        except OSError as error:
+            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+        if index.problem is None and count != said:
+            counted = f"at least {count}" if count > most else str(count)
+            raise DamagedBagError(self._miscounted("message_count", said, counted))
+
+    def _messages(self, stream: BinaryIO) -> Iterator[StoredMessage]:
+        index = self.index
+        if index.data_end <= len(MAGIC):
+            return
+        crc = zlib.crc32(MAGIC)
+        # A damaged file ends at data_end; a complete one has a DataEnd record there, which ends the loop.
+        for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
+            if record.opcode == Opcode.CHUNK:
+                data = uncompress(record)
+                for opcode, begin, end in inner_records(data, record.offset):
+                    if opcode == Opcode.MESSAGE:
+                        yield read_message(data, begin, end, record.offset)
+            elif record.opcode == Opcode.MESSAGE:
+                yield read_message(record.content, 0, len(record.content), record.offset)
+            elif record.opcode == Opcode.DATA_END:
+                _check_crc(record, crc)
+            crc = crc_with(crc, record)
+            if index.problem and record.end >= index.data_end:
+                return
+
+    def attachments(self, name: str) -> Iterator[bytes]:
+        """Yield the contents of all attachments of a name, in file order.
+
+        Raises
+        ------
+        DamagedBagError
+            If one is not where the file says, or its CRC does not match.
+        """
+        for entry in self.index.attachments:
+            if entry.name == name:
+                with self._opened() as stream:
+                    attachment = read_attachment(read_record(stream, entry.offset, self.size))
+                    if attachment.name != name:
+                        raise RecordError(entry.offset, f"the attachment here is not {show(name)}, as the summary says")
+                yield attachment.data
+
+    def description(self) -> str:
+        """Return rosbag2's description of the bag as YAML text, empty if the file has none.
+
+        Raises
+        ------
+        DamagedBagError
+            If it is not where the file says.
+        """
+        for entry in reversed(self.index.metadata):  # rosbag2 writes one at opening, too
+            if entry.name == RECORD_NAME:
+                with self._opened() as stream:
+                    record: Metadata = parse(Metadata, read_record(stream, entry.offset, self.size))
+                return record.metadata.get(RECORD_KEY, "")
+        return ""
+
+    def check(self) -> None:
+        """Read the whole file and compare it with every CRC and with what its summary says.
+
+        Raises
+        ------
+        DamagedBagError
+            At the first contradiction.
+        """
+        with self._opened() as stream:
+            found = scan_index(stream, self.size)
+            if found.problem is not None:
+                raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
+            _check_crc(read_record(stream, found.data_end, self.size), found.crc)
+        counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
+        for name in {**counted, **said}:
+            if said.get(name, 0) != counted.get(name, 0):
+                raise DamagedBagError(self._miscounted(name, said.get(name, 0), str(counted.get(name, 0))))
+
+    def _miscounted(self, name: str, said: int, counted: str) -> str:
+        return f"{self.path}: the summary says {name} = {said}, but it is {counted}"
+
+    @contextmanager
+    def _opened(self) -> Iterator[BinaryIO]:
+        try:
+            with self.path.open("rb") as stream:
+                yield stream
+        except RecordError as error:
+            raise DamagedBagError(f"{self.path}: {error}") from error
+        except OSError as error:
+            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+
+
+def open_file(path: Path, *, damaged: bool) -> BagFile:
+    """Open an MCAP file; parameters and errors as of `open_bag`."""
+    try:
+        with path.open("rb") as stream:
+            size = stream.seek(0, 2)
+            stream.seek(0)
+            magic = stream.read(len(MAGIC))
+            if not MAGIC.startswith(magic):
+                raise NotABagError(f"{path} is not a bag: it does not begin as an MCAP file")
+            if len(magic) < len(MAGIC):
+                raise DamagedBagError(f"{path} has only {size} bytes: nothing was written into it")
+            return BagFile(path, size, _index(path, stream, size, damaged=damaged))
+    except OSError as error:
+        raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
+    except RecordError as error:
+        raise DamagedBagError(f"{path}: {error}; nothing can be read") from error
+
+
+def _index(path: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileIndex:
+    try:
+        return read_index(stream, size)
+    except RecordError as error:
+        found = scan_index(stream, size)
+        found.problem = found.problem or str(error)
+        if damaged:
+            return found
+        raise DamagedBagError(
+            f"{path} is incomplete: {found.problem}{_readable(found)}; repair saves what can be saved"
+        ) from error
+
+
+def _readable(index: FileIndex) -> str:
+    count, end = index.statistics.message_count, index.statistics.message_end_time
+    return (
+        f"; {count} messages before it, up to {end / 1e9:.9g} s, can be read" if count else "; no message can be read"
+    )
+
+
+def _numbers(statistics: Statistics) -> dict[str, int]:
+    return {
+        "message_count": statistics.message_count,
+        "message_start_time": statistics.message_start_time,
+        "message_end_time": statistics.message_end_time,
+        "chunk_count": statistics.chunk_count,
+        **{
+            f"messages of channel {channel}": count
+            for channel, count in sorted(statistics.channel_message_counts.items())
+            if count
+        },
+    }
+
+
+def _check_crc(end: Record, crc: int) -> None:
+    """Compare the CRC of the data section with what its end says."""
+    stated: DataEnd = parse(DataEnd, end)
+    if stated.data_section_crc not in {0, crc}:
+        raise RecordError(
+            end.offset, f"CRC of the data section is {crc:#010x}, but the file says {stated.data_section_crc:#010x}"
+        )
