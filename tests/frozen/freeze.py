@@ -6,10 +6,11 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from tests.frozen import digests, fleets
+from tests.frozen import commands, digests, fleets
 from tests.frozen.command import FOLDER
 
 
@@ -21,7 +22,19 @@ def _fleets(_folder: Path) -> dict[str, Any]:
     return {name: {**case, "found": fleets.digest(name)} for name, case in fleets.CASES.items()}
 
 
-FROZEN: dict[str, Callable[[Path], dict[str, Any]]] = {"digests": _digests, "fleets": _fleets}
+def _commands(folder: Path) -> dict[str, Any]:
+    names, found = commands.prepare(folder), {}
+    for during in (*commands.DURING, None):
+        chosen = [name for name, case in commands.CASES.items() if case.get("during") == during]
+        with commands.going_on(during, folder) if during else nullcontext("") as run:
+            names["run_going_on"] = run
+            for name in chosen:
+                done = commands.run_case(name, folder, names)
+                found[name] = {**commands.CASES[name], **commands.outcome(name, done, folder)}
+    return {name: found[name] for name in commands.CASES}
+
+
+FROZEN: dict[str, Callable[[Path], dict[str, Any]]] = {"digests": _digests, "fleets": _fleets, "commands": _commands}
 
 
 def main(names: list[str]) -> None:
@@ -29,7 +42,8 @@ def main(names: list[str]) -> None:
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
             found = FROZEN[name](Path(folder))
-        (FOLDER / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        lines = ",\n".join(f" {json.dumps(case)}: {json.dumps(facts)}" for case, facts in found.items())
+        (FOLDER / f"{name}.json").write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
