@@ -18,6 +18,7 @@ from swarmabs_core.behaviours import Agent, Controller, Observer, Plane, make_ag
 from swarmabs_core.controllers import ParentContext
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPIC_OF, Topic
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -204,7 +205,7 @@ class CascadeSimulation:
             queue.extend((namespace, message) for message in behaviour.start())
         while queue:
             namespace, message = queue.popleft()
-            for step in self._collectors[namespace].add(message):
+            for step in self._collectors[namespace].add(Record.of(message)):
                 yield namespace, step
             for layer, behaviour in self._hear[namespace, TOPIC_OF[type(message)]]:
                 queue.extend((layer, answer) for answer in behaviour.handle(message))

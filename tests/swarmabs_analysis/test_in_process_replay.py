@@ -6,7 +6,7 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_analysis.replay.in_process import Replay
-from swarmabs_bag.recording import Record, RecordedStep
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours.player import NodeName, publisher_of
 from swarmabs_core.cdr import encode
@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.record import Record
 from swarmabs_run.simulation import Simulation
 
 RUNS = {

@@ -8,10 +8,11 @@ from typing import Any
 
 from tests.swarmabs_core.realtime.bags import Stored, world
 
-from swarmabs_bag.recorder.realtime_recording import RealtimeRecording
+from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import realtime as configure
 from swarmabs_core.messages import NEVER, AgentState, Basis, Message, SwarmEvent
 from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.record import Record
 from swarmabs_run.virtual_fleet import EPOCH
 
 Change = Callable[[Stored], Iterable[Message]]
@@ -42,7 +43,8 @@ def realtime_bag(
     recording = RealtimeRecording(recorded.scenario, folder, clock, **options)
     for stored in recorded.bag:
         for message in (stored.message,) if change is None else change(stored):
-            recording.add(later(message, EPOCH // clock.period_ns) if since_1970 else message, stored.time)
+            kept = later(message, EPOCH // clock.period_ns) if since_1970 else message
+            recording.add(Record.of(kept), stored.time)
     recording.close()
     return folder
 

@@ -26,6 +26,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.record import Record
 
 PERIOD = 10_000_000
 CLOCK = Schedule(PERIOD, 10**18)
@@ -36,15 +37,22 @@ EVENT = SwarmEvent(CLOCK.begin(5), 5, 2, EventKind.HELD, 0.0, "why")
 BASIS = Basis(CLOCK.begin(5), 5, 4, 1, Source.CONTROLLER, (), (), ())
 
 
-def collector() -> RealtimeCollector:
-    return RealtimeCollector((1, 2), CLOCK)
+class Kept(RealtimeCollector):
+    """A collector that takes messages."""
+
+    def take(self, message: Message, now: int) -> tuple[Message, ...]:
+        return tuple(record.message for record in self.add(Record.of(message), now))
+
+
+def collector() -> Kept:
+    return Kept((1, 2), CLOCK)
 
 
 @pytest.mark.parametrize("message", [PLANE, ROBOT, ASKED, EVENT, BASIS])
 def test_the_first_copy_is_recorded_whenever_it_comes(message: Message) -> None:
     kept = collector()
-    assert kept.add(message, CLOCK.begin(9)) == (message,)
-    assert kept.add(message, CLOCK.begin(9)) == kept.add(message, CLOCK.begin(90)) == ()
+    assert kept.take(message, CLOCK.begin(9)) == (message,)
+    assert kept.take(message, CLOCK.begin(9)) == kept.take(message, CLOCK.begin(90)) == ()
     assert (kept.repeated, kept.different, kept.refused) == (2, 0, 0)
 
 
@@ -60,13 +68,13 @@ def test_the_first_copy_is_recorded_whenever_it_comes(message: Message) -> None:
 def test_another_message_in_its_place_is_counted_and_told_once(message: Message, other: Message) -> None:
     kept = collector()
     now = CLOCK.begin(6)
-    kept.add(message, now)
-    (event,) = kept.add(other, now)
+    kept.take(message, now)
+    (event,) = kept.take(other, now)
     assert isinstance(event, SwarmEvent)
     assert conflict(event) == TOPIC_OF[type(message)].name
     assert (event.stamp, event.step, event.kind) == (now, 5, EventKind.REFUSED)
     assert event.agent_id == getattr(message, "agent_id", 0)
-    assert kept.add(other, now) == ()
+    assert kept.take(other, now) == ()
     assert (kept.repeated, kept.different) == (0, 2)
 
 
@@ -81,7 +89,7 @@ def test_another_message_in_its_place_is_counted_and_told_once(message: Message,
 )
 def test_what_is_something_else_is_recorded_too(message: Message, other: Message) -> None:
     kept = collector()
-    assert kept.add(message, CLOCK.begin(6)) + kept.add(other, CLOCK.begin(6)) == (message, other)
+    assert kept.take(message, CLOCK.begin(6)) + kept.take(other, CLOCK.begin(6)) == (message, other)
 
 
 @pytest.mark.parametrize(
@@ -96,19 +104,19 @@ def test_what_is_something_else_is_recorded_too(message: Message, other: Message
 )
 def test_what_is_of_another_swarm_or_time_is_refused(message: Message, reason: str) -> None:
     kept = collector()
-    (event,) = kept.add(message, CLOCK.begin(6))
+    (event,) = kept.take(message, CLOCK.begin(6))
     assert isinstance(event, SwarmEvent)
     assert event.kind == EventKind.REFUSED
     assert reason in event.detail
     assert conflict(event) is None
-    assert kept.add(message, CLOCK.begin(6)) == ()
+    assert kept.take(message, CLOCK.begin(6)) == ()
     assert kept.refused == 2
 
 
 def test_memory_is_bounded_whatever_the_clock_does() -> None:
     kept = collector()
     for step in (*range(5 * MEMORY), 10**6, 10**9, 10**9 + 1, 3):
-        kept.add(PLANE._replace(step=step), CLOCK.begin(step))
+        kept.take(PLANE._replace(step=step), CLOCK.begin(step))
         assert len(kept._known) <= MEMORY + 1
 
 
@@ -119,10 +127,10 @@ def figures() -> RealtimeFigures:
 def test_the_error_counts_in_the_time_of_the_law() -> None:
     found = figures()
     for step in range(20):
-        found.add(PLANE._replace(step=step, angle=0.5))
+        found.add(Record.of(PLANE._replace(step=step, angle=0.5)))
     assert found.summary()["final_error"] is None
     for step, begun in ((7, 7), (9, 7), (12, 12), (14, 12)):
-        found.add(BASIS._replace(step=step, begun=begun))
+        found.add(Record.of(BASIS._replace(step=step, begun=begun)))
     errors = [0.0 - 0.5, 0.002 - 0.5, 0.0 - 0.5, 0.002 - 0.5]
     summary = found.summary()
     assert summary["final_error"] == pytest.approx(errors[-1])
@@ -133,7 +141,7 @@ def test_the_error_counts_in_the_time_of_the_law() -> None:
 def test_the_first_state_of_a_fallen_plane_is_named() -> None:
     found = figures()
     for step, angle in ((311, 1.49), (312, -1.5), (313, -1.5)):
-        found.add(PLANE._replace(step=step, angle=angle))
+        found.add(Record.of(PLANE._replace(step=step, angle=angle)))
     assert found.fallen.startswith("t = 3.12 s, step 312: the plane's angle is -1.5 rad and a run ends at 1.5 rad: ")
     assert "plane.end_stop" in found.fallen
 
@@ -141,26 +149,26 @@ def test_the_first_state_of_a_fallen_plane_is_named() -> None:
 def test_a_plane_at_an_end_stop_before_that_has_not_fallen() -> None:
     found = figures()
     for step in range(100):
-        found.add(PLANE._replace(step=step, angle=-1.4999))
+        found.add(Record.of(PLANE._replace(step=step, angle=-1.4999)))
     assert not found.fallen
 
 
 def test_the_angle_is_told_without_an_error_once_the_controller_does_not_answer_any_more() -> None:
     found = figures()
-    found.add(BASIS._replace(step=7, begun=7))
+    found.add(Record.of(BASIS._replace(step=7, begun=7)))
     for step in (7, 17):
-        found.add(PLANE._replace(step=step, angle=-0.5))
+        found.add(Record.of(PLANE._replace(step=step, angle=-0.5)))
     assert found.latest == (7, -0.5, 0.5)
-    found.add(PLANE._replace(step=18, angle=1.5))
+    found.add(Record.of(PLANE._replace(step=18, angle=1.5)))
     assert found.latest == (18, 1.5, None)
 
 
 def test_it_does_not_matter_which_of_the_two_comes_first() -> None:
     one, other = figures(), figures()
-    one.add(PLANE)
-    one.add(BASIS)
-    other.add(BASIS)
-    other.add(PLANE)
+    one.add(Record.of(PLANE))
+    one.add(Record.of(BASIS))
+    other.add(Record.of(BASIS))
+    other.add(Record.of(PLANE))
     assert one.summary() == other.summary()
     assert one.latest == other.latest is not None
 
@@ -168,11 +176,11 @@ def test_it_does_not_matter_which_of_the_two_comes_first() -> None:
 def test_losses_ages_and_stops() -> None:
     found = figures()
     for step in (5, 6, 9):
-        found.add(ROBOT._replace(step=step, broadcast_step=3))
-        found.add(ROBOT._replace(step=step + 100, agent_id=1, broadcast_step=NEVER))
+        found.add(Record.of(ROBOT._replace(step=step, broadcast_step=3)))
+        found.add(Record.of(ROBOT._replace(step=step + 100, agent_id=1, broadcast_step=NEVER)))
     for step in (2, 4):
-        found.add(PLANE._replace(step=step))
-    found.add(EVENT._replace(kind=EventKind.SAFE_STOP))
+        found.add(Record.of(PLANE._replace(step=step)))
+    found.add(Record.of(EVENT._replace(kind=EventKind.SAFE_STOP)))
     said: dict[str, Any] = found.realtime()
     assert said["losses"]["swarm/agent_state"] == {"received": 6, "missing": 4}
     assert said["losses"]["plane/state"] == {"received": 2, "missing": 1}

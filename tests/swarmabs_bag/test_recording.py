@@ -26,6 +26,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.record import Record
 
 TOPIC_NAMES = {
     PlaneState: "plane/state",
@@ -63,7 +64,7 @@ def messages(run: Run) -> list[Message]:
 def test_run_in_order_is_itself() -> None:
     run = short_run()
     book = collector(run)
-    assert [step for message in messages(run) for step in book.add(message)] == run.steps
+    assert [step for message in messages(run) for step in book.add(Record.of(message))] == run.steps
     assert book.finished
 
 
@@ -74,7 +75,7 @@ def test_any_order_and_any_repeats_give_the_same_steps(random: Random, copies: i
     arriving = [message for message in messages(run) if not isinstance(message, SwarmEvent)] * copies
     random.shuffle(arriving)
     # Events come first here: an event of a step that is complete already is recorded by itself.
-    found = [step for message in [*run.events(), *arriving] for step in book.add(message)]
+    found = [step for message in [*run.events(), *arriving] for step in book.add(Record.of(message))]
     assert found == run.steps
     assert book.finished
     assert book.missing() == ()
@@ -85,7 +86,7 @@ def test_missing_names_robots_and_topics() -> None:
     book = collector(run)
     first = messages(run)[:7]
     for message in first[1:4]:
-        assert book.add(message) == []
+        assert book.add(Record.of(message)) == []
     assert book.step == 0
     assert book.missing_agents() == (1,)
     assert book.missing() == (
@@ -100,40 +101,40 @@ def test_conflicting_repeat_is_refused() -> None:
     run = short_run()
     book = collector(run)
     for message in messages(run):
-        book.add(message)
+        book.add(Record.of(message))
     for message in (run.states(5)[0], run.one(PlaneState, 5)):
-        assert book.add(message) == []
+        assert book.add(Record.of(message)) == []
     with pytest.raises(ConflictError, match=r"swarm/agent_state of agent 2: two different messages of step 5"):
-        book.add(run.states(5)[0]._replace(position=0.2))
+        book.add(Record.of(run.states(5)[0]._replace(position=0.2)))
     with pytest.raises(ConflictError, match=r"plane/state: two different messages of step 5"):
-        book.add(run.one(PlaneState, 5)._replace(angle=0.2))
+        book.add(Record.of(run.one(PlaneState, 5)._replace(angle=0.2)))
 
 
 def test_repeats_beyond_the_memory_are_not_compared() -> None:
     run = short_run()
     book = collector(run, memory=2)
     for message in messages(run):
-        book.add(message)
+        book.add(Record.of(message))
     assert book.step == 7
-    assert book.add(run.one(PlaneState, 4)._replace(angle=0.2)) == []
+    assert book.add(Record.of(run.one(PlaneState, 4)._replace(angle=0.2))) == []
     with pytest.raises(ConflictError):
-        book.add(run.one(PlaneState, 5)._replace(angle=0.2))
+        book.add(Record.of(run.one(PlaneState, 5)._replace(angle=0.2)))
 
 
 def test_strangers_are_refused() -> None:
     run = short_run()
     with pytest.raises(NegativeTimeError, match=r"plane/state: .* step 0 has a time stamp of -1 ns"):
-        collector(run).add(run.one(PlaneState, 0)._replace(stamp=-1))
+        collector(run).add(Record.of(run.one(PlaneState, 0)._replace(stamp=-1)))
     with pytest.raises(UnknownAgentError, match="robot 9 is not a member"):
-        collector(short_run()).add(agent_state(9))
+        collector(short_run()).add(Record.of(agent_state(9)))
 
 
 def test_states_of_robots_that_are_out_are_not_recorded() -> None:
     run = short_run()
     book = collector(run)
-    assert book.add(agent_state(2, 0)) == []  # joins at step 3
-    assert book.add(agent_state(1, 3)) == []  # has left at step 2
-    found = [step for message in messages(run) for step in book.add(message)]
+    assert book.add(Record.of(agent_state(2, 0))) == []  # joins at step 3
+    assert book.add(Record.of(agent_state(1, 3))) == []  # has left at step 2
+    found = [step for message in messages(run) for step in book.add(Record.of(message))]
     assert found == run.steps
 
 
@@ -141,12 +142,12 @@ def test_late_event_is_recorded_once() -> None:
     run = short_run()
     book = collector(run)
     for message in messages(run)[:40]:
-        book.add(message)
+        book.add(Record.of(message))
     assert book.step > 2
     event = SwarmEvent(10_000_000, 1, 0, EventKind.LIMIT_HIT, 7.0, "late")
-    (late,) = book.add(event)
+    (late,) = book.add(Record.of(event))
     assert (late.step, [record.message for record in late.records]) == (1, [event])
-    assert book.add(event) == []
+    assert book.add(Record.of(event)) == []
 
 
 def test_several_events_of_a_step_are_all_kept() -> None:
@@ -154,7 +155,7 @@ def test_several_events_of_a_step_are_all_kept() -> None:
     book = collector(run)
     added = [SwarmEvent(0, 0, 4, EventKind.LIMIT_HIT, value, "") for value in (2.0, 1.0, 2.0)]
     first = [message for message in messages(run) if message.step == 0]
-    (step,) = [found for message in [*added, *first] for found in book.add(message)]
+    (step,) = [found for message in [*added, *first] for found in book.add(Record.of(message))]
     kept = [record.message for record in step.records if isinstance(record.message, SwarmEvent)]
     assert sorted(kept, key=lambda event: event.value) == [added[1], added[0]]
 
@@ -164,9 +165,9 @@ def test_observers_word_ends_the_wait_for_a_robot() -> None:
     run = Run(builtin("pd_si_4", "duration=0.01"))
     coordinators = [r.message for r in run.steps[0].records if not isinstance(r.message, AgentState)]
     for message in (agent_state(1), *coordinators):
-        assert book.add(message) == []
+        assert book.add(Record.of(message)) == []
     dead = SwarmEvent(0, 0, 2, EventKind.DEAD, 0.0, "no answer")
-    (step,) = book.add(dead)
+    (step,) = book.add(Record.of(dead))
     assert [record.agent_id for record in step.records] == [1, 0, 0, 0, 0, 2]
     assert book.missing_agents() == (1,)
 
@@ -176,13 +177,13 @@ def test_unplanned_leave_ends_the_wait_for_a_robot() -> None:
     run = Run(builtin("pd_si_4", "duration=0.01"))
     coordinators = [r.message for r in run.steps[0].records if not isinstance(r.message, AgentState)]
     for message in (agent_state(1), agent_state(2, status=Status.LEFT), *coordinators):
-        book.add(message)
+        book.add(Record.of(message))
     assert (book.step, book.missing_agents()) == (1, (1,))
 
 
 def test_steps_after_the_last_are_ignored() -> None:
     book = RunCollector((1, 2), (), 5)
-    assert book.add(agent_state(1, 6)) == []
+    assert book.add(Record.of(agent_state(1, 6))) == []
 
 
 def test_digest_against_its_definition() -> None:

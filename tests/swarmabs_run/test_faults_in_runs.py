@@ -29,6 +29,7 @@ from swarmabs_core.messages import (
     PlaneState,
     Status,
 )
+from swarmabs_core.record import Record
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
 from swarmabs_run.simulation import simulate
 
@@ -218,10 +219,10 @@ def test_duplication_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: Counter[int] = Counter()
     add, hear = RunCollector.add, Agent.handle
 
-    def counting_add(self: RunCollector, message: Message) -> list[RecordedStep]:
-        if isinstance(message, AgentState):
-            published[message.agent_id, message.step] += 1
-        return add(self, message)
+    def counting_add(self: RunCollector, record: Record) -> list[RecordedStep]:
+        if isinstance(record.message, AgentState):
+            published[record.agent_id, record.message.step] += 1
+        return add(self, record)
 
     def counting_hear(self: Agent, message: Message) -> Messages:
         heard[self._config.agent_id] += 1

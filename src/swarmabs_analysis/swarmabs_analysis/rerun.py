@@ -144,7 +144,7 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun
     digest, last_step, steps = Digest(), -1, 0
     ends: list[Change] = []
     try:
-        for step in recorded_steps(bag.decoded(), str(bag.path)):
+        for step in recorded_steps(bag.records(), str(bag.path)):
             if step.records[0].topic is EVENTS:
                 differences += _unrepeatable(bag, step, ends)
             else:
@@ -236,7 +236,7 @@ def _text(value: object) -> str:
 def _main_steps(bag: BagReader) -> Iterator[RecordedStep]:
     """Yield the steps of a bag without its events, as far as it can be read."""
     try:
-        for step in recorded_steps(bag.decoded(), str(bag.path)):
+        for step in recorded_steps(bag.records(), str(bag.path)):
             if step.records[0].topic is not EVENTS:
                 yield step
     except DamagedBagError:

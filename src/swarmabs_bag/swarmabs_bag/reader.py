@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmabs_bag.bag_file import BagFile, open_file
 from swarmabs_bag.channels import BagChannel, bag_channel, chosen_swarm, named_swarms, swarm_topics
@@ -19,14 +19,17 @@ from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
 from swarmabs_bag.places import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from mcap.records import Channel, Statistics
 
     from swarmabs_bag.records import StoredMessage
     from swarmabs_core.messages import Message, Topic
+
+T = TypeVar("T")
 
 
 class BagReader:
@@ -132,14 +135,21 @@ class BagReader:
             if topic is not None:
                 yield topic, message.log_time, message.publish_time, message.payload
 
+    def records(self, topics: Collection[Topic] | None = None) -> Iterator[Record]:
+        """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as of `messages`."""
+        return self._each(topics, lambda topic, payload, _: Record.heard(topic, payload))
+
     def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
         """Yield topic, log time in ns and message, in file order; parameters and errors as of `messages`."""
+        return self._each(topics, lambda topic, payload, time: (topic, time, decode(topic.message, payload)))
+
+    def _each(self, topics: Collection[Topic] | None, read: Callable[[Topic, bytes, int], T]) -> Iterator[T]:
         for topic, log_time, payload in self.messages(topics):
             try:
-                message = decode(topic.message, payload)
+                found = read(topic, payload, log_time)
             except MalformedMessageError as error:
                 raise DamagedBagError(f"{self.path}: /{topic.name} at {log_time / 1e9:.9g} s: {error}") from error
-            yield topic, log_time, message
+            yield found
 
     def _wanted(self, topics: Collection[Topic] | None) -> dict[int, Topic]:
         """Return the topics of the swarm to be read, by the numbers of their channels."""

@@ -86,6 +86,6 @@ def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
         Where the bag is damaged.
     """
     figures = RealtimeFigures(configure.parent_controller(scenario).reference, Schedule(scenario.step_ns))
-    for _, _, message in bag.decoded(RECORDED):
-        figures.add(message)
+    for record in bag.records(RECORDED):
+        figures.add(record)
     return figures

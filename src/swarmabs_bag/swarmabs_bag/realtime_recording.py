@@ -6,7 +6,6 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.recording import Latest, Metrics
-from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -14,19 +13,17 @@ from swarmabs_core.messages import (
     EVENTS,
     MAIN_TOPICS,
     NEVER,
-    TOPIC_OF,
     AgentState,
     Basis,
     DesiredAbstractState,
     EventKind,
-    Message,
-    Messages,
     PlaneState,
     Source,
     SwarmEvent,
     Topic,
 )
 from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -85,39 +82,37 @@ class RealtimeCollector:
         """Messages of another swarm or time."""
         return self._refusals.total
 
-    def add(self, message: Message, now: int) -> Messages:
-        """Take a message that has arrived at a time (ns since 1970); return what is to be recorded."""
+    def add(self, record: Record, now: int) -> tuple[Record, ...]:
+        """Take the record of a message that has arrived at a time (ns since 1970); return what is to be recorded."""
         step = self._schedule.step(now)
         self._forget(step - MEMORY)
-        topic = TOPIC_OF[type(message)]
-        problem = self._problem(message, topic, step)
+        problem = self._problem(record, step)
         if problem:
-            return self._refusals.add(problem, step, now)
+            return tuple(map(Record.of, self._refusals.add(problem, step, now)))
+        topic, agent_id, message, payload, *_ = record
         known = self._known.setdefault(message.step, {})
-        payload = encode(message)
-        place = (topic, payload if isinstance(message, SwarmEvent) else _part(message))
+        place = (topic, payload if isinstance(message, SwarmEvent) else _part(record))
         if place not in known:
             known[place] = payload
-            return (message,)
+            return (record,)
         if known[place] == payload:
             self.repeated += 1
             return ()
         self.different += 1
-        agent_id = agent_id_of(message)
-        event = SwarmEvent(now, message.step, agent_id, EventKind.REFUSED, 1.0, DIFFERENT + topic.name)
         mark = (EVENTS, place)
         if mark in known:
             return ()
-        known[mark] = encode(event)
-        return (event,)
+        told = Record.of(SwarmEvent(now, message.step, agent_id, EventKind.REFUSED, 1.0, DIFFERENT + topic.name))
+        known[mark] = told.payload
+        return (told,)
 
-    def _problem(self, message: Message, topic: Topic, step: int) -> str:
+    def _problem(self, record: Record, step: int) -> str:
+        topic, agent_id = record.topic, record.agent_id
         if topic not in RECORDED:
             return f"{topic.name}: not a topic that is recorded"
-        agent_id = agent_id_of(message)
         if (topic is AGENT_STATE or agent_id) and agent_id not in self._members:
             return f"{topic.name}: robot {agent_id} is not a member of this swarm"
-        if abs(message.step - step) > MEMORY:
+        if abs(record.message.step - step) > MEMORY:
             return f"{topic.name}: a step far from now; of another swarm, or its clock is wrong"
         return ""
 
@@ -131,11 +126,12 @@ class RealtimeCollector:
         self._oldest = before
 
 
-def _part(message: Message) -> int:
+def _part(record: Record) -> int:
     """Return what tells the messages of a topic and a step apart."""
+    message = record.message
     if isinstance(message, DesiredAbstractState):
         return message.mode
-    return message.source if isinstance(message, Basis) else agent_id_of(message)
+    return message.source if isinstance(message, Basis) else record.agent_id
 
 
 class _Span:
@@ -192,8 +188,9 @@ class RealtimeFigures:
             return compared
         return Latest(plane.step, plane.angle, None)
 
-    def add(self, message: Message) -> None:
+    def add(self, record: Record) -> None:
         """Take a recorded message."""
+        message = record.message
         self._metrics.count(1)
         if isinstance(message, SwarmEvent):
             self._safe_stops += message.kind == EventKind.SAFE_STOP
@@ -203,7 +200,7 @@ class RealtimeFigures:
                 self._begun[message.step] = message.begun
                 self._follow(message.step)
             return
-        place = TOPIC_OF[type(message)], agent_id_of(message)
+        place = record.topic, record.agent_id
         self._spans.setdefault(place, _Span(message.step)).add(message.step)
         self.newest = max(self.newest, message.step)
         if isinstance(message, AgentState):

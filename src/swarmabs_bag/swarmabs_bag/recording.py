@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
 from swarmabs_core.behaviours.player import NodeKind, publisher_of
 from swarmabs_core.behaviours.steered import HELM, Orders
-from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
     MAIN_TOPICS,
     PLANE_STATE,
-    TOPIC_OF,
     Action,
     AgentState,
     EventKind,
@@ -30,6 +28,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.record import Record
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, change_of
 
 if TYPE_CHECKING:
@@ -41,15 +40,6 @@ if TYPE_CHECKING:
 
 _COORDINATED = MAIN_TOPICS[1:]
 """The main topics of which there is one message per step."""
-
-
-class Record(NamedTuple):
-    """A message as it is recorded: topic, robot (0 for none), the message and its canonical bytes."""
-
-    topic: Topic
-    agent_id: int
-    message: Message
-    payload: bytes
 
 
 class Step(Protocol):
@@ -78,6 +68,10 @@ class Step(Protocol):
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
         """What happened in it."""
+        ...
+
+    def states(self) -> Iterable[AgentState]:
+        """Return the robots' states."""
         ...
 
     def digest_text(self) -> bytes:
@@ -117,8 +111,7 @@ class RecordedStep(NamedTuple):
     @property
     def max_abs_position(self) -> float | None:
         """Largest distance of a robot from the axis, m."""
-        positions = [abs(r.message.position) for r in self.records if isinstance(r.message, AgentState)]
-        return max(positions, default=None)
+        return max((abs(state.position) for state in self.states()), default=None)
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
@@ -126,6 +119,10 @@ class RecordedStep(NamedTuple):
         if not self.records or self.records[-1].topic is not EVENTS:  # they stand last
             return ()
         return tuple(r.message for r in self.records if isinstance(r.message, SwarmEvent))
+
+    def states(self) -> Iterator[AgentState]:
+        """Return the robots' states."""
+        return (r.message for r in self.records if isinstance(r.message, AgentState))
 
     def digest_text(self) -> bytes:
         """Return what the step contributes to the digest of a run."""
@@ -215,8 +212,8 @@ class RunCollector:
         """Whether all steps are complete."""
         return self._step > self._last_step
 
-    def add(self, message: Message) -> list[RecordedStep]:
-        """Take a message; return the steps that are complete with it.
+    def add(self, record: Record) -> list[RecordedStep]:
+        """Take the record of a message; return the steps that are complete with it.
 
         Raises
         ------
@@ -227,7 +224,7 @@ class RunCollector:
         NegativeTimeError
             If its time, by which a bag is ordered, is before the beginning of the run.
         """
-        topic = TOPIC_OF[type(message)]
+        topic, message = record.topic, record.message
         step = message.step
         if step > self._last_step or step < self._step - self._memory:
             return []
@@ -237,14 +234,14 @@ class RunCollector:
         if slot is None:
             slot = self._slots[step] = _Slot()
         if isinstance(message, AgentState):
-            self._add_agent(slot, topic, message)
+            self._add_agent(slot, record, message)
         elif isinstance(message, SwarmEvent):
-            return self._add_event(slot, topic, message)
+            return self._add_event(slot, record, message)
         else:
             known = slot.main.get(topic)
             if known is None:
-                slot.main[topic] = Record(topic, 0, message, encode(message))
-            elif known.payload != encode(message):
+                slot.main[topic] = record
+            elif known.payload != record.payload:
                 raise ConflictError(topic.name, step)
         return self._complete() if step == self._step else []
 
@@ -259,26 +256,25 @@ class RunCollector:
                 self._settings[known.step] = REFERENCE if known.action == Action.REFERENCE else DISTURBANCE
         return found, self._complete()
 
-    def _add_agent(self, slot: _Slot, topic: Topic, state: AgentState) -> None:
+    def _add_agent(self, slot: _Slot, record: Record, state: AgentState) -> None:
         agent_id = state.agent_id
         known = slot.agents.get(agent_id)
         if known is not None:
-            if known.payload != encode(state):
-                raise ConflictError(f"{topic.name} of agent {agent_id}", state.step)
+            if known.payload != record.payload:
+                raise ConflictError(f"{record.topic.name} of agent {agent_id}", state.step)
             return
         if not self._membership.publishes(agent_id, state.step):
             if agent_id not in self._membership:
                 raise UnknownAgentError(agent_id)
             return
-        slot.agents[agent_id] = Record(topic, agent_id, state, encode(state))
+        slot.agents[agent_id] = record
         if state.status == Status.LEFT:
             self._membership.end(agent_id, state.step, stays=False, reason="left")
 
-    def _add_event(self, slot: _Slot, topic: Topic, event: SwarmEvent) -> list[RecordedStep]:
-        payload = encode(event)
-        if payload in slot.events:
+    def _add_event(self, slot: _Slot, record: Record, event: SwarmEvent) -> list[RecordedStep]:
+        if record.payload in slot.events:
             return []
-        record = slot.events[payload] = Record(topic, event.agent_id, event, payload)
+        slot.events[record.payload] = record
         self._membership.apply(event.kind, event.agent_id, event.step, event.detail)
         if event.step < self._step:  # its step is recorded already: it stands late, but it stands
             if self._is_void(event):
@@ -418,3 +414,30 @@ class Metrics:
 
 def _finite(value: float | None) -> float | None:
     return value if value is not None and isfinite(value) else None
+
+
+class RunFigures:
+    """Digest and figures of a run whose steps come in order; parameters as of `Metrics`."""
+
+    def __init__(self, reference: Reference) -> None:
+        self._digest = Digest()
+        self._metrics = Metrics(reference)
+
+    @property
+    def latest(self) -> Latest | None:
+        """What the run looks like now."""
+        return self._metrics.latest
+
+    @property
+    def newest(self) -> int:
+        """The newest step, -1 before the first."""
+        return -1 if self.latest is None else self.latest.step
+
+    def add(self, step: Step) -> None:
+        """Add the next step."""
+        self._digest.update(step)
+        self._metrics.update(step)
+
+    def summary(self) -> dict[str, float | int | str | None]:
+        """Return figures and digest; there is no digest of a run that recorded nothing."""
+        return {**self._metrics.summary(), "digest": self._digest.hexdigest() if self.latest is not None else None}

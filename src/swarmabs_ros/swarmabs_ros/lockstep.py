@@ -52,6 +52,8 @@ class Lockstep:
         Most steps that are repeated.
     on_idle : callable, optional
         Called whenever nothing more has arrived, every `SLICE` s at the latest.
+    hear : callable, optional
+        Takes a message for the behaviour by topic and bytes; by default they are decoded for `Behaviour.handle`.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class Lockstep:
         repeat_after: float = FIRST,
         repeat_steps: int = WINDOW,
         on_idle: Callable[[], None] | None = None,
+        hear: Callable[[Topic, bytes], Messages] | None = None,
     ) -> None:
         self._behaviour = behaviour
         self._receiver = receiver
@@ -80,6 +83,7 @@ class Lockstep:
         self._repeat_after = repeat_after
         self._repeat_steps = repeat_steps
         self._on_idle = on_idle
+        self._hear = hear or self._decoded
         self._sent: deque[tuple[int, Publisher, bytes]] = deque()
         self._stalled = False
         self._waited: tuple[int, tuple[str, ...]] = (-1, ())
@@ -131,7 +135,7 @@ class Lockstep:
         for topic in topics:
             while (data := take(topic)) is not None:
                 found = True
-                answer = behaviour.handle(decode(topic.message, data))
+                answer = self._hear(topic, data)
                 if answer:
                     self._publish(answer)
                     repeater.progress(time.monotonic())
@@ -139,6 +143,9 @@ class Lockstep:
                 if behaviour.awaits() != topics:
                     return True
         return found
+
+    def _decoded(self, topic: Topic, data: bytes) -> Messages:
+        return self._behaviour.handle(decode(topic.message, data))
 
     def _publish(self, messages: Messages) -> None:
         for message in messages:

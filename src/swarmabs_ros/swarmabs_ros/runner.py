@@ -142,6 +142,8 @@ class NodeSpec:
         Time, s, for which messages may gather before they are handled, for a node that nobody waits for.
     on_idle : callable, optional
         What to do whenever nothing more has arrived, some ten times a second at the least.
+    hear : callable, optional
+        Takes a message by topic and bytes, for a node that needs these too; by default the behaviour takes the message.
     """
 
     behaviour: Behaviour
@@ -152,6 +154,7 @@ class NodeSpec:
     lingers: bool = True
     gather: float = 0.0
     on_idle: Callable[[], None] | None = None
+    hear: Callable[[Topic, bytes], Messages] | None = None
 
 
 class SwarmNode(Node):
@@ -234,6 +237,7 @@ def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) 
         repeat_after=settings.number("repeat_after"),
         repeat_steps=settings.integer("repeat_steps"),
         on_idle=spec.on_idle,
+        hear=spec.hear,
     )
     stopped = interrupted = False
 

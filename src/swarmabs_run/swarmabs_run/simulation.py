@@ -20,6 +20,7 @@ from swarmabs_core.messages import (
     PLANE_STATE,
     TOPIC_OF,
 )
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -81,7 +82,7 @@ class Simulation:
             queue.extend(behaviour.start())
         while queue:
             message = queue.popleft()
-            yield from self._collector.add(message)
+            yield from self._collector.add(Record.of(message))
             for handle in self._subscribers[TOPIC_OF[type(message)]]:
                 queue.extend(handle(message))
         if not self._collector.finished:

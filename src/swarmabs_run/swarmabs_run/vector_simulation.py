@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from swarmabs_bag.recording import Record, digest_head
+from swarmabs_bag.recording import digest_head
 from swarmabs_config import configure
 from swarmabs_core.abstraction import abstraction, damping_sums, is_degenerate, second_moments
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.behaviours import Controller
-from swarmabs_core.cdr import ENCAPSULATION, FRAME, agent_id_of, encode
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, decode
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.law_registry import PAPER
 from swarmabs_core.messages import (
@@ -25,8 +25,8 @@ from swarmabs_core.messages import (
     EVENTS,
     MAIN_TOPICS,
     NEVER,
-    TOPIC_OF,
     AbstractState,
+    AgentState,
     AuxiliaryState,
     DesiredAbstractState,
     EventKind,
@@ -36,6 +36,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.plant import Disturbance, PlaneDynamics, cubic_terms, hermite, linear_terms, summed_load
+from swarmabs_core.record import Record
 from swarmabs_core.summation import column_sums
 from swarmabs_core.swarm_law import double_integrator_command, single_integrator_command
 
@@ -97,6 +98,15 @@ class ArrayStep(NamedTuple):
     def events(self) -> tuple[SwarmEvent, ...]:
         """What happened in it."""
         return tuple(r.message for r in self.others[len(MAIN_TOPICS) - 1 :] if isinstance(r.message, SwarmEvent))
+
+    def states(self) -> Iterator[AgentState]:
+        """Return the robots' states."""
+        size = _PAYLOAD.itemsize
+        data = self.agents["payload"].tobytes()
+        for start in range(0, len(data), size):
+            state = decode(AgentState, data[start : start + size])
+            assert isinstance(state, AgentState)  # noqa: S101 - that is what `decode` reads
+            yield state
 
     def digest_text(self) -> bytes:
         """Return what the step contributes to the digest of a run."""
@@ -274,9 +284,5 @@ def _records(
     events: list[Message],
 ) -> tuple[Record, ...]:
     """Return the records of the coordinators in the order of a bag."""
-
-    def record(message: Message, agent_id: int = 0) -> Record:
-        return Record(TOPIC_OF[type(message)], agent_id, message, encode(message))
-
-    told = [record(event, agent_id_of(event)) for event in events]
-    return (record(plane), record(abstract), record(sums), record(desired), *sorted(told, key=lambda r: r.payload))
+    main = [Record.of(message) for message in (plane, abstract, sums, desired)]
+    return (*main, *sorted(map(Record.of, events), key=lambda record: record.payload))

@@ -19,12 +19,13 @@ from swarmabs_analysis.comparison import (
     recorded_steps,
 )
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_core.messages import TOPIC_OF, AgentState, EventKind, Message, PlaneState, SwarmEvent, Topic
+from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
+from swarmabs_core.record import Record
 
 
-def of_bag(run: Iterable[Message]) -> Iterator[tuple[Topic, int, Message]]:
-    """Return what `BagReader.decoded` yields of a bag of the run."""
-    return ((TOPIC_OF[type(message)], message.stamp, message) for message in run)
+def of_bag(run: Iterable[Message]) -> Iterator[Record]:
+    """Return what `BagReader.records` yields of a bag of the run."""
+    return map(Record.of, run)
 
 
 def compare(a: Iterable[Message], b: Iterable[Message]) -> MessageComparison:

@@ -11,7 +11,7 @@ from tests.swarmabs_analysis.replay.conftest import SETTINGS
 from swarmabs_analysis.replay import source as source_module
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.recording import Digest, Record
+from swarmabs_bag.recording import Digest
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
@@ -19,7 +19,8 @@ from swarmabs_core.behaviours.player import NodeName
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind
-from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, Message, SwarmEvent, Topic
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, SwarmEvent, Topic
+from swarmabs_core.record import Record
 from swarmabs_run.simulation import Simulation
 
 ALL = (*MAIN_TOPICS, EVENTS)
@@ -87,15 +88,15 @@ def test_what_stands_far_behind_a_step_that_is_not_complete_is_not_held(
     """A bag may be larger than the memory, and all of it stand behind a gap."""
     bag = write(tmp_path / "bag", [*records(5), *records(61)[len(records(6)) :]], *SETTINGS)
     read = 0
-    decoded = BagReader.decoded
+    kept = BagReader.records
 
-    def counted(self: BagReader, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
+    def counted(self: BagReader, topics: Collection[Topic] | None = None) -> Iterator[Record]:
         nonlocal read
-        for found in decoded(self, topics):
+        for found in kept(self, topics):
             read += 1
             yield found
 
-    monkeypatch.setattr(BagReader, "decoded", counted)
+    monkeypatch.setattr(BagReader, "records", counted)
     assert open_source(bag).last_step == 4
     assert read == len(records(61)) - 8
     read = 0

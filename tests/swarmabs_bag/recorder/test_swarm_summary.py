@@ -13,17 +13,18 @@ from swarmabs_bag.recorder.swarm_summary import (
     SwarmSummary,
     describe_event,
 )
-from swarmabs_bag.recording import Record, RecordedStep
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.cdr import agent_id_of, encode
-from swarmabs_core.messages import EVENTS, TOPIC_OF, AgentState, EventKind, Message, Status, SwarmEvent
+from swarmabs_core.cdr import encode
+from swarmabs_core.messages import EVENTS, AgentState, EventKind, Message, Status, SwarmEvent
+from swarmabs_core.record import Record
 from swarmabs_core.swarm_state import SILENT_STEPS
 from swarmabs_run.simulation import simulated_steps
 from swarmabs_run.vector_simulation import vectorisable
 
 
 def recorded(step: int, messages: list[Message]) -> RecordedStep:
-    return RecordedStep(step, tuple(Record(TOPIC_OF[type(m)], agent_id_of(m), m, encode(m)) for m in messages))
+    return RecordedStep(step, tuple(map(Record.of, messages)))
 
 
 def robots(step: int, states: dict[int, tuple[Status, float]]) -> RecordedStep:

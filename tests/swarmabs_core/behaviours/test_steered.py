@@ -43,6 +43,7 @@ from swarmabs_core.messages import (
     Steering,
     SwarmEvent,
 )
+from swarmabs_core.record import Record
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, Stair
 from swarmabs_run.simulation import Simulation
 
@@ -111,7 +112,7 @@ class Swarm:
             if isinstance(message, Steering):
                 self.steps += self.collector.steer(message)[1]
             elif topic.name != "swarm/broadcast":
-                self.steps += self.collector.add(message)
+                self.steps += self.collector.add(Record.of(message))
 
     def send(self, node: Node, messages: tuple[Message, ...]) -> None:
         for message in messages:

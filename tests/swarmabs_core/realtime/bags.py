@@ -12,8 +12,9 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_bag.realtime_recording import RealtimeCollector, RealtimeFigures
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.scenario import Scenario
-from swarmabs_core.cdr import decode, encode
-from swarmabs_core.messages import TOPIC_OF, Message, Mode, Topic
+from swarmabs_core.cdr import decode
+from swarmabs_core.messages import Message, Mode, Topic
+from swarmabs_core.record import Record
 from swarmabs_run.virtual_fleet import CONTROLLER, EPOCH, OBSERVER, PLANE, Network, VirtualFleet
 
 LATENCY = 400_000
@@ -54,9 +55,9 @@ def record(fleet: VirtualFleet, scenario: Scenario, *, loss: float = 0.0, jitter
     ]
     bag = []
     for time, message in sorted(arrived, key=lambda found: found[0]):
-        for kept in collector.add(message, time):
+        for kept in collector.add(Record.of(message), time):
             figures.add(kept)
-            bag.append(Stored(TOPIC_OF[type(kept)], time, encode(kept)))
+            bag.append(Stored(kept.topic, time, kept.payload))
     return Recorded(scenario, tuple(bag), collector, figures)
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep, Reference
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.record import Record
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +195,7 @@ class _Side:
     def steps(self) -> Iterator[RecordedStep]:
         """Yield the bag's steps as far as they can be read."""
         try:
-            for step in recorded_steps(self._messages(), str(self.bag.path), realtime=self._realtime):
+            for step in recorded_steps(self._records(), str(self.bag.path), realtime=self._realtime):
                 self._metrics.update(step)
                 if step.records[0].topic is not EVENTS:
                     self._digest.update(step)
@@ -209,12 +209,12 @@ class _Side:
         except DamagedBagError as error:
             self._problem = str(error)
 
-    def _messages(self) -> Iterator[tuple[Topic, int, Message]]:
+    def _records(self) -> Iterator[Record]:
         """Yield the bag's messages; in real time the figures need those, too, that are no part of a step."""
-        for topic, time, message in self.bag.decoded():
+        for record in self.bag.records():
             if self._realtime:
-                self._figures.add(message)
-            yield topic, time, message
+                self._figures.add(record)
+            yield record
 
     def summary(self) -> BagSummary:
         first, last = self._steps if self._steps is not None else (None, None)

@@ -12,8 +12,9 @@ from swarmabs_analysis.comparison.steps import ORDER
 from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
-    from swarmabs_bag.recording import Record, RecordedStep
+    from swarmabs_bag.recording import RecordedStep
     from swarmabs_core.messages import Topic
+    from swarmabs_core.record import Record
 
 Side = Literal["A", "B"]
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.recording import Record, RecordedStep
-from swarmabs_core.cdr import agent_id_of, encode
-from swarmabs_core.errors import MalformedMessageError
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, MAIN_TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.record import Record
 
 WINDOW = 8
 """How many steps a message may stand behind one of a later step: in bags of other recorders topics overlap."""
@@ -26,15 +24,13 @@ REALTIME_WINDOW = 300
 """The same where nobody waits for anybody: topics are received independently of each other."""
 
 
-def recorded_steps(
-    messages: Iterable[tuple[Topic, int, Message]], name: str, *, realtime: bool = False
-) -> Iterator[RecordedStep]:
+def recorded_steps(records: Iterable[Record], name: str, *, realtime: bool = False) -> Iterator[RecordedStep]:
     """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
 
     Parameters
     ----------
-    messages : iterable of (Topic, int, Message)
-        What `BagReader.decoded` yields; topics that are not recorded are left out.
+    records : iterable of Record
+        What `BagReader.records` yields; topics that are not recorded are left out.
     name : str
         What errors call the bag.
     realtime : bool
@@ -49,12 +45,11 @@ def recorded_steps(
     waiting: dict[int, dict[tuple[int, int], Record]] = {}
     latest = -1
     window = REALTIME_WINDOW if realtime else WINDOW
-    for topic, _, message in messages:
+    for record in records:
+        topic, step = record.topic, record.message.step
         place = ORDER.get(topic)
         if place is None:
             continue
-        step = message.step
-        record = Record(topic, agent_id_of(message), message, _canonical(message, name))
         if topic is EVENTS:
             yield RecordedStep(step, (record,))
             continue
@@ -76,13 +71,6 @@ def recorded_steps(
 
 def _step(number: int, slot: dict[tuple[int, int], Record]) -> RecordedStep:
     return RecordedStep(number, tuple(slot[place] for place in sorted(slot)))
-
-
-def _canonical(message: Message, name: str) -> bytes:
-    try:
-        return encode(message)
-    except MalformedMessageError as error:  # a time stamp beyond what a header holds
-        raise DamagedBagError(f"{name}: {error}") from error
 
 
 def _place(record: Record) -> str:

@@ -14,6 +14,7 @@ from swarmabs_core.behaviours.player import NodeKind, NodeName, Player
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT, ChangeKind, with_ends
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, TOPIC_OF, EventKind, SwarmEvent
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -98,7 +99,7 @@ class Replay:
         while True:
             while queue:
                 message = queue.popleft()
-                yield from self._collector.add(message)
+                yield from self._collector.add(Record.of(message))
                 topic = TOPIC_OF[type(message)]
                 for behaviour, hears in self._nodes:
                     if topic in hears:

@@ -161,8 +161,8 @@ def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] 
     collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
     held: RecordedStep | None = None  # the events of a step stand behind its other messages
     waiting = 0
-    for _, _, message in bag.decoded((*MAIN_TOPICS, EVENTS)):
-        complete = collector.add(message)
+    for record in bag.records((*MAIN_TOPICS, EVENTS)):
+        complete = collector.add(record)
         waiting = 0 if complete else waiting + 1
         if waiting > _WINDOW * (len(scenario.agents) + len(MAIN_TOPICS)):
             break

@@ -16,9 +16,10 @@ from swarmabs_bag.digest import digest_of
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import is_realtime, realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
-from swarmabs_bag.recording import Metrics, Record, RecordedStep
+from swarmabs_bag.recording import Metrics, RecordedStep
 from swarmabs_config import configure
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, PlaneState
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

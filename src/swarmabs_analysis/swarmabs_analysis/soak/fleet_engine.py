@@ -8,11 +8,12 @@ from swarmabs_analysis.soak.happenings import CLOCKS, drawn_happenings
 from swarmabs_analysis.soak.invariants import Invariant, Recovers, Violation, WithinLimits
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.realtime_recording import RECORDED
-from swarmabs_bag.recording import Record, RecordedStep
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_config import realtime as configure
 from swarmabs_config.scenario.controllers import AriseConfig, ConstantTrajectory
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
+from swarmabs_core.record import Record
 from swarmabs_run.virtual_fleet import EPOCH, VirtualFleet
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.verification.comparison import MESSAGE, Difference, Stored, compare, missing, surplus
 from swarmabs_analysis.verification.window import WINDOW, Window
-from swarmabs_bag.recording import Digest, Record, RecordedStep
+from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
 from swarmabs_core.behaviours import Controller, Plane, make_agent, make_observer
 from swarmabs_core.cdr import agent_id_of, encode
@@ -33,6 +33,7 @@ from swarmabs_core.messages import (
     EventKind,
     SwarmEvent,
 )
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator

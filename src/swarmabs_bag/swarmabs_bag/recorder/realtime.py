@@ -13,16 +13,20 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from swarmabs_bag.realtime_recording import RECORDED
-from swarmabs_bag.recorder.node import GATHER_SECONDS, PARAMETERS as LOCKSTEP, REPORT_SECONDS, log_text
-from swarmabs_bag.recorder.realtime_recording import RealtimeRecording
-from swarmabs_bag.splitting import Split
+from swarmabs_bag.recorder.recording import RealtimeRecording
+from swarmabs_bag.recorder.reporting import (
+    GATHER_SECONDS,
+    PARAMETERS as OF_RECORDERS,
+    Reporter,
+    scenario_of,
+    split_of,
+)
 from swarmabs_config import configure
-from swarmabs_config.scenario import load_scenario
-from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import NEVER
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.record import Record
 from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
@@ -41,7 +45,7 @@ if TYPE_CHECKING:
 PARAMETERS = (
     *choose(COMMON, "last_step"),
     *choose(REALTIME_COMMON, "period_ns", "epoch_ns", "await_epoch", "clock_tolerance"),
-    *choose(LOCKSTEP, "scenario_file", "bag", "max_bag_size", "max_bag_duration_ns", "logs"),
+    *OF_RECORDERS,
     Parameter("bags", "", "folder in which each start makes the folder of a bag of its own, instead of bag"),
     Parameter(
         "own_limits", (), "ids of the robots whose limits are not the scenario's", minimum=1, maximum=65535, item=0
@@ -72,11 +76,10 @@ class RealtimeRecorder:
     def __init__(self, node: Node, status: StatusChannel) -> None:
         subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True, offers=REALTIME) for topic in RECORDED}
         self._receiver = WaitSetReceiver(node, subscriptions)
+        self._status = status
         self._name = node.get_name()
         self._diagnostics = node.create_publisher(DiagnosticArray, diagnostics.TOPIC, 10)
         self._diagnosed = 0.0
-        self._status = status
-        self._reported = 0.0
         self._told_fallen = False
         self._interval, self._due = watchdog_interval(), 0
         self._stopped = False
@@ -88,7 +91,7 @@ class RealtimeRecorder:
         self._stopped = True
         self.interrupted = number == signal.SIGINT
 
-    def run(self, recording: RealtimeRecording, end_ns: int) -> bool:
+    def run(self, recording: RealtimeRecording, reporter: Reporter, end_ns: int) -> bool:
         """Record until told to stop, or until a time (ns since 1970); return whether it is over."""
         while time.time_ns() < end_ns:
             if self._stopped:
@@ -98,7 +101,9 @@ class RealtimeRecorder:
                 time.sleep(GATHER_SECONDS)  # waking up for each costs more than recording it
                 self._drain(recording)
             recording.poll()
-            self._report(recording)
+            if reporter.progress() and recording.fallen and not self._told_fallen:
+                self._told_fallen = True
+                self._status.send("failed", reason=recording.fallen)
             self._diagnose(recording)
             self._beat()
         return True
@@ -123,31 +128,11 @@ class RealtimeRecorder:
                 if payload is None:
                     break
                 try:
-                    message = decode(topic.message, payload)
+                    record = Record.heard(topic, payload)
                 except MalformedMessageError:
                     self.malformed += 1
-                    continue
-                recording.add(message, time.time_ns())
-
-    def _report(self, recording: RealtimeRecording) -> None:
-        now = time.monotonic()
-        if now - self._reported < REPORT_SECONDS or recording.newest < 0:
-            return
-        self._reported = now
-        if recording.fallen and not self._told_fallen:
-            self._told_fallen = True
-            self._status.send("failed", reason=recording.fallen)
-        latest = recording.latest
-        angle, error = (None, None) if latest is None else (latest.angle, latest.error)
-        seen = recording.summary()
-        told = None if seen is None else seen.report()
-        self._status.send("progress", step=recording.newest, angle=angle, error=error, robots=told)
-
-
-def _scenario(settings: Settings) -> Scenario:
-    if not settings.text("scenario_file"):
-        raise InputError("parameter scenario_file: give the file of the resolved scenario")
-    return load_scenario(Path(settings.text("scenario_file")))
+                else:
+                    recording.add(record, time.time_ns())
 
 
 def _folder(settings: Settings, scenario: Scenario) -> Path | None:
@@ -159,7 +144,7 @@ def _folder(settings: Settings, scenario: Scenario) -> Path | None:
 
 
 def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
-    scenario = _scenario(settings)
+    scenario = scenario_of(settings)
     recorder = RealtimeRecorder(node, status)
     epoch = settings.integer("epoch_ns")
     if settings.flag("await_epoch"):
@@ -180,14 +165,16 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         simulated_plane=settings.flag("simulated_plane"),
         last_step=last,
         namespace=settings.namespace,
-        split=Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns")),
+        split=split_of(settings),
     )
+    reporter = Reporter(recording, status, settings.text("logs"))
     status.send("ready")
     notify("READY=1\nSTATUS=records")
     problem: str | None = "the node failed"
     over = False
     try:
-        over = recorder.run(recording, NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9))
+        end = NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9)
+        over = recorder.run(recording, reporter, end)
         # A run has a last step, and fails with its plane. Without one it is a fleet that is recorded, whatever happens.
         lost = recording.fallen if last is not None else None
         problem = lost or (INTERRUPTED if recorder.interrupted else None)
@@ -195,10 +182,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         problem = str(error)
         raise
     finally:
-        log = {"run.log": log_text(settings.text("logs"))}
-        complete = problem in {None, INTERRUPTED} and (over or last is None)
-        figures = recording.close(log) if complete else recording.abort(problem or "stopped before the end", log)
-        status.send("done", complete=complete, problem=None if problem == INTERRUPTED else problem, figures=figures)
+        reporter.done(problem, complete=over or last is None)
         if recorder.malformed:
             node.get_logger().warning(f"{recorder.malformed} messages were malformed and are not recorded")
 

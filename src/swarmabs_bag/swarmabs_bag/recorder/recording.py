@@ -1,43 +1,150 @@
-"""Digest, figures and bag of a run, whoever moves it: the recorder node and ``simulate`` share this."""
+"""Bag and figures of a run: the recorder node and ``simulate`` share this, and both ways to keep time."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from swarmabs_bag.provenance import provenance_json
+from swarmabs_bag.realtime import DRIVER, RealtimeWorld
+from swarmabs_bag.realtime_recording import RECORDED, RealtimeCollector, RealtimeFigures
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
-from swarmabs_bag.recording import Digest, Metrics
+from swarmabs_bag.recording import RunFigures
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.realtime.base import Health, Level
+from swarmabs_ros.qos import OFFERED, REALTIME
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.recording import Latest, Step
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
+    from swarmabs_core.realtime.base import Schedule
+    from swarmabs_core.record import Record
+    from swarmabs_ros.qos import Qos
 
-Figures = dict[str, float | int | str | None]
+
+class Figures(Protocol):
+    """What a run comes to, computed while it is recorded."""
+
+    @property
+    def latest(self) -> Latest | None:
+        """What the run looks like now."""
+        ...
+
+    @property
+    def newest(self) -> int:
+        """The newest step, -1 before the first."""
+        ...
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures under their names in ``summary.json``."""
+        ...
 
 
-class Recording:
-    """Takes the complete steps of a run in order.
+class _Recording:
+    """What recordings have in common, whatever gathers their messages: bag, figures, what people see.
 
     Parameters
     ----------
     scenario : Scenario
         The resolved scenario; it is attached to the bag at once.
     folder : Path, optional
-        Folder of the bag; none if only digest and figures are wanted.
-    driver : str
-        What moves the run, for the provenance.
+        Folder of the bag; none if only figures are wanted.
+    figures : Figures
+        What the run comes to.
+    topics : tuple of Topic
+        What the bag holds.
+    qos : mapping
+        What the publishers of each topic offer.
     namespace : str
         Namespace of the swarm, which the bag's topics have.
+    split : Split
+        When the bag goes on in a new file.
+    origin
+        Of the provenance, as of `provenance_json`.
+
+    Raises
+    ------
+    InputError
+        If the folder is not empty or cannot be written.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path | None,
+        figures: Figures,
+        *,
+        topics: tuple[Topic, ...],
+        qos: Mapping[Topic, Qos],
+        namespace: str,
+        split: Split,
+        **origin: Any,
+    ) -> None:
+        self._of_run = figures
+        self._tracker = SummaryTracker(configure.members(scenario), scenario.plane.length)
+        self._writer: BagWriter | None = None
+        if folder is not None:
+            attachments = {
+                "scenario.yaml": dump_scenario(scenario).encode(),
+                "provenance.json": provenance_json(scenario, **origin),
+            }
+            self._writer = BagWriter(
+                folder, topics=topics, namespace=namespace, qos=qos, split=split, attachments=attachments
+            )
+
+    @property
+    def latest(self) -> Latest | None:
+        """What the run looks like now, None until that is known."""
+        return self._of_run.latest
+
+    @property
+    def newest(self) -> int:
+        """The newest step recorded, -1 if there is none."""
+        return self._of_run.newest
+
+    def summary(self) -> SwarmSummary | None:
+        """Return what people see of the robots now; it costs some time, so not for every message."""
+        return self._tracker.summary()
+
+    def poll(self) -> None:
+        """Hand what is old enough to the operating system."""
+        if self._writer is not None:
+            self._writer.poll()
+
+    def close(self, attachments: Mapping[str, bytes] | None = None) -> dict[str, Any]:
+        """Complete the bag and return the figures."""
+        if self._writer is not None:
+            self._writer.close(attachments)
+        return self.figures()
+
+    def abort(self, reason: str, attachments: Mapping[str, bytes] | None = None) -> dict[str, Any]:
+        """Complete the bag of a run that failed, as far as possible, and return the figures so far."""
+        if self._writer is not None:
+            self._writer.abort(reason, attachments)
+        return self.figures()
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of the run so far."""
+        return self._of_run.summary()
+
+
+class Recording(_Recording):
+    """Takes the complete steps of a run in order.
+
+    Parameters
+    ----------
+    scenario, folder, namespace
+        As of a recording in real time.
+    driver : str
+        What moves the run, for the provenance.
     split : Split
         When the bag goes on in a new file, by default never.
     replay : mapping, optional
@@ -65,31 +172,12 @@ class Recording:
         topics: tuple[Topic, ...] = (*MAIN_TOPICS, EVENTS),
         steered: bool = False,
     ) -> None:
-        self._digest = Digest()
         self._reference = configure.reference(scenario)
-        self._metrics = Metrics(self._reference)
-        self._tracker = SummaryTracker(configure.members(scenario), scenario.plane.length)
-        self._writer = None
-        if folder is not None:
-            self._writer = BagWriter(
-                folder,
-                topics=topics,
-                namespace=namespace,
-                split=split,
-                attachments={
-                    "scenario.yaml": dump_scenario(scenario).encode(),
-                    "provenance.json": provenance_json(scenario, driver=driver, replay=replay, steered=steered),
-                },
-            )
-
-    @property
-    def latest(self) -> Latest | None:
-        """What the run looks like now."""
-        return self._metrics.latest
-
-    def summary(self) -> SwarmSummary | None:
-        """Return what people see of the robots now; it costs some time, so not for every step."""
-        return self._tracker.summary()
+        self._run = RunFigures(self._reference)
+        origin: dict[str, Any] = {"driver": driver, "replay": replay, "steered": steered}
+        super().__init__(
+            scenario, folder, self._run, topics=topics, qos=OFFERED, namespace=namespace, split=split, **origin
+        )
 
     def add(self, step: Step) -> None:
         """Record a step.
@@ -99,8 +187,7 @@ class Recording:
         BagWriteError
             If the disk is full or fails; `abort` then completes what is there.
         """
-        self._digest.update(step)
-        self._metrics.update(step)
+        self._run.add(step)
         self._tracker.take(step)
         if self._writer is not None:
             for topic, stamp, payload in step.stored():
@@ -110,23 +197,103 @@ class Recording:
         """Take note of an offset of the reference (rad) that holds from a step on, for the figures."""
         self._reference.shift(step, offset)
 
-    def poll(self) -> None:
-        """Hand what is old enough to the operating system."""
-        if self._writer is not None:
-            self._writer.poll()
 
-    def close(self, attachments: Mapping[str, bytes] | None = None) -> Figures:
-        """Complete the bag and return digest and figures."""
-        if self._writer is not None:
-            self._writer.close(attachments)
-        return self.figures()
+class RealtimeRecording(_Recording):
+    """Takes the messages of a run as they arrive.
 
-    def abort(self, reason: str, attachments: Mapping[str, bytes] | None = None) -> Figures:
-        """Complete the bag of a run that failed, as far as possible, and return digest and figures so far."""
-        if self._writer is not None:
-            self._writer.abort(reason, attachments)
-        return self.figures()
+    Log time is when a message was received, publish time the stamp of its header.
 
-    def figures(self) -> Figures:
-        """Return the figures of the run so far; there is no digest of a run that recorded nothing."""
-        return {**self._metrics.summary(), "digest": self._digest.hexdigest() if self.latest is not None else None}
+    Parameters
+    ----------
+    scenario : Scenario
+        The resolved scenario; it is attached to the bag at once.
+    folder : Path, optional
+        Folder of the bag; none if only figures are wanted.
+    schedule : Schedule
+        How time becomes steps.
+    simulated : iterable of int, optional
+        Robots whose bodies are simulated, by default all.
+    simulated_plane : bool
+        Whether the plane is simulated.
+    own_limits : iterable of int
+        Robots whose limits are not those of the scenario.
+    last_step : int, optional
+        The last step that is recorded, if the nodes go on beyond.
+    namespace : str
+        Namespace of the swarm, which the bag's topics have.
+    split : Split
+        When the bag goes on in a new file, by default never.
+
+    Raises
+    ------
+    InputError
+        If the folder is not empty or cannot be written.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path | None,
+        schedule: Schedule,
+        *,
+        simulated: Iterable[int] | None = None,
+        simulated_plane: bool = True,
+        own_limits: Iterable[int] = (),
+        last_step: int | None = None,
+        namespace: str = "/",
+        split: Split = ONE_FILE,
+    ) -> None:
+        members = configure.members(scenario)
+        self._collector = RealtimeCollector(members, schedule)
+        self._run = RealtimeFigures(configure.parent_controller(scenario).reference, schedule)
+        self._received = 0
+        self._heard = self._heard_before = 0
+        self._last_step = last_step
+        robots = tuple(members if simulated is None else simulated)
+        world = RealtimeWorld(schedule, robots, simulated_plane, tuple(own_limits)).provenance()
+        origin: dict[str, Any] = {"driver": DRIVER, "realtime": world}
+        super().__init__(
+            scenario, folder, self._run, topics=RECORDED, qos=REALTIME, namespace=namespace, split=split, **origin
+        )
+
+    @property
+    def fallen(self) -> str:
+        """When and why the swarm has lost the plane, and what helps; empty if it has not."""
+        return self._run.fallen
+
+    def add(self, record: Record, now: int) -> None:
+        """Take a message that was received at a time (ns since 1970).
+
+        Raises
+        ------
+        BagWriteError
+            If the disk is full or fails; `abort` then completes what is there.
+        """
+        if self._last_step is not None and record.message.step > self._last_step:
+            return
+        self._heard += 1
+        # Where the clock is set back, the order of the file stays that of its times.
+        self._received = max(self._received, now)
+        for kept in self._collector.add(record, now):
+            self._run.add(kept)
+            self._tracker.hear(kept.message)
+            if self._writer is not None:
+                self._writer.write(kept.topic, self._received, kept.payload, max(0, kept.message.stamp))
+
+    def health(self) -> Health:
+        """Return how the recording goes, since this was asked for the last time."""
+        heard, self._heard_before = self._heard - self._heard_before, self._heard
+        values = {"step": self.newest, "messages": self._heard, **self._dropped()}
+        figures = tuple((name, str(value)) for name, value in values.items())
+        if not heard:
+            return Health(Level.WARN, "hears nothing of the swarm", figures)
+        return Health(Level.OK, "records" if self._writer is not None else "listens, without a bag", figures)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of the run so far; it has no digest, since what arrives differs from run to run."""
+        realtime = {**self._run.realtime(), "dropped": self._dropped()}
+        return {**super().figures(), "digest": None, "realtime": realtime}
+
+    def _dropped(self) -> dict[str, int]:
+        collector = self._collector
+        return {"repeated": collector.repeated, "different": collector.different, "refused": collector.refused}

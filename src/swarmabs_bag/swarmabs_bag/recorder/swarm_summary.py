@@ -6,8 +6,7 @@ from collections import Counter, deque
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_core.cdr import decode
-from swarmabs_core.messages import AGENT_STATE, AgentState, EventKind, SwarmEvent, said
+from swarmabs_core.messages import AgentState, EventKind, SwarmEvent, said
 from swarmabs_core.swarm_state import RobotHistory
 
 if TYPE_CHECKING:
@@ -121,9 +120,8 @@ class SummaryTracker:
         if step is None:
             return
         self._newest = step.step
-        for topic, _, payload in step.stored():
-            if topic is AGENT_STATE:
-                self.hear(decode(AgentState, payload))
+        for state in step.states():
+            self.hear(state)
 
     def _place(self, position: float | None) -> int:
         if position is None:

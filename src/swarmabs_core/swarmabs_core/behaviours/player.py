@@ -38,7 +38,8 @@ from swarmabs_core.steering import DISTURBANCE
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from swarmabs_bag.recording import Record, RecordedStep
+    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_core.record import Record
 
 
 class NodeKind(str, Enum):

@@ -1,0 +1,73 @@
+"""A message on its way from the wire to a bag: what it says, and the bytes that say so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.cdr import agent_id_of, canonical, decode, encode
+from swarmabs_core.messages import TOPIC_OF
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import Message, Topic
+
+
+class Record(NamedTuple):
+    """A message with its bytes: whoever has both decodes once, and never encodes again.
+
+    Parameters
+    ----------
+    topic : Topic
+        Where it was published.
+    agent_id : int
+        The robot that it is about, 0 for none.
+    message : Message
+        What it says.
+    payload : bytes
+        CDR; canonical but for what `read` returns.
+    time : int, optional
+        Log time, ns, where a bag's own times are to be judged.
+    published : int, optional
+        When it was published, ns, as the bag says.
+    """
+
+    topic: Topic
+    agent_id: int
+    message: Message
+    payload: bytes
+    time: int | None = None
+    published: int | None = None
+
+    @classmethod
+    def of(cls, message: Message) -> Record:
+        """Return the record of a message that was made in this process.
+
+        Raises
+        ------
+        MalformedMessageError
+            If a field does not fit its type.
+        """
+        return cls(TOPIC_OF[type(message)], agent_id_of(message), message, encode(message))
+
+    @classmethod
+    def heard(cls, topic: Topic, data: bytes) -> Record:
+        """Return the record of bytes from the wire or a bag, whatever padding holds; its own are canonical.
+
+        Raises
+        ------
+        MalformedMessageError
+            If they are no message of the topic.
+        """
+        message = decode(topic.message, data)
+        return cls(topic, agent_id_of(message), message, canonical(topic.message, data))
+
+    @classmethod
+    def read(cls, topic: Topic, time: int, payload: bytes, published: int | None = None) -> Record:
+        """Return the record of bytes from a bag, which stay as they are, to be judged.
+
+        Raises
+        ------
+        MalformedMessageError
+            If they are no message of the topic.
+        """
+        message = decode(topic.message, payload)
+        return cls(topic, agent_id_of(message), message, payload, time, published)
