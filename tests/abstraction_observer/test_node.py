@@ -7,7 +7,7 @@ from tests.swarmabs_core.helpers import agent_state
 from tests.swarmabs_ros.nodes import settings_from
 
 from abstraction_observer.node import PARAMETERS, config, make, model
-from swarmabs_core.behaviours import Observer, ObserverConfig, ParentResponseObserver
+from swarmabs_core.behaviours import Observer, ObserverConfig
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
@@ -52,7 +52,7 @@ def test_it_watches_the_plane_if_that_is_wanted() -> None:
     assert model(given) == ParentModel(0.7, Friction(*friction), 12.0)
     assert model(settings_from(PARAMETERS)) is None
     spec = make(given, CHANNEL)
-    assert isinstance(spec.behaviour, ParentResponseObserver)
+    assert spec.behaviour.awaits() == (AGENT_STATE, PLANE_STATE)
     assert set(spec.subscriptions) == {AGENT_STATE, PLANE_STATE}
 
 

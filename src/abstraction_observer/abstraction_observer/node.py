@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from swarmabs_core.behaviours import Behaviour, ObserverConfig, Steered, make_observer
+from swarmabs_core.behaviours import Behaviour, Observer, ObserverConfig, Steered
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import (
@@ -70,7 +70,7 @@ def model(settings: Settings) -> ParentModel | None:
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return behaviour and endpoints."""
     watched = model(settings)
-    observer = make_observer(config(settings), watched)
+    observer = Observer(config(settings), watched)
     subscriptions = {AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members"))))}
     if watched is not None:
         subscriptions[PLANE_STATE] = requested(PLANE_STATE, depth=10)

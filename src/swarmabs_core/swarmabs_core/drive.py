@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import exp, expm1
 from typing import NamedTuple, Protocol
 
+from swarmabs_core.messages import Kind
+
 
 class Drive(Protocol):
     """What moves a robot over one control period."""
@@ -129,6 +131,15 @@ class Lag:
     decay: float
     gap_to_velocity: float
     gap_to_position: float
+
+    @classmethod
+    def of(cls, kind: Kind, time_constant: float, period: float, mass: float, damping: float) -> Lag | None:
+        """Return the lag of a robot's drive, None without any; units as of the two below."""
+        if not time_constant:
+            return None
+        if kind is Kind.SINGLE_INTEGRATOR:
+            return cls.of_velocity(time_constant, period)
+        return cls.of_force(time_constant, period, mass, damping)
 
     @classmethod
     def of_velocity(cls, time_constant: float, period: float) -> Lag:

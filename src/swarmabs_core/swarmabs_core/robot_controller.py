@@ -1,17 +1,22 @@
-"""From a robot's state and the broadcasts to a command that its drive can carry out."""
+"""What one robot decides: from its state and the broadcasts to a command that its drive can carry out.
+
+Which broadcasts it acts on is decided elsewhere: those of the step in lockstep, the newest in real time.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign, inf
-from typing import TYPE_CHECKING
+from math import copysign, inf, isfinite
+from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.law_registry import make_command
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     from swarmabs_core.law_registry import Robot
+    from swarmabs_core.messages import Broadcast
     from swarmabs_core.parameters import Settings
 
 BRAKING_TIME = 0.1
@@ -24,6 +29,32 @@ class Limits:
 
     velocity: float = inf
     force: float = inf
+
+
+HELD = "the swarm has no spread (S3 vanishes)"
+NOT_FINITE = "the law gives no finite command"
+STOPPED = "stop commanded"
+RESET = "reset commanded"
+COMMAND_LIMITED = "command limited"
+"""What a robot says when it does not follow the broadcasts, or limits a command."""
+
+
+class Decision(NamedTuple):
+    """What a robot does with the broadcasts of a step.
+
+    Parameters
+    ----------
+    command : float
+        m/s or N: the law's within the limits, or what brakes the robot.
+    wanted : float
+        What the law asks for.
+    problem : str
+        Why the robot brakes; empty if it follows.
+    """
+
+    command: float
+    wanted: float
+    problem: str = ""
 
 
 class RobotController:
@@ -39,6 +70,8 @@ class RobotController:
         Settings of the law besides the gains; those left out have their defaults.
     limits : Limits
         What the drive can do.
+    plane_length : float
+        m; against it the spread of the swarm is judged.
 
     Attributes
     ----------
@@ -57,7 +90,7 @@ class RobotController:
         If there is no such law, or it refuses its settings.
     """
 
-    def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits) -> None:
+    def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits, plane_length: float) -> None:
         self.follow = make_command(law, settings, robot)
         self.ideal: SingleIntegratorDrive | DoubleIntegratorDrive
         if robot.kind is Kind.SINGLE_INTEGRATOR:
@@ -68,6 +101,16 @@ class RobotController:
         self.braking_time = max(BRAKING_TIME, robot.period)
         self._kind = robot.kind
         self._limits = limits
+        self._length = plane_length
+
+    def decide(self, position: float, velocity: float, heard: Broadcast) -> Decision:
+        """Return what the robot does at a position (m) with a velocity (m/s)."""
+        if is_degenerate(heard.auxiliary.s0, heard.auxiliary.s3, self._length):
+            return Decision(self.brake(velocity), 0.0, HELD)
+        wanted = self.follow(position, velocity, heard.abstract, heard.auxiliary, heard.desired)
+        if not isfinite(wanted):
+            return Decision(self.brake(velocity), wanted, NOT_FINITE)
+        return Decision(self.limit(velocity, wanted), wanted)
 
     def brake(self, velocity: float) -> float:
         """Return the command that brings the robot to rest: 0 m/s, or a force (N) against its velocity (m/s)."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Controller, Plane, make_agent, make_observer
+from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -45,7 +45,7 @@ class Simulation:
     def __init__(self, scenario: Scenario) -> None:
         agents = [make_agent(config) for config in configure.agent_configs(scenario)]
         model = configure.parent_model(scenario)
-        observer = make_observer(configure.observer_config(scenario), model)
+        observer = Observer(configure.observer_config(scenario), model)
         plane = Plane(configure.plane_config(scenario))
         controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)

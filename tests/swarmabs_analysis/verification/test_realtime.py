@@ -166,14 +166,14 @@ def run_with(
 
 
 def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = agent.RealtimeLaw.follow
+    honest = agent.RealtimeLaw.decide
 
-    def follow(self: agent.RealtimeLaw, position: float, velocity: float, heard: Any) -> Any:
-        decision = honest(self, position, velocity, heard)
-        assert decision is not None
-        return decision._replace(command=math.nextafter(decision.command, math.inf)) if heard.step == 60 else decision
+    def decide(self: agent.RealtimeLaw, position: float, velocity: float, heard: Any) -> Any:
+        decision, limited = honest(self, position, velocity, heard)
+        higher = decision._replace(command=math.nextafter(decision.command, math.inf))
+        return higher if heard.step == 60 else decision, limited
 
-    recorded = run_with(monkeypatch, agent.RealtimeLaw, "follow", follow)
+    recorded = run_with(monkeypatch, agent.RealtimeLaw, "decide", decide)
     found = verify(recorded.scenario, recorded.bag).difference
     assert place(found) == (AGENT_STATE.name, 62, 1, "command")
 

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from tests.swarmabs_core.helpers import PERIOD_NS, Run, broadcasts, builtin
 
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Agent, AgentConfig, ImperfectAgent, Plane, make_agent
+from swarmabs_core.behaviours import AgentConfig, Listener, Plane, make_agent
 from swarmabs_core.messages import AgentState, Kind, PlaneState
 from swarmabs_core.sensing import Sensor, standard_normal
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
@@ -36,19 +36,13 @@ def config(kind: Kind, **settings: Any) -> AgentConfig:
     )
 
 
-def states(agent: Agent, count: int) -> list[AgentState]:
+def states(agent: Listener, count: int) -> list[AgentState]:
     """Return the states of a robot that hears the same wish for some steps."""
     found = list(agent.start())
     for step in range(count):
         for message in broadcasts(step):
             found.extend(agent.handle(message))
     return [message for message in found if isinstance(message, AgentState)]
-
-
-def test_perfect_robot_is_the_plain_one() -> None:
-    assert type(make_agent(config(SI))) is Agent
-    for imperfect in ({"actuator_lag": 0.1}, {"sensor": Sensor(noise=(0.1, 0.0))}):
-        assert type(make_agent(config(SI, **imperfect))) is ImperfectAgent
 
 
 @kinds

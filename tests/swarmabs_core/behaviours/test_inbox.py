@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tests.swarmabs_core.helpers import broadcasts
 
-from swarmabs_core.behaviours.inbox import Broadcasts, Inbox
+from swarmabs_core.behaviours.inbox import Inbox
 from swarmabs_core.faults import FaultKind, RobotFault, RobotFaults
-from swarmabs_core.messages import Mode
+from swarmabs_core.messages import Broadcast, Mode
 
 
 def inbox(*faults: RobotFault) -> Inbox:
@@ -22,7 +22,7 @@ def test_what_is_underway_in_a_lost_step_is_lost() -> None:
     box = inbox(RobotFault(FaultKind.DELAY, (2.0,), 0, 3), RobotFault(FaultKind.LOSS, (1.0,), 2, 3))
     heard, has = [], []
     for step in range(6):
-        heard.append(box.send(step, Broadcasts(*broadcasts(step))))
+        heard.append(box.send(step, Broadcast(0, step, *broadcasts(step))))
         has.append(newest(box))
     assert heard == [True, True, False, True, True, True]
     assert has == [None, None, None, 3, 4, 5]
@@ -32,7 +32,7 @@ def test_a_stop_that_comes_after_later_broadcasts_is_obeyed() -> None:
     box = inbox(RobotFault(FaultKind.DELAY, (2.0,), 1, 2))
     stopped = []
     for step in range(5):
-        box.send(step, Broadcasts(*broadcasts(step, mode=Mode.STOP if step == 1 else Mode.RUN)))
+        box.send(step, Broadcast(0, step, *broadcasts(step, mode=Mode.STOP if step == 1 else Mode.RUN)))
         stopped.append((newest(box), box.stopped))
     assert stopped == [(0, False), (0, False), (2, False), (3, True), (4, True)]
 
@@ -43,6 +43,6 @@ def test_a_stop_that_comes_after_a_later_reset_is_over() -> None:
     box = inbox(RobotFault(FaultKind.DELAY, (2.0,), 1, 2), RobotFault(FaultKind.DELAY, (3.0,), 6, 7))
     stopped = []
     for step in range(11):
-        box.send(step, Broadcasts(*broadcasts(step, mode=modes.get(step, Mode.RUN))))
+        box.send(step, Broadcast(0, step, *broadcasts(step, mode=modes.get(step, Mode.RUN))))
         stopped.append(box.stopped)
     assert [step for step, still in enumerate(stopped) if still] == [5, 6, 7, 8]

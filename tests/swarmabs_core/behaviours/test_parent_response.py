@@ -5,8 +5,8 @@ from itertools import permutations
 import pytest
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
-from swarmabs_core.behaviours import Observer, ObserverConfig, ParentResponseObserver, make_observer
-from swarmabs_core.behaviours.base import ConflictError, StepAheadError
+from swarmabs_core.behaviours import Observer, ObserverConfig
+from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
@@ -25,7 +25,7 @@ MODEL = ParentModel(0.5, Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), 50.0)
 
 
 def observer(*schedule: Change, last_step: int | None = None) -> Observer:
-    return make_observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0, schedule, last_step), MODEL)
+    return Observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0, schedule, last_step), MODEL)
 
 
 def plane(step: int = 0) -> PlaneState:
@@ -40,14 +40,15 @@ def robots(step: int = 0) -> tuple[Message, ...]:
     return tuple(agent_state(agent_id, step) for agent_id in (1, 2, 3))
 
 
-def test_is_made_if_there_is_a_model_of_the_plane() -> None:
-    config = ObserverConfig((1, 2), PERIOD_NS, 9.81, 1.0)
-    assert type(make_observer(config, None)) is Observer
-    assert type(make_observer(config, MODEL)) is ParentResponseObserver
+def test_the_plane_is_heard_if_there_is_a_model_of_it() -> None:
+    config = ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0)
+    assert Observer(config, MODEL).handle(plane(0)) == ()
+    with pytest.raises(UnexpectedMessageError, match="observer: a PlaneState was delivered"):
+        Observer(config).handle(plane(0))
 
 
 def test_torque_is_the_estimators_and_the_rest_the_robots() -> None:
-    node, summing, estimator = observer(), make_observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0), None), None
+    node, summing, estimator = observer(), Observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0), None), None
     estimator = TorqueEstimator(MODEL, PERIOD_NS / 1e9)
     for step in range(4):
         abstract, auxiliary = feed(node, *robots(step), plane(step))

@@ -36,7 +36,7 @@ def envelope(
     deceleration: float = math.inf,
 ) -> tuple[RobotController, LaneEnvelope]:
     robot = Robot(kind, mass, damping, GAINS, 9.81, period)
-    controller = RobotController(robot, PAPER.name, {}, limits or Limits())
+    controller = RobotController(robot, PAPER.name, {}, limits or Limits(), 1.0)
     return controller, LaneEnvelope(controller, period, LANE, deceleration)
 
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Controller, LifeSpan, Plane, make_agent, make_observer
-from swarmabs_core.behaviours.observer import Observer
+from swarmabs_core.behaviours import Controller, LifeSpan, Observer, Plane, make_agent
 from swarmabs_core.behaviours.player import NodeKind, NodeName, Player
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT, ChangeKind, with_ends
@@ -76,7 +75,7 @@ class Replay:
             return Controller(config, configure.parent_controller(scenario)), (PLANE_STATE,)
         if name.kind is NodeKind.OBSERVER:
             model = configure.parent_model(scenario)
-            self._observer = make_observer(configure.observer_config(scenario), model)
+            self._observer = Observer(configure.observer_config(scenario), model)
             return self._observer, (AGENT_STATE,) if model is None else (AGENT_STATE, PLANE_STATE)
         robot = next(config for config in configure.agent_configs(scenario) if config.agent_id == name.agent_id)
         if name.agent_id in self._silent:

@@ -16,12 +16,12 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Broadcast,
     DesiredAbstractState,
     Mode,
     Status,
 )
 from swarmabs_core.realtime.agent import RealtimeLaw
-from swarmabs_core.realtime.broadcasts import BroadcastSet
 from swarmabs_core.realtime.drives import MOST_STEPS
 
 if TYPE_CHECKING:
@@ -117,12 +117,10 @@ class RobotCheck:
         if state.broadcast_step == NEVER:
             return self._hold(at_rest, before) if state.status == Status.ACTIVE else at_rest
         heard = self._broadcasts(state, before)
-        if not isinstance(heard, BroadcastSet):
+        if not isinstance(heard, Broadcast):
             return heard
-        if is_degenerate(heard.sums.s0, heard.sums.s3, self._config.bounds.plane_length):
-            return at_rest
-        decision = self._law.follow(before.position, before.velocity, heard)
-        if decision is None:
+        decision, _ = self._law.decide(before.position, before.velocity, heard)
+        if decision.problem:
             return at_rest
         measured = self._start is not None or state.status == Status.LEFT
         return state._replace(command=decision.command, status=Status.ACTIVE if measured else state.status)
@@ -143,7 +141,7 @@ class RobotCheck:
             return NO_BROADCASTS
         return self._difference(expected, "status", Status.ACTIVE, Status.SAFE_STOP, "it follows nothing")
 
-    def _broadcasts(self, state: AgentState, before: AgentState) -> BroadcastSet | Difference | str:
+    def _broadcasts(self, state: AgentState, before: AgentState) -> Broadcast | Difference | str:
         """Return the broadcasts that the robot names, if it may have followed them."""
         step = state.broadcast_step
         if not before.step - self._age <= step <= before.step + self._ahead:
@@ -170,7 +168,7 @@ class RobotCheck:
             problem = self._config.bounds.problem(message)
             if problem:
                 return self._difference(state, "broadcast_step", step, NEVER, f"they had to be refused: {problem}")
-        return BroadcastSet(abstract, sums, asked)
+        return Broadcast(asked.stamp, step, abstract, sums, asked)
 
     def _move(self, state: AgentState, before: AgentState) -> AgentState:
         """Return the state with where a simulated body has come to."""

@@ -17,7 +17,7 @@ from swarmabs_analysis.verification.comparison import MESSAGE, Difference, Store
 from swarmabs_analysis.verification.window import WINDOW, Window
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Controller, Plane, make_agent, make_observer
+from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT
@@ -88,7 +88,7 @@ class Verification:
         self._window = Window(scenario.step_ns, len(scenario.agents))
         self._digest = Digest()
         model = configure.parent_model(scenario)
-        self._observer = make_observer(configure.observer_config(scenario), model)
+        self._observer = Observer(configure.observer_config(scenario), model)
         self._observer_watches_plane = model is not None
         self._plane = Plane(configure.plane_config(scenario))
         self._controller = Controller(

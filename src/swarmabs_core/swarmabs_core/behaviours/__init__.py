@@ -3,13 +3,11 @@
 from swarmabs_core.behaviours.agent import Agent, AgentConfig, LifeSpan
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
-from swarmabs_core.behaviours.faulty import FaultyAgent, with_faults
+from swarmabs_core.behaviours.faulty import FaultyAgent, make_agent, with_faults
 from swarmabs_core.behaviours.group import AgentGroup
 from swarmabs_core.behaviours.helm import Decision, Helm, HelmConfig, Request
-from swarmabs_core.behaviours.imperfect import ImperfectAgent, make_agent
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.packing import Listener, PackingController, Unpacking
-from swarmabs_core.behaviours.parent_response import ParentResponseObserver, make_observer
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
 from swarmabs_core.behaviours.steered import Newcomer, Orders, Steered, make_newcomer
 from swarmabs_core.robot_controller import Limits
@@ -25,7 +23,6 @@ __all__ = [
     "FaultyAgent",
     "Helm",
     "HelmConfig",
-    "ImperfectAgent",
     "LifeSpan",
     "Limits",
     "Listener",
@@ -34,7 +31,6 @@ __all__ = [
     "ObserverConfig",
     "Orders",
     "PackingController",
-    "ParentResponseObserver",
     "Plane",
     "PlaneConfig",
     "Request",
@@ -42,6 +38,5 @@ __all__ = [
     "Unpacking",
     "make_agent",
     "make_newcomer",
-    "make_observer",
     "with_faults",
 ]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isfinite, sin
+from math import sin
 from typing import TYPE_CHECKING
 
-from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflict
-from swarmabs_core.behaviours.inbox import Broadcasts, Inbox
+from swarmabs_core.behaviours.inbox import Inbox
+from swarmabs_core.drive import Lag
 from swarmabs_core.faults import RobotFault, RobotFaults
 from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.membership import ChangeKind
@@ -22,6 +22,7 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Broadcast,
     DesiredAbstractState,
     EventKind,
     Kind,
@@ -33,16 +34,13 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.robot_controller import Limits, RobotController
+from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, Decision, Limits, RobotController
 from swarmabs_core.sensing import Sensor
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import Drive
     from swarmabs_core.parameters import Settings
     from swarmabs_core.swarm_law import SwarmGains
-
-COMMAND_LIMITED = "command limited"
-"""What a robot says of a command that it limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +149,8 @@ class Agent:
         self._config = config
         period = config.period_ns / 1e9
         robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
-        self._controller = RobotController(robot, config.law, config.law_settings, config.limits)
+        length = config.plane_length
+        self._controller = RobotController(robot, config.law, config.law_settings, config.limits, length)
         self._drive = drive or self._controller.ideal
         # The message that comes last is waited for first: then the others are there already.
         self.needs: tuple[Topic, ...] = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
@@ -165,6 +164,8 @@ class Agent:
         self._ended = False
         self._position, self._velocity = config.position, config.velocity
         self._command = 0.0
+        self._lag = Lag.of(config.kind, config.actuator_lag, period, config.mass, config.damping)
+        self._actual = 0.0  # what a drive that lags makes of the command so far
         self._broadcast_step = NEVER
         self._status = Status.ACTIVE
         self._limited = False
@@ -228,7 +229,8 @@ class Agent:
         assert isinstance(abstract, AbstractState)  # noqa: S101 - the three are kept by topic
         assert isinstance(sums, AuxiliaryState)  # noqa: S101
         assert isinstance(desired, DesiredAbstractState)  # noqa: S101
-        events = self._decide() if self._inbox.send(self._step, Broadcasts(abstract, sums, desired)) else ()
+        broadcast = Broadcast(desired.stamp, self._step, abstract, sums, desired)
+        events = self._decide() if self._inbox.send(self._step, broadcast) else ()
         self._move(heard.get(PLANE_STATE))
         self._step += 1
         return (*events, self._publish())
@@ -239,6 +241,18 @@ class Agent:
         if plane is not None:
             force += self._weight(plane)
         self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
+        if self._lag is not None:
+            gap = self._actual - self._command
+            self._position += self._lag.gap_to_position * gap
+            self._velocity += self._lag.gap_to_velocity * gap
+            self._actual = self._command + self._lag.decay * gap
+
+    def _sensed(self) -> tuple[float, float]:
+        """Return position (m) and velocity (m/s) as the robot measures them."""
+        sensor, true = self._config.sensor, (self._position, self._velocity)
+        if sensor.perfect:
+            return true
+        return sensor.measure(*true, f"{self._config.seed}:{self._step}:{self._config.agent_id}")
 
     def _weight(self, plane: Message) -> float:
         """Return the force of gravity and rotation along the plane, N, held over the period."""
@@ -248,33 +262,26 @@ class Agent:
 
     def _decide(self) -> Messages:
         """Update command, the step of the broadcasts that it rests on, and status; return the events."""
-        broadcasts = self._inbox.newest
-        if broadcasts is None:
+        heard = self._inbox.newest
+        if heard is None:
             self._command, self._broadcast_step = 0.0, NEVER
             return ()
-        command, problem = self._law(broadcasts)
-        if problem:
-            self._command, self._broadcast_step = self._controller.brake(self._velocity), NEVER
-            return self._set_status(Status.SAFE_STOP, EventKind.SAFE_STOP, problem)
-        self._broadcast_step = broadcasts.abstract.step
-        self._command = self._controller.limit(self._velocity, command)
+        position, velocity = self._sensed()
+        asked_to = STOPPED if self._inbox.stopped else RESET if heard.desired.mode != Mode.RUN else ""
+        if asked_to:
+            decision = Decision(self._controller.brake(velocity), 0.0, asked_to)
+        else:
+            decision = self._controller.decide(position, velocity, heard)
+        self._command = decision.command
+        if decision.problem:
+            self._broadcast_step = NEVER
+            return self._set_status(Status.SAFE_STOP, EventKind.SAFE_STOP, decision.problem)
+        self._broadcast_step = heard.step
         events = self._set_status(Status.ACTIVE, EventKind.RECOVERED, "")
-        before, self._limited = self._limited, self._command != command
+        before, self._limited = self._limited, decision.command != decision.wanted
         if self._limited and not before:
-            events = (*events, self._event(EventKind.LIMIT_HIT, command, COMMAND_LIMITED))
+            events = (*events, self._event(EventKind.LIMIT_HIT, decision.wanted, COMMAND_LIMITED))
         return events
-
-    def _law(self, broadcasts: Broadcasts) -> tuple[float, str]:
-        """Return the command that the law asks for, or why none may be computed."""
-        abstract, sums, desired = broadcasts
-        if self._inbox.stopped:
-            return 0.0, "stop commanded"
-        if desired.mode != Mode.RUN:
-            return 0.0, "reset commanded"
-        if is_degenerate(sums.s0, sums.s3, self._config.plane_length):
-            return 0.0, "the swarm has no spread (S3 vanishes)"
-        command = self._controller.follow(self._position, self._velocity, abstract, sums, desired)
-        return command, "" if isfinite(command) else "the law gives no finite command"
 
     def _set_status(self, status: Status, kind: EventKind, detail: str) -> Messages:
         if status is self._status:

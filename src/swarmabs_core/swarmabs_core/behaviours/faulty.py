@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmabs_core.behaviours.agent import Agent
 from swarmabs_core.messages import AgentState, EventKind, SwarmEvent
 
 if TYPE_CHECKING:
@@ -79,3 +80,8 @@ class FaultyAgent:
 def with_faults(robot: Listener, config: AgentConfig) -> Listener:
     """Return a robot with what is injected into it; the robot itself if that is nothing."""
     return FaultyAgent(robot, config) if config.faults else robot
+
+
+def make_agent(config: AgentConfig) -> Listener:
+    """Return the state machine of a robot, with what is injected into it."""
+    return with_faults(Agent(config), config)

@@ -6,27 +6,30 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import Weight, observed
-from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError, refuse_conflict
 from swarmabs_core.behaviours.gathering import Gathering
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
-    AbstractState,
+    PLANE_STATE,
     AgentState,
-    AuxiliaryState,
     EventKind,
     Message,
     Messages,
+    PlaneState,
     Status,
     Steering,
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.parent_response import TorqueEstimator
 from swarmabs_core.steering import change_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from swarmabs_core.parent_response import ParentModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +61,22 @@ class ObserverConfig:
 
 
 class Observer:
-    """Sums the swarm up, once every member of a step was heard. It alone decides who is a member."""
+    """Sums the swarm up, once every member of a step was heard. It alone decides who is a member.
 
-    def __init__(self, config: ObserverConfig) -> None:
+    Parameters
+    ----------
+    config : ObserverConfig
+        Configuration.
+    model : ParentModel, optional
+        The plane, if the torque is to be taken from its response; inertia, sums and membership are those of the robots
+        all the same.
+    """
+
+    def __init__(self, config: ObserverConfig, model: ParentModel | None = None) -> None:
         self._config = config
+        self._estimator = None if model is None else TorqueEstimator(model, config.period_ns / 1e9)
+        self._plane: PlaneState | None = None
+        self._announced = -1
         self._membership = Membership(config.members, config.schedule)
         self._gathering = Gathering(self._membership)
         self._previous: dict[int, AgentState] = {}
@@ -72,11 +87,25 @@ class Observer:
         return ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a robot's state; with the last one of a step answer events, abstract and auxiliary state."""
-        if not isinstance(message, AgentState):
+        """Take a robot's state; with the last one of a step answer events, abstract and auxiliary state.
+
+        With a model of the plane its state is waited for, too.
+        """
+        if isinstance(message, AgentState):
+            self._gathering.add(message)
+        elif isinstance(message, PlaneState) and self._estimator is not None:
+            self._watch(message)
+        else:
             raise UnexpectedMessageError("observer", message)
-        self._gathering.add(message)
         return self._proceed()
+
+    def _watch(self, plane: PlaneState) -> None:
+        if plane.step > self._gathering.step:
+            raise StepAheadError("plane", got=plane.step, expected=self._gathering.step)
+        if plane.step == self._gathering.step:
+            if self._plane is not None:
+                refuse_conflict(self._plane, plane, PLANE_STATE.name)
+            self._plane = plane
 
     def steer(self, order: Steering) -> None:
         """Take over a change of the membership that is ordered from outside."""
@@ -90,12 +119,15 @@ class Observer:
         return self._proceed()
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for robots' states."""
-        return () if self._finished() else (AGENT_STATE,)
+        """Wait for robots' states, and for the plane's if it is watched."""
+        if self._finished():
+            return ()
+        return (AGENT_STATE,) if self._estimator is None else (AGENT_STATE, PLANE_STATE)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and the robots not yet heard."""
-        return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
+        """Return the current step, and the robots not yet heard, or else the plane."""
+        robots = tuple(f"agent {i}" for i in self._gathering.missing())
+        return self._gathering.step, robots or (() if self._estimator is None else ("plane_sim",))
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the ids of the robots not yet heard in the current step."""
@@ -114,13 +146,19 @@ class Observer:
         last = self._config.last_step
         return last is not None and self._gathering.step > last
 
-    def _complete(self) -> bool:
-        return self._gathering.complete() and not self._finished()
-
     def _proceed(self) -> Messages:
-        return (*self._announce(), *self._sum_up()) if self._complete() else ()
+        """Say at once who is no member any more, since the plane may wait for it; sum up when all is there."""
+        if self._finished() or not self._gathering.complete():
+            return ()
+        events: Messages = ()
+        if self._announced < self._gathering.step:
+            self._announced = self._gathering.step
+            events = self._announce()
+        if self._estimator is not None and self._plane is None:
+            return events
+        return (*events, *self._sum_up())
 
-    def _sum_up(self) -> tuple[AbstractState, AuxiliaryState]:
+    def _sum_up(self) -> Messages:
         config = self._config
         step = self._gathering.step
         stamp = step * config.period_ns
@@ -131,7 +169,12 @@ class Observer:
         weights.extend(self._standing.values())
         followers = [s for s in states if s.status == Status.ACTIVE]
         self._previous = {s.agent_id: s for s in states}
-        return observed(stamp, step, weights, followers, config.gravity, config.ksd)
+        abstract, sums = observed(stamp, step, weights, followers, config.gravity, config.ksd)
+        plane, self._plane = self._plane, None
+        if self._estimator is not None and plane is not None:
+            torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
+            abstract = abstract._replace(torque=torque, torque_rate=rate)
+        return abstract, sums
 
     def _announce(self) -> Messages:
         """Return the changes of the membership that hold from the current step on."""

@@ -10,7 +10,6 @@ from collections import deque
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_core.behaviours.agent import COMMAND_LIMITED
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.desired_state import TORQUE_LIMITED
 from swarmabs_core.errors import InputError, RunError
@@ -33,6 +32,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.robot_controller import COMMAND_LIMITED
 from swarmabs_core.steering import DISTURBANCE
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from swarmabs_core.behaviours.agent import LifeSpan
 from swarmabs_core.behaviours.base import Behaviour, StepAheadError, refuse_conflict
-from swarmabs_core.behaviours.imperfect import make_agent
+from swarmabs_core.behaviours.faulty import make_agent
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import STEERING, Action, RecordingProgress, Steering, SwarmEvent
 

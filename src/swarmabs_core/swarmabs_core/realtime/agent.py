@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, Status, SwarmEvent
 from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
@@ -15,22 +14,19 @@ from swarmabs_core.realtime.drives import Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
-from swarmabs_core.robot_controller import Limits, RobotController
+from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, Limits, RobotController
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-    from swarmabs_core.messages import Message, Messages
+    from swarmabs_core.messages import Broadcast, Message, Messages
     from swarmabs_core.parameters import Settings
-    from swarmabs_core.realtime.broadcasts import BroadcastSet
     from swarmabs_core.realtime.drives import Drive, Measurement
     from swarmabs_core.swarm_law import SwarmGains
 
 FAREWELLS = 10
 """Periods for which a robot that leaves says so."""
-HELD = "the swarm has no spread (S3 vanishes)"
 LANE_LIMITED = "command limited by the end of the lane"
-COMMAND_LIMITED = "command limited"
-"""What a robot says when it keeps still or limits a command."""
+"""What a robot says when its lane limits a command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +84,6 @@ class RealtimeAgentConfig:
     law_settings: Settings = field(default_factory=dict, hash=False)
 
 
-class Decision(NamedTuple):
-    """What a robot does with a set of broadcasts: the command (m/s or N), and what has changed it on the way."""
-
-    command: float
-    wanted: float
-    lane_limited: bool
-
-
 class RealtimeLaw:
     """Law, limits and lane of one robot, without any memory: the same input gives the same bits, here and in a check.
 
@@ -113,17 +101,18 @@ class RealtimeLaw:
     def __init__(self, config: RealtimeAgentConfig) -> None:
         period = config.schedule.period_ns / 1e9
         robot = Robot(config.kind, config.mass, config.damping, config.gains, config.bounds.gravity, period)
-        self.controller = RobotController(robot, config.law, config.law_settings, config.limits)
+        length = config.bounds.plane_length
+        self.controller = RobotController(robot, config.law, config.law_settings, config.limits, length)
         self._envelope = LaneEnvelope(self.controller, period, config.lane_limit, config.deceleration)
 
-    def follow(self, position: float, velocity: float, broadcasts: BroadcastSet) -> Decision | None:
-        """Return what a robot at a position (m) with a velocity (m/s) does; None if the law gives no finite command."""
-        wanted = self.controller.follow(position, velocity, *broadcasts)
-        if not isfinite(wanted):
-            return None
-        command = self.controller.limit(velocity, wanted)
-        kept = self._envelope.apply(position, velocity, command)
-        return Decision(kept, wanted, kept != command)
+    def decide(self, position: float, velocity: float, heard: Broadcast) -> tuple[Decision, str]:
+        """Return what a robot does at a position (m) with a velocity (m/s), and what limits it, if anything does."""
+        decision = self.controller.decide(position, velocity, heard)
+        if decision.problem:
+            return decision, ""
+        kept = self._envelope.apply(position, velocity, decision.command)
+        limited = LANE_LIMITED if kept != decision.command else COMMAND_LIMITED
+        return decision._replace(command=kept), limited if kept != decision.wanted else ""
 
     def brake(self, velocity: float) -> float:
         """Return the command of a robot that stops from a velocity (m/s)."""
@@ -261,14 +250,14 @@ class RealtimeAgent:
         m, broadcasts = self._measurement, self._inbox.newest
         if problem or m is None or broadcasts is None:
             return self._stop(now, problem)
-        if is_degenerate(broadcasts.sums.s0, broadcasts.sums.s3, self._config.bounds.plane_length):
-            return self._hold(now, m)
-        decision = self._law.follow(m.position, m.velocity, broadcasts)
-        if decision is None:
-            return self._stop(now, "the law gives no finite command")
+        decision, limited = self._law.decide(m.position, m.velocity, broadcasts)
+        if decision.problem == HELD:
+            return self._hold(now, decision.command)
+        if decision.problem:
+            return self._stop(now, decision.problem)
         self._act(decision.command, broadcasts.step, now)
         events = self._active(now, followed=True)
-        return (*events, *self._note_limits(now, decision))
+        return (*events, *self._note_limits(now, decision.wanted, limited))
 
     def _doubt(self, now: int) -> Messages:
         """Stop, and forget what was heard, since its age can no longer be told."""
@@ -285,9 +274,9 @@ class RealtimeAgent:
             return ()
         return (self._event(now, EventKind.SAFE_STOP, 0.0, problem),)
 
-    def _hold(self, now: int, m: Measurement) -> Messages:
+    def _hold(self, now: int, command: float) -> Messages:
         """Keep still but take part: where all have stopped there is no spread until robots say that they follow."""
-        self._act(self._law.brake(m.velocity), NEVER, now)
+        self._act(command, NEVER, now)
         before, self._limited = self._held, ""
         events = self._active(now, followed=False)
         self._held = True
@@ -305,13 +294,10 @@ class RealtimeAgent:
         self._command, self._broadcast_step = command, broadcast_step
         self._drive.write(command, now)
 
-    def _note_limits(self, now: int, decision: Decision) -> Messages:
-        limited = LANE_LIMITED if decision.lane_limited else COMMAND_LIMITED
-        if decision.command == decision.wanted:
-            limited = ""
+    def _note_limits(self, now: int, wanted: float, limited: str) -> Messages:
         before, self._limited = self._limited, limited
         if limited and limited != before:
-            return (self._event(now, EventKind.LIMIT_HIT, decision.wanted, limited),)
+            return (self._event(now, EventKind.LIMIT_HIT, wanted, limited),)
         return ()
 
     def _say_farewell(self, step: int) -> Messages:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from swarmabs_core.messages import (
     BROADCASTS,
     DESIRED_ABSTRACT_STATE,
     TOPIC_OF,
-    AbstractState,
-    AuxiliaryState,
+    Broadcast,
     DesiredAbstractState,
     Message,
     Mode,
@@ -31,19 +30,6 @@ MOST_CHANGES = 2
 _LONG_AGO = -(2**62)
 
 
-class BroadcastSet(NamedTuple):
-    """The three broadcasts of one step."""
-
-    abstract: AbstractState
-    sums: AuxiliaryState
-    desired: DesiredAbstractState
-
-    @property
-    def step(self) -> int:
-        """The step."""
-        return self.abstract.step
-
-
 class BroadcastInbox:
     """Takes broadcasts in any order and keeps the newest complete set of those that can be vouched for.
 
@@ -58,7 +44,7 @@ class BroadcastInbox:
 
     Attributes
     ----------
-    newest : BroadcastSet or None
+    newest : Broadcast or None
         The newest complete set.
     """
 
@@ -70,7 +56,7 @@ class BroadcastInbox:
         self._heard: Heard[tuple[Topic, int]] = Heard(self._age, self._ahead)
         self._latch = ModeLatch(min(self._age + self._ahead, schedule.steps(MOST_GUARD)))
         self._contradicted = _LONG_AGO
-        self.newest: BroadcastSet | None = None
+        self.newest: Broadcast | None = None
 
     @property
     def stopped(self) -> bool:
@@ -132,7 +118,8 @@ class BroadcastInbox:
         for (topic, _), message in self._heard.of(step).items():
             first.setdefault(topic, message)
         if len(first) == len(BROADCASTS):
-            self.newest = BroadcastSet(*(first[t] for t in BROADCASTS))  # type: ignore[arg-type]  # kept by topic
+            abstract, sums, desired = (first[t] for t in BROADCASTS)
+            self.newest = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type]  # by topic
 
     def problem(self, now: int) -> str:
         """Return why the newest set must not be followed, empty if it may be."""
