@@ -28,6 +28,8 @@ from swarmabs_run.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_
 settings.register_profile("swarmabs", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("swarmabs")
 
+settings.register_profile("hours", max_examples=1000, deadline=None)  # known before the options are read
+
 _GONE_WITHIN = 5.0
 """Time, s, that the kernel may take to end a process which was killed, on a machine under full load."""
 _PORTS = range(PORT_BASE, PORT_BASE + DOMAIN_GAIN * (LARGEST_DOMAIN + 3))

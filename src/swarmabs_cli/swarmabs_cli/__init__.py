@@ -22,7 +22,6 @@ from swarmabs_cli.replay import replay
 from swarmabs_cli.report import report
 from swarmabs_cli.run import run, simulate
 from swarmabs_cli.scenario import scenario
-from swarmabs_cli.soak import soak
 from swarmabs_cli.steer import steer
 from swarmabs_cli.sweep import sweep
 from swarmabs_cli.test import test
@@ -59,7 +58,6 @@ for command in (
     doctor,
     bench,
     sweep,
-    soak,
     figures,
     deploy,
     status,

@@ -41,10 +41,6 @@ class Invariant:
         """Yield what is wrong with the whole run."""
         yield from ()
 
-    def figures(self) -> dict[str, float | None]:
-        """Return what was seen, by name."""
-        return {}
-
 
 class StaysInLane(Invariant):
     """No robot leaves the plane without a ``LIMIT_HIT`` of the plane in that step."""
@@ -53,7 +49,6 @@ class StaysInLane(Invariant):
         self._lies = configure.lies(scenario)
         self._half = scenario.plane.length / 2
         self._outside: set[int] = set()
-        self._crossings = 0
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
         """Compare who crosses the plane's end with who is said to."""
@@ -73,14 +68,9 @@ class StaysInLane(Invariant):
                 self._outside.discard(message.agent_id)
             elif message.agent_id not in self._outside:
                 self._outside.add(message.agent_id)
-                self._crossings += 1
                 if message.agent_id not in said:
                     text = f"{position:.6g} m is off the plane, and no event says so"
                     yield Violation("lane", step.step, message.agent_id, text)
-
-    def figures(self) -> dict[str, float | None]:
-        """Return how often a robot has left the plane."""
-        return {"crossings": self._crossings}
 
 
 class NothingStale(Invariant):
@@ -93,7 +83,6 @@ class NothingStale(Invariant):
         }
         self._newest: dict[int, int] = {}
         self._coming: dict[int, dict[int, int]] = {}
-        self._oldest = 0
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
         """Compare the step of the broadcasts on which each command rests with what has reached the robot."""
@@ -109,8 +98,6 @@ class NothingStale(Invariant):
             if not stopped and state.broadcast_step != wanted:
                 text = f"acts on step {_shown(state.broadcast_step)}, but has {_shown(wanted)}"
                 yield Violation("stale data", step.step, state.agent_id, text)
-            elif state.broadcast_step != NEVER:
-                self._oldest = max(self._oldest, step.step - 1 - state.broadcast_step)
 
     def _reached(self, agent_id: int, step: int) -> int:
         """Return the newest set that has reached a robot in a step."""
@@ -122,10 +109,6 @@ class NothingStale(Invariant):
         if come and not faults.loses(step):
             self._newest[agent_id] = max(self._newest.get(agent_id, -1), *come)
         return self._newest.get(agent_id, NEVER)
-
-    def figures(self) -> dict[str, float | None]:
-        """Return the greatest age, in steps, of broadcasts on which a robot has acted."""
-        return {"oldest_broadcasts": self._oldest}
 
 
 def _shown(step: int) -> str:
@@ -179,10 +162,6 @@ class Recovers(Invariant):
             text = f"the error is not below {RECOVERED_BELOW} rad {since}"
             yield Violation("recovery", self._last_fault, None, text)
 
-    def figures(self) -> dict[str, float | None]:
-        """Return the time from the last fault to the first step from which on the error is small, s."""
-        return {"recovery": self._recovery}
-
 
 def last_fault(scenario: Scenario) -> int:
     """Return the step in which the last fault happens or ends; the last step for faults that do not end."""
@@ -194,3 +173,8 @@ def last_fault(scenario: Scenario) -> int:
         _, end = scenario.fault_steps(fault)
         steps.append(scenario.steps if end is None else min(end, scenario.steps))
     return max(steps, default=0)
+
+
+def lockstep_invariants(scenario: Scenario) -> tuple[Invariant, ...]:
+    """Return what holds in a run in lockstep."""
+    return StaysInLane(scenario), NothingStale(scenario), WithinLimits(scenario), Recovers(scenario)

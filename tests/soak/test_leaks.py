@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
-from swarmabs_analysis.soak.leaks import FEWEST, Sample, growth, sample
+from tests.soak.leaks import FEWEST, Sample, growth, sample
+from tests.soak.test_invariants import FAULTS
+from tests.soak.trial import lockstep_violations
+from tests.swarmabs_core.helpers import builtin
 
 CALM = Sample(60.0, 50_000, 6, 1, 0)
 
@@ -35,3 +37,14 @@ def test_an_open_file_is_seen() -> None:
     before = sample()
     with Path(__file__).open(encoding="utf-8"):
         assert sample().descriptors == before.descriptors + 1
+
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+def test_runs_one_after_the_other_hold_no_more_and_more() -> None:
+    scenario = builtin("pd_het_4", "duration=6", FAULTS)
+    samples = []
+    for _ in range(20):
+        assert lockstep_violations(scenario) == []
+        samples.append(sample())
+    assert [one for one in growth(samples) if not one.ok] == []

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 from functools import cache
 
 import pytest
+from tests.soak.invariants import Violation, last_fault, lockstep_invariants
+from tests.soak.trial import violations
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_analysis.soak.engine import LockstepEngine
-from swarmabs_analysis.soak.invariants import Violation, last_fault
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Message, PlaneState, SwarmEvent
+from swarmabs_run.simulation import Simulation
 
 FAULTS = (
     "faults=[{kind: loss, probability: 0.5, agents: [1, 2], to: 1}, {kind: delay, steps: 2, from: 0.5, to: 1},"
@@ -24,7 +25,7 @@ CALM = ("duration=6", "limits={velocity: 5, force: 5}")
 @cache
 def world(*overrides: str) -> tuple[Scenario, tuple[RecordedStep, ...]]:
     scenario = builtin("pd_het_4", *CALM, *overrides)
-    return scenario, tuple(LockstepEngine().steps(scenario))
+    return scenario, tuple(Simulation(scenario).steps())
 
 
 def tampered(steps: tuple[RecordedStep, ...], change: Callable[[Message], Message | None]) -> Iterator[RecordedStep]:
@@ -35,18 +36,11 @@ def tampered(steps: tuple[RecordedStep, ...], change: Callable[[Message], Messag
 
 def found(change: Callable[[Message], Message | None], *overrides: str) -> list[Violation]:
     scenario, steps = world(*overrides)
-    violations: list[Violation] = []
-    invariants = LockstepEngine().invariants(scenario)
-    for step in tampered(steps, change):
-        for invariant in invariants:
-            violations.extend(invariant.check(step))
-    for invariant in invariants:
-        violations.extend(invariant.finish())
-    return violations
+    return violations(lambda: tampered(steps, change), lockstep_invariants(scenario))
 
 
-def places(violations: list[Violation]) -> list[tuple[str, int | None, int | None]]:
-    return [violation[:3] for violation in violations]
+def places(found: list[Violation]) -> list[tuple[str, int | None, int | None]]:
+    return [violation[:3] for violation in found]
 
 
 OFF = ("plane.length=0.2502",)
@@ -70,8 +64,8 @@ def test_an_event_of_a_robot_beyond_the_end_that_is_missing() -> None:
     _, steps = world(*OFF)
     said = [r.message for s in steps for r in s.records if isinstance(r.message, SwarmEvent)]
     first = next(e for e in said if e.kind == EventKind.LIMIT_HIT and "plane's end" in e.detail)
-    violations = found(lambda message: None if message is first else message, *OFF)
-    assert places(violations) == [("lane", first.step, first.agent_id)]
+    missing = found(lambda message: None if message is first else message, *OFF)
+    assert places(missing) == [("lane", first.step, first.agent_id)]
 
 
 def test_a_liars_true_place_counts() -> None:

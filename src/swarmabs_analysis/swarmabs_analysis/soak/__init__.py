@@ -1,1 +1,0 @@
-"""Long runs of random scenarios with random faults, watched step by step."""
