@@ -10,12 +10,12 @@ setup(
     maintainer_email="maintainers@swarmabs.example",
     license="Apache-2.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "templates/*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "PyYAML", "psutil"],
+    install_requires=["setuptools", "jinja2", "PyYAML", "psutil"],
     extras_require={
         "deploy": ["cryptography>=41"],
     },

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import escape
 
 from swarmabs_config.fleet.names import path_of
 from swarmabs_config.fleet.participants import DISCOVERY, PLANE_DRIVER, node_plans, nodes_on
@@ -23,11 +22,10 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime.topic_drive import TopicSettings
 from swarmabs_fleet.environment import tool_enclave
 from swarmabs_fleet.profile import profile_roles
+from swarmabs_fleet.rendering import render
 from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.participants import NodePlan
 
@@ -64,68 +62,6 @@ _HEARD: dict[str, tuple[Topic, ...]] = {
 _SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset")}
 """Services that are not below the node's own name."""
 
-_GOVERNANCE = """\
-<?xml version="1.0" encoding="utf-8"?>
-<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
-xsi:noNamespaceSchemaLocation="http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_governance.xsd">
-  <domain_access_rules>
-    <domain_rule>
-      <domains>
-        <id>{domain}</id>
-      </domains>
-      <allow_unauthenticated_participants>false</allow_unauthenticated_participants>
-      <enable_join_access_control>true</enable_join_access_control>
-      <discovery_protection_kind>ENCRYPT</discovery_protection_kind>
-      <liveliness_protection_kind>ENCRYPT</liveliness_protection_kind>
-      <rtps_protection_kind>SIGN</rtps_protection_kind>
-      <topic_access_rules>
-        <topic_rule>
-          <topic_expression>*</topic_expression>
-          <enable_discovery_protection>true</enable_discovery_protection>
-          <enable_liveliness_protection>true</enable_liveliness_protection>
-          <enable_read_access_control>true</enable_read_access_control>
-          <enable_write_access_control>true</enable_write_access_control>
-          <metadata_protection_kind>ENCRYPT</metadata_protection_kind>
-          <data_protection_kind>ENCRYPT</data_protection_kind>
-        </topic_rule>
-      </topic_access_rules>
-    </domain_rule>
-  </domain_access_rules>
-</dds>
-"""
-
-_PERMISSIONS = """\
-<?xml version="1.0" encoding="utf-8"?>
-<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
-xsi:noNamespaceSchemaLocation="http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd">
-  <permissions>
-    <grant name="{enclave}">
-      <subject_name>CN={enclave}</subject_name>
-      <validity>
-        <not_before>{not_before}</not_before>
-        <not_after>{not_after}</not_after>
-      </validity>
-      <allow_rule>
-        <domains>
-          <id>{domain}</id>
-        </domains>
-        <publish>
-          <topics>
-{publish}
-          </topics>
-        </publish>
-        <subscribe>
-          <topics>
-{subscribe}
-          </topics>
-        </subscribe>
-      </allow_rule>
-      <default>DENY</default>
-    </grant>
-  </permissions>
-</dds>
-"""
-
 
 @dataclass(frozen=True, slots=True)
 class Rights:
@@ -137,18 +73,18 @@ class Rights:
 
 def governance(domain: int) -> str:
     """Return the rules of a domain: nobody without a certificate, everything encrypted, every topic controlled."""
-    return _GOVERNANCE.format(domain=domain)
+    return render("governance.xml", domain=domain)
 
 
 def permissions(domain: int, enclave: str, rights: Rights, not_before: str, not_after: str) -> str:
     """Return the permissions of an enclave."""
-    return _PERMISSIONS.format(
+    return render(
+        "permissions.xml",
         domain=domain,
-        enclave=escape(enclave),
+        enclave=enclave,
+        rights=rights,
         not_before=not_before,
         not_after=not_after,
-        publish=_topics(rights.publish),
-        subscribe=_topics(rights.subscribe),
     )
 
 
@@ -239,7 +175,3 @@ def _operator_rights(fleet: Fleet) -> Rights:
 
 def _topic(namespace: str, name: str) -> str:
     return f"rt{path_of(namespace, name)}"
-
-
-def _topics(names: Iterable[str]) -> str:
-    return "\n".join(f"            <topic>{escape(name)}</topic>" for name in names)

@@ -8,6 +8,7 @@ from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.robots import PluginDrive
 from swarmabs_fleet.places import Places, enclave, state_folder, target_name, unit_name
 from swarmabs_fleet.profile import DISCOVERY_GROUP, peers
+from swarmabs_fleet.rendering import render
 from swarmabs_run.orchestration.plan import OBSERVER, RECORDER
 
 if TYPE_CHECKING:
@@ -23,74 +24,11 @@ SLOW_WATCHDOG = 10
 REFUSED = 2
 """Exit code of a node that refuses its parameters: starting it again would not help."""
 
-_UNIT = """\
-[Unit]
-Description=swarmabs fleet {fleet}: {node} on {host}
-PartOf={target}
-Wants=network-online.target
-After=network-online.target time-sync.target{after}
-StartLimitIntervalSec=0
-
-[Service]
-Type=notify
-NotifyAccess=main
-User={user}
-EnvironmentFile={installed}/workspace.env
-EnvironmentFile={installed}/nodes/{node}.env
-ExecStartPre={python} -m swarmabs_fleet.own_address {address}
-ExecStart={command}
-Restart=on-failure
-RestartSec=1
-RestartPreventExitStatus={refused}
-WatchdogSec={watchdog}
-TimeoutStartSec=60
-TimeoutStopSec=10
-{further}
-# Locked in: it reads its bundle, and talks to the fleet.
-NoNewPrivileges=yes
-CapabilityBoundingSet=
-AmbientCapabilities=
-UMask=0077
-ProtectSystem=strict
-ProtectHome=read-only
-PrivateTmp=yes
-PrivateDevices={private_devices}
-ProtectClock={private_devices}
-ProtectHostname=yes
-ProtectControlGroups=yes
-ProtectKernelLogs=yes
-ProtectKernelModules=yes
-ProtectKernelTunables=yes
-ProtectProc=invisible
-RestrictAddressFamilies=AF_INET AF_NETLINK AF_UNIX
-RestrictNamespaces=yes
-RestrictSUIDSGID=yes
-LockPersonality=yes
-SystemCallArchitectures=native
-SystemCallFilter=@system-service
-SystemCallErrorNumber=EPERM
-IPAddressDeny=any
-IPAddressAllow=localhost {addresses}
-RestrictNetworkInterfaces=lo {interfaces}
-
-[Install]
-WantedBy={target}
-"""
-
-_TARGET = """\
-[Unit]
-Description=swarmabs fleet {fleet}: all nodes on {host}
-Wants={units}
-
-[Install]
-WantedBy=multi-user.target
-"""
-
 
 def units(fleet: Fleet, host: str, nodes: tuple[NodePlan, ...]) -> dict[str, str]:
     """Return the units of a host by name: those of its nodes in the order of a rolling restart, then the target."""
     made = {unit_name(fleet, node.name): _unit(fleet, node) for node in restart_order(nodes)}
-    made[target_name(fleet)] = _TARGET.format(fleet=fleet.name, host=host, units=" ".join(made))
+    made[target_name(fleet)] = render("nodes.target", fleet=fleet.name, host=host, units=" ".join(made))
     return made
 
 
@@ -107,23 +45,19 @@ def _unit(fleet: Fleet, node: NodePlan) -> str:
     slow = node.name in {RECORDER, DISCOVERY}
     devices = node.robot is None or not isinstance(node.robot.drive, PluginDrive)
     keeps = node.name in (OBSERVER, RECORDER)
-    return _UNIT.format(
-        fleet=fleet.name,
-        node=node.name,
-        host=node.host,
+    return render(
+        "node.service",
+        fleet=fleet,
+        node=node,
+        places=places,
         target=target_name(fleet),
-        after=f" wg-quick@{fleet.tunnel.interface}.service" if fleet.tunnel else "",
-        user=fleet.user(node.host),
-        installed=places.installed,
-        python=places.python,
-        address=fleet.address(node.host),
-        command=" ".join(_command(fleet, node, places)),
+        command=_command(fleet, node, places),
         refused=REFUSED,
         watchdog=SLOW_WATCHDOG if slow else WATCHDOG,
-        further=f"StateDirectory={state_folder(fleet)}\nStateDirectoryMode=0750\n" if keeps else "",
+        state=state_folder(fleet) if keeps else None,
         private_devices="yes" if devices else "no",
-        addresses=" ".join(_addresses(fleet, node)),
-        interfaces=" ".join([fleet.interface(node.host), *host.further_interfaces]),
+        addresses=_addresses(fleet, node),
+        interfaces=(fleet.interface(node.host), *host.further_interfaces),
     )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_fleet.places import Places
+from swarmabs_fleet.rendering import render
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
@@ -29,32 +30,15 @@ def tunnel_peers(fleet: Fleet, host: str) -> list[str]:
 
 def configuration(fleet: Fleet, host: str, keys: Keys) -> str:
     """Return the configuration of a host, as wg-quick reads it; it holds the host's private key."""
-    tunnel = fleet.tunnel
-    if tunnel is None:
-        raise ValueError("the fleet has no tunnel")
-    fence = f"{Places.of(fleet, host).installed}/{FENCE}"
-    lines = [
-        heading(fleet),
-        "[Interface]",
-        f"PrivateKey = {private_key(keys, host)}",
-        f"Address = {fleet.address(host)}/32",
-        f"ListenPort = {tunnel.port}",
-        # Before the address is there; without the fence there is no tunnel.
-        f"PreUp = {fence} up",
-        f"PostDown = {fence} down",
-    ]
-    for peer in tunnel_peers(fleet, host):
-        lines += [
-            "",
-            f"# {peer}",
-            "[Peer]",
-            f"PublicKey = {public_key(keys, peer)}",
-            f"AllowedIPs = {fleet.address(peer)}/32",
-            f"Endpoint = {fleet.host(peer).address}:{tunnel.port}",
-        ]
-        if tunnel.keepalive:
-            lines.append(f"PersistentKeepalive = {tunnel.keepalive}")
-    return "\n".join(lines) + "\n"
+    return render(
+        "wireguard.conf",
+        fleet=fleet,
+        host=host,
+        heading=heading(fleet),
+        fence=f"{Places.of(fleet, host).installed}/{FENCE}",
+        private=private_key(keys, host),
+        peers={peer: public_key(keys, peer) for peer in tunnel_peers(fleet, host)},
+    )
 
 
 def private_key(keys: Keys, host: str) -> str:
