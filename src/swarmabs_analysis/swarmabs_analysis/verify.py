@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.verification import Difference, Ending, Verification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_provenance, attached_scenario
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.info import PROVENANCE_FILE, SCENARIO_FILE
 from swarmabs_bag.provenance import plugin_versions, versions
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import DRIVER, RealtimeWorld, realtime_world

@@ -7,7 +7,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.info import PROVENANCE_FILE, SCENARIO_FILE
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.errors import InputError
@@ -18,6 +17,12 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
+
+SCENARIO_FILE = "scenario.yaml"
+"""Name of the attachment with the resolved scenario."""
+
+PROVENANCE_FILE = "provenance.json"
+"""Name of the attachment that says with what the run was made."""
 
 REALTIME = "realtime"
 """What the provenance of a run in real time calls what moved its state machines."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
-from mcap.records import DataEnd, Metadata, Statistics
+from mcap.records import DataEnd, Metadata
 
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, read_attachment, read_index, scan_index
@@ -30,7 +30,7 @@ from swarmabs_bag.records import (
 from swarmabs_config.scenario.errors import show
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
     from typing import BinaryIO
 
@@ -54,24 +54,17 @@ class BagFile:
         index, latest, count = self.index, 0, 0
         said = index.statistics.message_count
         most = math.inf if index.problem else said
-        try:
-            with self.path.open("rb") as stream:
-                for message in self._messages(stream):
-                    if message.channel_id not in index.channels:
-                        raise RecordError(  # noqa: TRY301 - one place adds the file's name
-                            index.data_end, f"channel {message.channel_id} of a message is not in the summary"
-                        )
-                    latest = message.log_time
-                    count += 1
-                    if count > most:
-                        break
-                    yield message
-        except RecordError as error:
-            raise DamagedBagError(
-                f"{self.path}: {error}; the messages before it, up to {latest / 1e9:.9g} s, can be read"
-            ) from error
-        except OSError as error:
-            raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+        with self._opened(lambda: f"; the messages before it, up to {latest / 1e9:.9g} s, can be read") as stream:
+            for message in self._messages(stream):
+                if message.channel_id not in index.channels:
+                    raise RecordError(
+                        index.data_end, f"channel {message.channel_id} of a message is not in the summary"
+                    )
+                latest = message.log_time
+                count += 1
+                if count > most:
+                    break
+                yield message
         if index.problem is None and count != said:
             counted = f"at least {count}" if count > most else str(count)
             raise DamagedBagError(self._miscounted("message_count", said, counted))
@@ -140,7 +133,7 @@ class BagFile:
             if found.problem is not None:
                 raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
             _check_crc(read_record(stream, found.data_end, self.size), found.crc)
-        counted, said = _numbers(found.statistics), _numbers(self.index.statistics)
+        counted, said = found.numbers(), self.index.numbers()
         for name in {**counted, **said}:
             if said.get(name, 0) != counted.get(name, 0):
                 raise DamagedBagError(self._miscounted(name, said.get(name, 0), str(counted.get(name, 0))))
@@ -149,12 +142,13 @@ class BagFile:
         return f"{self.path}: the summary says {name} = {said}, but it is {counted}"
 
     @contextmanager
-    def _opened(self) -> Iterator[BinaryIO]:
+    def _opened(self, remedy: Callable[[], str] = str) -> Iterator[BinaryIO]:
+        """Open the file; what is wrong in it is told with its name, and with what can be done all the same."""
         try:
             with self.path.open("rb") as stream:
                 yield stream
         except RecordError as error:
-            raise DamagedBagError(f"{self.path}: {error}") from error
+            raise DamagedBagError(f"{self.path}: {error}{remedy()}") from error
         except OSError as error:
             raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
 
@@ -195,20 +189,6 @@ def _readable(index: FileIndex) -> str:
     return (
         f"; {count} messages before it, up to {end / 1e9:.9g} s, can be read" if count else "; no message can be read"
     )
-
-
-def _numbers(statistics: Statistics) -> dict[str, int]:
-    return {
-        "message_count": statistics.message_count,
-        "message_start_time": statistics.message_start_time,
-        "message_end_time": statistics.message_end_time,
-        "chunk_count": statistics.chunk_count,
-        **{
-            f"messages of channel {channel}": count
-            for channel, count in sorted(statistics.channel_message_counts.items())
-            if count
-        },
-    }
 
 
 def _check_crc(end: Record, crc: int) -> None:

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from typing import BinaryIO
 
-    from mcap.records import Statistics
-
 
 @dataclass(slots=True)
 class Part:
@@ -142,29 +140,15 @@ def _summary_problem(found: Rebuilt) -> str | None:
         return found.unstated
     if found.end is not None and found.end.data_section_crc not in {0, there.crc}:
         return "CRC of the data section does not match"
-    if _numbers(stated.statistics) != _numbers(there.statistics):
+    if (stated.numbers(), stated.statistics.attachment_count) != (there.numbers(), there.statistics.attachment_count):
         return "the numbers in the summary section are not those of the file"
-    for name, said, counted in (
-        ("chunks", stated.chunks, there.chunks),
-        ("attachments", stated.attachments, there.attachments),
-        ("metadata records", stated.metadata, there.metadata),
-    ):
-        if said != counted:
+    counted = there.entries()
+    for name, said in stated.entries().items():
+        if said != counted[name]:
             return f"the summary section lists other {name} than the file has"
     if not (there.channels.items() <= stated.channels.items() and there.schemas.items() <= stated.schemas.items()):
         return "the summary section describes other topics than the file has"
     return None
-
-
-def _numbers(statistics: Statistics) -> tuple[object, ...]:
-    return (
-        statistics.message_count,
-        statistics.message_start_time,
-        statistics.message_end_time,
-        statistics.chunk_count,
-        statistics.attachment_count,
-        {channel: count for channel, count in statistics.channel_message_counts.items() if count},
-    )
 
 
 def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:

@@ -14,7 +14,7 @@ import struct
 import zlib
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -33,10 +33,12 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
 from swarmabs_bag.records import (
     HEAD_SIZE,
     MAGIC,
     MAX_SIZE,
+    Parsable,
     Record,
     RecordError,
     chunk_head,
@@ -115,7 +117,7 @@ class FileIndex:
         Raises
         ------
         RecordError
-            If the record is not as the format says, or beyond all measure; nothing counts then.
+            If the record is not as the format says, or beyond all measure.
         """
         opcode, statistics = record.opcode, self.statistics
         if opcode == Opcode.CHUNK:
@@ -138,11 +140,6 @@ class FileIndex:
         self.crc = crc_with(self.crc, record)
         self.data_end = record.end
 
-    def append(self, content: bytes) -> bytes:
-        """Take over a whole record that is to be appended at `data_end`; return it."""
-        self.take(Record(self.data_end, content[0], content[HEAD_SIZE:]))
-        return content
-
     def define(self, record: Record) -> None:
         """Take over a schema or a channel; what is repeated replaces what was before."""
         if record.opcode == Opcode.SCHEMA:
@@ -159,13 +156,28 @@ class FileIndex:
         if self.definitions > MOST_DEFINITIONS:
             raise RecordError(record.offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
 
+    def entries(self) -> dict[str, Sequence[McapRecord]]:
+        """Return the lists of index records by what they are of."""
+        return {"chunks": self.chunks, "attachments": self.attachments, "metadata records": self.metadata}
+
+    def numbers(self) -> dict[str, int]:
+        """Return the numbers of messages and chunks by what they say, of channels only those that are not 0."""
+        statistics = self.statistics
+        return {
+            "message_count": statistics.message_count,
+            "message_start_time": statistics.message_start_time,
+            "message_end_time": statistics.message_end_time,
+            "chunk_count": statistics.chunk_count,
+            **{
+                f"messages of channel {channel}": count
+                for channel, count in sorted(statistics.channel_message_counts.items())
+                if count
+            },
+        }
+
     def check_number(self, offset: int) -> None:
         """Refuse more entries than a file of any use has."""
-        for name, entries in (
-            ("chunks", self.chunks),
-            ("attachments", self.attachments),
-            ("metadata records", self.metadata),
-        ):
+        for name, entries in self.entries().items():
             if len(entries) > MOST_ENTRIES:
                 raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
 
@@ -316,15 +328,17 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
 def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> FileIndex:
     """Return the index with what the summary section from byte `start` on says, completed by a scan if need be."""
     stated: Statistics | None = None
+    listed: dict[int, tuple[type[Parsable], list[Any]]] = {
+        Opcode.CHUNK_INDEX: (ChunkIndex, index.chunks),
+        Opcode.ATTACHMENT_INDEX: (AttachmentIndex, index.attachments),
+        Opcode.METADATA_INDEX: (MetadataIndex, index.metadata),
+    }
     for record in read_records(stream, start, size):
         if record.opcode == Opcode.STATISTICS:
             stated = parse(Statistics, record)
-        elif record.opcode == Opcode.CHUNK_INDEX:
-            index.chunks.append(parse(ChunkIndex, record))
-        elif record.opcode == Opcode.ATTACHMENT_INDEX:
-            index.attachments.append(parse(AttachmentIndex, record))
-        elif record.opcode == Opcode.METADATA_INDEX:
-            index.metadata.append(parse(MetadataIndex, record))
+        elif record.opcode in listed:
+            kind, entries = listed[record.opcode]
+            entries.append(parse(kind, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
             index.define(record)
         index.check_number(record.offset)
@@ -338,8 +352,11 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
         if stated is not None:  # whoever reads the file finds the damage where it is
             return index
         raise
-    for kind in ("schemas", "channels", "chunks", "attachments", "metadata"):
-        setattr(index, kind, getattr(index, kind) or getattr(found, kind))
+    index.schemas = index.schemas or found.schemas
+    index.channels = index.channels or found.channels
+    index.chunks = index.chunks or found.chunks
+    index.attachments = index.attachments or found.attachments
+    index.metadata = index.metadata or found.metadata
     index.statistics = stated or found.statistics
     return index
 
@@ -385,6 +402,14 @@ def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> N
         crc = zlib.crc32(piece, crc)
     if crc != footer.summary_crc:
         raise RecordError(footer.summary_start, "CRC of the summary section does not match")
+
+
+def ending(index: FileIndex, description: str) -> Iterator[bytes]:
+    """Yield what makes a complete bag of a file with these records: rosbag2's description, and the `tail`."""
+    record = encoded(Metadata(name=RECORD_NAME, metadata={RECORD_KEY: description}))
+    index.take(Record(index.data_end, Opcode.METADATA, record[HEAD_SIZE:]))
+    yield record
+    yield from tail(index)
 
 
 def tail(index: FileIndex) -> Iterator[bytes]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
+from swarmabs_bag.attached import SCENARIO_FILE, attached_provenance
 from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
@@ -24,12 +25,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rich.console import RenderableType
-
-SCENARIO_FILE = "scenario.yaml"
-"""Name of the attachment with the resolved scenario."""
-
-PROVENANCE_FILE = "provenance.json"
-"""Name of the attachment that says with what the run was made."""
 
 _LONGEST_QOS = 200
 _CLOCK = 1e8
@@ -158,8 +153,11 @@ def bag_info(path: Path | str) -> BagInfo:
             problem = str(error)
         else:
             problem = "it holds several scenarios and does not say of which it is a run" if several else None
-    provenance = _provenance(_attachment(bag, PROVENANCE_FILE))
+    provenance = attached_provenance(bag)
     versions, fingerprint = provenance.get("versions"), provenance.get("libm_fingerprint")
+    custom: dict[str, str] = {}
+    with suppress(DamagedBagError):
+        custom = bag.custom_data()
     return BagInfo(
         file=str(bag.path),
         size=bag.size,
@@ -184,15 +182,15 @@ def bag_info(path: Path | str) -> BagInfo:
         compression=", ".join(sorted({chunk.compression or "none" for chunk in bag.index.chunks})),
         uncompressed_size=sum(chunk.uncompressed_size for chunk in bag.index.chunks),
         attachments={attachment.name: attachment.data_size for attachment in bag.index.attachments},
-        scenario=_scenario(_attachment(bag, SCENARIO_FILE)),
+        scenario=_scenario(bag),
         versions={name: value for name, value in versions.items() if isinstance(value, str)}
         if isinstance(versions, dict)
         else {},
         fingerprint=fingerprint if isinstance(fingerprint, str) else None,
         complete=problem is None,
         problem=problem,
-        aborted=_custom(bag, ABORTED_KEY),
-        repaired=_custom(bag, REPAIRED_KEY),
+        aborted=custom.get(ABORTED_KEY),
+        repaired=custom.get(REPAIRED_KEY),
     )
 
 
@@ -252,36 +250,12 @@ def _shown(text: str) -> str:
     return escape("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text))
 
 
-def _attachment(bag: BagReader, name: str) -> bytes:
+def _scenario(bag: BagReader) -> ScenarioInfo | None:
     try:
-        return bag.attachment(name) or b""
-    except DamagedBagError:
-        return b""
-
-
-def _custom(bag: BagReader, key: str) -> str | None:
-    try:
-        custom = bag.rosbag2_metadata().get("custom_data")
-    except DamagedBagError:
-        return None
-    found = custom.get(key) if isinstance(custom, dict) else None
-    return found if isinstance(found, str) else None
-
-
-def _scenario(data: bytes) -> ScenarioInfo | None:
-    try:
-        scenario = parse_scenario(data.decode(), source=SCENARIO_FILE)
-    except (ScenarioError, UnicodeDecodeError):
+        scenario = parse_scenario((bag.attachment(SCENARIO_FILE) or b"").decode(), source=SCENARIO_FILE)
+    except (DamagedBagError, ScenarioError, UnicodeDecodeError):
         return None
     return ScenarioInfo(scenario.name, scenario.seed, len(scenario.agents), scenario.duration_ns / 1e9, scenario.period)
-
-
-def _provenance(data: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(data)
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _qos(profiles: str) -> str:

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from mcap.records import Statistics
+    from typing_extensions import Self
+
 METADATA_FILE = "metadata.yaml"
 """Name of rosbag2's description beside the MCAP file."""
 
@@ -56,6 +59,11 @@ class FileRecord:
     start: int
     end: int
     message_count: int
+
+    @classmethod
+    def of(cls, name: str, numbers: Statistics) -> Self:
+        """Return what the numbers of a file say of it."""
+        return cls(name, numbers.message_start_time, numbers.message_end_time, numbers.message_count)
 
 
 def qos_profile(qos: Qos) -> dict[str, object]:

@@ -10,7 +10,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata
 
-from swarmabs_bag.index import FileIndex, read_index, tail
+from swarmabs_bag.index import FileIndex, ending, read_index
 from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
 from swarmabs_bag.records import (
     HEAD_SIZE,
@@ -144,9 +144,7 @@ class Rebuilt:
         if self._output is None:
             return
         self.description = describe(self)
-        metadata = Metadata(name=RECORD_NAME, metadata={RECORD_KEY: self.description})
-        self._write(self.index.append(encoded(metadata)))
-        for piece in tail(self.index):
+        for piece in ending(self.index, self.description):
             self._write(piece)
 
     def _begin(self, header: Header) -> None:

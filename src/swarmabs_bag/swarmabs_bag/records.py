@@ -33,6 +33,10 @@ MAX_PARSED = 2**24
 MAX_RATIO = 1000
 """Chunks of more than a MiB that are larger by this factor when uncompressed are taken for damage."""
 
+UNCOMPRESSING = (zstandard.ZstdError, RuntimeError, ValueError)
+"""Errors of `uncompressed`."""
+
+_PIECE = 2**17
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
@@ -220,8 +224,8 @@ def uncompress(record: Record) -> bytes:
     if size > max(2**20, MAX_RATIO * len(head.data)):
         raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, made from {len(head.data)}")
     try:
-        data = _uncompress(head)
-    except (zstandard.ZstdError, RuntimeError, ValueError) as error:
+        data = uncompressed(head.compression, head.data, size)
+    except UNCOMPRESSING as error:
         raise RecordError(record.offset, f"the chunk cannot be uncompressed: {error}") from error
     except MemoryError as error:
         raise RecordError(record.offset, f"a chunk of {size} bytes, for which there is not enough memory") from error
@@ -232,19 +236,27 @@ def uncompress(record: Record) -> bytes:
     return data
 
 
-def _uncompress(head: ChunkHead) -> bytes:
-    if head.compression == "":
-        return bytes(head.data)
-    if head.compression == "zstd":
-        stated = zstandard.frame_content_size(head.data)
-        if stated not in {-1, head.uncompressed_size}:
-            raise ValueError(f"its zstd frame says {stated} bytes, the chunk {head.uncompressed_size}")
+def uncompressed(compression: str, data: bytes | memoryview, size: int, *, cut_off: bool = False) -> bytes:
+    """Return what a chunk's data are without compression, of data that are cut off as far as they go.
+
+    Not many more than `size` bytes are made. The errors of the libraries are passed on.
+    """
+    if compression == "":
+        return bytes(data[:size] if cut_off else data)
+    if compression == "zstd":
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_SIZE)
-        return decompressor.decompress(head.data, max_output_size=head.uncompressed_size)
-    if head.compression == "lz4":
-        frame = lz4.frame.LZ4FrameDecompressor()
-        return bytes(frame.decompress(head.data, max_length=head.uncompressed_size + 1))
-    raise ValueError(f"unknown compression {head.compression!r}")
+        if cut_off:
+            with decompressor.stream_reader(data) as reader, BytesIO() as whole:
+                while whole.tell() < size and (piece := reader.read(min(size - whole.tell(), _PIECE))):
+                    whole.write(piece)
+                return whole.getvalue()
+        stated = zstandard.frame_content_size(data)
+        if stated not in {-1, size}:
+            raise ValueError(f"its zstd frame says {stated} bytes, the chunk {size}")
+        return decompressor.decompress(data, max_output_size=size)
+    if compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1 - cut_off))
+    raise ValueError(f"unknown compression {compression!r}")
 
 
 def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:

@@ -194,15 +194,13 @@ def _write(parts: Sequence[Part], work: Path, *, unfinished: bool) -> None:
         else:
             shutil.copyfile(part.path, work / part.name)
         custom |= part.custom_data()
-    write_metadata(
-        work, bag_metadata(topics_of(parts), files=[_file_record(part) for part in parts], custom_data=custom)
-    )
+    write_metadata(work, bag_metadata(topics_of(parts), files=_file_records(parts), custom_data=custom))
 
 
 def _rewritten(part: Part, path: Path, custom: Mapping[str, str], definitions: FileIndex | None) -> Rebuilt:
     def describe(found: Rebuilt) -> str:
         part.found = found
-        return dump_yaml(bag_metadata(topics_of([part]), files=[_file_record(part)], custom_data=custom))
+        return dump_yaml(bag_metadata(topics_of([part]), files=_file_records([part]), custom_data=custom))
 
     file = RecordFile(path)
     try:
@@ -214,9 +212,8 @@ def _rewritten(part: Part, path: Path, custom: Mapping[str, str], definitions: F
     return found
 
 
-def _file_record(part: Part) -> FileRecord:
-    statistics = part.index.statistics
-    return FileRecord(part.name, statistics.message_start_time, statistics.message_end_time, statistics.message_count)
+def _file_records(parts: Sequence[Part]) -> list[FileRecord]:
+    return [FileRecord.of(part.name, part.index.statistics) for part in parts]
 
 
 def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata: bool) -> None:

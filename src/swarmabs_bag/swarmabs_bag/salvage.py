@@ -9,8 +9,6 @@ import zlib
 from functools import cached_property
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-import lz4.frame
-import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Header, Metadata, Schema
 
@@ -19,6 +17,7 @@ from swarmabs_bag.records import (
     HEAD_SIZE,
     MAGIC,
     MAX_SIZE,
+    UNCOMPRESSING,
     Record,
     RecordError,
     chunk_head,
@@ -28,6 +27,7 @@ from swarmabs_bag.records import (
     read_message,
     read_record,
     uncompress,
+    uncompressed,
 )
 
 if TYPE_CHECKING:
@@ -265,14 +265,14 @@ def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, in
     if len(content) < name_start or content[0] != Opcode.CHUNK:
         return None
     _, length = _HEAD.unpack_from(content)
-    start, end, uncompressed, _, name_length = _CHUNK_HEAD.unpack_from(content, HEAD_SIZE)
+    start, end, stated, _, name_length = _CHUNK_HEAD.unpack_from(content, HEAD_SIZE)
     data_start = name_start + name_length + 8
-    if length <= size - offset - HEAD_SIZE or uncompressed > MAX_SIZE or start > end:
+    if length <= size - offset - HEAD_SIZE or stated > MAX_SIZE or start > end:
         return None
-    name = content[name_start : name_start + name_length]
+    name = content[name_start : name_start + name_length].decode(errors="replace")
     try:
-        data = _uncompressed_start(name, content[data_start:], uncompressed)
-    except (zstandard.ZstdError, RuntimeError):
+        data = uncompressed(name, content[data_start:], stated, cut_off=True)
+    except UNCOMPRESSING:
         data = b""
     whole = 0
     try:
@@ -285,18 +285,3 @@ def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, in
     except RecordError:
         pass
     return data[:whole], start, end
-
-
-def _uncompressed_start(name: bytes, data: bytes, size: int) -> bytes:
-    if name == b"":
-        return data[:size]
-    if name == b"zstd":
-        with zstandard.ZstdDecompressor(max_window_size=MAX_SIZE).stream_reader(data) as reader:
-            pieces = []
-            while size > 0 and (piece := reader.read(min(size, 2**17))):
-                pieces.append(piece)
-                size -= len(piece)
-            return b"".join(pieces)
-    if name == b"lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size))
-    return b""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from swarmabs_bag.attached import SCENARIO_FILE
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.info import SCENARIO_FILE
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import is_realtime
 from swarmabs_config import configure

@@ -9,11 +9,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
-from mcap.records import Metadata
 from mcap.writer import CompressionType, Writer
 
 from swarmabs_bag.errors import BagFolderError, BagWriteError
-from swarmabs_bag.index import scan_index, tail
+from swarmabs_bag.index import ending, scan_index
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
     RECORD_KEY,
@@ -26,7 +25,7 @@ from swarmabs_bag.metadata import (
     write_metadata,
 )
 from swarmabs_bag.output import RecordFile, Reserve
-from swarmabs_bag.records import RecordError, encoded
+from swarmabs_bag.records import RecordError
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_ros.qos import OFFERED
@@ -376,16 +375,10 @@ class BagWriter:
             with self.path.open("rb") as stream:
                 index = scan_index(stream, self._file.committed)
             self._file.cut(index.data_end)
-            statistics = index.statistics
-            file = FileRecord(
-                self.path.name, statistics.message_start_time, statistics.message_end_time, statistics.message_count
-            )
-            parts = [(file, statistics.channel_message_counts)]
+            file = FileRecord.of(self.path.name, index.statistics)
+            parts = [(file, index.statistics.channel_message_counts)]
             try:
-                description = self._description(parts, reason)
-                record = Metadata(name=RECORD_NAME, metadata={RECORD_KEY: dump_yaml(description)})
-                self._file.write(index.append(encoded(record)))
-                for piece in tail(index):
+                for piece in ending(index, dump_yaml(self._description(parts, reason))):
                     self._file.write(piece)
                 self._file.commit()
             except OSError:

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 
-from swarmabs_bag.info import SCENARIO_FILE
+from swarmabs_bag.attached import SCENARIO_FILE
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.writer import BagWriter
 from swarmabs_cli import main
