@@ -222,7 +222,7 @@ def controller_parameters() -> str:
     """Return the table of the parameters that each control law adds to the parent controller's."""
     rows = [
         (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.description)
-        for name, entry in CONTROLLERS.items()
+        for name, entry in CONTROLLERS.built_in.items()
         for p in entry.settings
     ]
     return table(("law", "parameter", "default", "allowed", "meaning"), rows)

@@ -18,9 +18,9 @@ import rclpy
 from hypothesis import settings
 from tests.processes import MARK, marked_processes
 
-from swarmabs_core.controllers import ALL_CONTROLLERS
-from swarmabs_core.law_registry import ALL_LAWS
-from swarmabs_core.realtime.drive_registry import ALL_DRIVES
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.law_registry import LAWS
+from swarmabs_core.realtime.drive_registry import DRIVES
 from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
 from swarmabs_run.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
 
@@ -155,7 +155,7 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder = tmp_path / "packages"
     folder.mkdir()
     monkeypatch.syspath_prepend(folder)
-    for registry in (ALL_CONTROLLERS, ALL_LAWS, ALL_DRIVES):
+    for registry in (CONTROLLERS, LAWS, DRIVES):
         for cache in ("_loaded", "_packages"):
             monkeypatch.setattr(registry, cache, {})
     yield folder

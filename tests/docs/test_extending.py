@@ -9,7 +9,7 @@ from tests.docs.pages import blocks, read, section
 from tests.plugin_packages import install
 
 from swarmabs_config.scenario import parse_scenario
-from swarmabs_core.law_registry import ALL_LAWS
+from swarmabs_core.law_registry import LAWS
 from swarmabs_run.simulation import simulate
 
 PAGE = "docs/extending.md"
@@ -23,7 +23,7 @@ def test_the_law_of_the_page_bounds_the_commands(tmp_path: Path, monkeypatch: py
     install(tmp_path, "law", "bounded", source, target="test_bounded:BOUNDED")
     monkeypatch.syspath_prepend(tmp_path)
     for cache in ("_loaded", "_packages"):
-        monkeypatch.setattr(ALL_LAWS, cache, {})
+        monkeypatch.setattr(LAWS, cache, {})
     scenario = f"schema: 1\nduration: 10\nplane: {{angle: 0.3}}\n{selection}  generate: {{{kinds}}}\n"
     bounded = simulate(parse_scenario(scenario, overrides=["swarm.law.bound=0.2"]))
     paper = simulate(parse_scenario(scenario, overrides=["swarm.law.type=paper"]))

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 from tests.errata.paper import FRICTION, INERTIA, OFFSET, PD_PRINTED, slope
 
-from swarmabs_core.controllers import ParentContext, make_controller
+from swarmabs_core.controllers import CONTROLLERS, ParentContext
 from swarmabs_core.controllers.arise import Arise, AriseGains, regressor
 from swarmabs_core.controllers.feedback import lqr_gains
 from swarmabs_core.friction import Friction
@@ -58,7 +58,7 @@ def test_printed_gains_are_not_the_optimal_ones() -> None:
 
     assert lqr_gains((10.0, 1.0), 1.0, TOTAL, VISCOUS) == pytest.approx(right, rel=1e-6)
     context = ParentContext(0.01, INERTIA, Friction(*FRICTION), Manifold(0.0125, OFFSET, 5.0))
-    law = make_controller("lqr", {"q": (10.0, 1.0), "r": 1.0}, context)
+    law = CONTROLLERS.make("lqr", {"q": (10.0, 1.0), "r": 1.0}, context)
     found = [law.torque(0.0, PlaneState(0, 0, *x)) for x in ((1.0, 0.0), (0.0, 1.0))]
     assert found == pytest.approx(right, rel=1e-6)
 

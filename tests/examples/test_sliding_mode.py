@@ -16,7 +16,7 @@ from tests.docs.pages import ROOT
 from tests.plugin_packages import SCALED, install
 
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.controllers import ALL_CONTROLLERS
+from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_run.simulation import simulate
 
 EXAMPLE = ROOT / "examples" / "sliding_mode"
@@ -89,7 +89,7 @@ def test_the_angle_follows_within_the_bound_of_the_boundary_layer(
     """Within the layer |s| falls below layer D/reach and |e| below that divided by the slope."""
     monkeypatch.syspath_prepend(installed)
     for cache in ("_loaded", "_packages"):
-        monkeypatch.setattr(ALL_CONTROLLERS, cache, {})
+        monkeypatch.setattr(CONTROLLERS, cache, {})
     scenario = load_scenario(SCENARIO, overrides)
     run = simulate(scenario)
     errors = [abs(have - 0.3 * math.sin(0.5 * time)) for time, have in zip(run.time, run.angle, strict=True)]

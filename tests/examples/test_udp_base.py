@@ -18,7 +18,7 @@ from tests.docs.pages import ROOT
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.drive_registry import ALL_DRIVES, Body, make_drive
+from swarmabs_core.realtime.drive_registry import DRIVES, Body
 from swarmabs_core.realtime.drives import Measurement, Reporting
 
 EXAMPLE = ROOT / "examples" / "udp_base"
@@ -53,9 +53,9 @@ def base() -> Iterator[socket.socket]:
 def drive(installed: Path, base: socket.socket, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(installed)
     for cache in ("_loaded", "_packages"):
-        monkeypatch.setattr(ALL_DRIVES, cache, {})
-    made = make_drive("udp_base", {"address": "127.0.0.1", "port": base.getsockname()[1]}, BODY)
-    assert ALL_DRIVES.package("udp_base") == ("swarmabs-udp-base", "1.0.0")
+        monkeypatch.setattr(DRIVES, cache, {})
+    made = DRIVES.make("udp_base", {"address": "127.0.0.1", "port": base.getsockname()[1]}, BODY)
+    assert DRIVES.package("udp_base") == ("swarmabs-udp-base", "1.0.0")
     yield made
     made._socket.close()  # type: ignore[attr-defined]
     sys.modules.pop("swarmabs_udp_base", None)
@@ -95,4 +95,4 @@ def test_a_base_that_is_not_there_is_only_silence(drive: Any, base: socket.socke
 
 def test_an_address_that_is_none_is_refused(drive: Any) -> None:
     with pytest.raises(InputError, match=r"drive\.address: '::1' cannot be used"):
-        make_drive("udp_base", {"address": "::1"}, BODY)
+        DRIVES.make("udp_base", {"address": "::1"}, BODY)

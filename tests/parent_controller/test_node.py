@@ -32,16 +32,16 @@ def settings_of(law: str, **values: Value) -> Settings:
         return settings_from(table(node), controller__type=law, **values)
 
 
-@pytest.mark.parametrize("law", CONTROLLERS)
+@pytest.mark.parametrize("law", CONTROLLERS.built_in)
 def test_the_law_decides_which_parameters_there_are(law: str) -> None:
     with started_node(*given(controller__type=law)) as node:
         names = [parameter.name for parameter in table(node)]
     assert names[0] == LAW.name
     own = {name for name in names if name.startswith("controller.")} - {LAW.name}
-    assert own == {f"controller.{setting.name}" for setting in CONTROLLERS[law].settings}
+    assert own == {f"controller.{setting.name}" for setting in CONTROLLERS.built_in[law].settings}
 
 
-@pytest.mark.parametrize("law", CONTROLLERS)
+@pytest.mark.parametrize("law", CONTROLLERS.built_in)
 def test_it_hears_the_plane_and_says_what_it_wants(law: str) -> None:
     spec = make(settings_of(law), CHANNEL)
     assert isinstance(spec.behaviour, Controller)

@@ -15,7 +15,7 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 
-PD = tuple(replace(setting, name=f"controller.{setting.name}") for setting in CONTROLLERS["pd"].settings)
+PD = tuple(replace(setting, name=f"controller.{setting.name}") for setting in CONTROLLERS.built_in["pd"].settings)
 TABLE: tuple[Parameter, ...] = (LAW, *PARAMETERS, *PD)
 NO_NODE = cast("RealtimeNode", None)
 PERIOD = 10_000_000

@@ -79,7 +79,7 @@ def test_a_controller_that_asks_for_no_number_ends_the_run(packages: Path) -> No
 
 
 @pytest.mark.parametrize("kind", ["SI", "DI", "mixed"])
-@pytest.mark.parametrize("law", CONTROLLERS)
+@pytest.mark.parametrize("law", CONTROLLERS.built_in)
 def test_every_parent_controller_leads_every_kind_of_swarm(law: str, kind: str) -> None:
     overrides = [f"controller.type={law}", "duration=12", "plane.angle=0.1"]
     if law == "arise":

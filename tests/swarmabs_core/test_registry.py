@@ -12,11 +12,11 @@ import pytest
 from tests.plugin_packages import BANG_BANG, install
 
 from swarmabs_config.scenario import json_schema, parse_scenario
-from swarmabs_core.controllers import ALL_CONTROLLERS, CONTROLLERS, ControllerType, ParentContext
+from swarmabs_core.controllers import CONTROLLERS, ControllerType, ParentContext, ParentController
 from swarmabs_core.controllers.feedback import PD, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
-from swarmabs_core.law_registry import ALL_LAWS, LAWS
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.registry import PluginError, Registry
 from swarmabs_run.simulation import simulate
@@ -26,15 +26,18 @@ PART = "from swarmabs_core.controllers import ControllerType\nfrom swarmabs_core
 
 
 @pytest.fixture
-def registry() -> Registry[ControllerType]:
+def registry() -> Registry[ParentContext, ParentController]:
     group = "swarmabs.parent_controllers"
-    return Registry("parent controller", group, ControllerType, CONTROLLERS, ("torque", "reference"))
+    built_in = tuple(CONTROLLERS.built_in.values())
+    return Registry("parent controller", group, ControllerType, built_in, ("torque", "reference"))
 
 
-def test_what_a_package_brings_is_found_beside_the_built_in(packages: Path, registry: Registry[ControllerType]) -> None:
+def test_what_a_package_brings_is_found_beside_the_built_in(
+    packages: Path, registry: Registry[ParentContext, ParentController]
+) -> None:
     install(packages, "controller", "bang_bang", BANG_BANG)
-    assert list(registry) == [*CONTROLLERS, "bang_bang"]
-    assert len(registry) == len(CONTROLLERS) + 1
+    assert list(registry) == [*CONTROLLERS.built_in, "bang_bang"]
+    assert len(registry) == len(CONTROLLERS.built_in) + 1
     assert registry["pd"] is PD
     assert registry["bang_bang"].settings[0].name == "torque"
     assert registry["bang_bang"] is registry["bang_bang"]
@@ -56,14 +59,14 @@ def test_installed_packages_are_not_looked_at_for_what_is_built_in(monkeypatch: 
         overrides=["controller.type=arise", "controller.gamma.0=5", "swarm.law.type=paper"],
     )
     assert len(simulate(scenario).step) == 11
-    assert ALL_CONTROLLERS.package(scenario.controller.type) is None
-    assert ALL_LAWS.package(scenario.swarm.law.type) is None
+    assert CONTROLLERS.package(scenario.controller.type) is None
+    assert LAWS.package(scenario.swarm.law.type) is None
     with pytest.raises(pytest.fail.Exception):
         json_schema()
 
 
 def test_an_unknown_name_is_answered_with_all_names_and_loads_nothing(
-    packages: Path, registry: Registry[ControllerType]
+    packages: Path, registry: Registry[ParentContext, ParentController]
 ) -> None:
     install(packages, "controller", "broken", "raise RuntimeError", package="broken-one")
     with pytest.raises(InputError, match=r"no parent controller 'pid'; there are arise, broken, lqr, pd"):
@@ -112,7 +115,9 @@ UNFIT: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("case", UNFIT)
-def test_an_unfit_package_is_named(packages: Path, registry: Registry[ControllerType], case: str) -> None:
+def test_an_unfit_package_is_named(
+    packages: Path, registry: Registry[ParentContext, ParentController], case: str
+) -> None:
     source, text = UNFIT[case]
     install(packages, "controller", "unfit", source, package="unfit-one")
     with pytest.raises(PluginError, match=text) as caught:
@@ -122,14 +127,16 @@ def test_an_unfit_package_is_named(packages: Path, registry: Registry[Controller
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_made_must_do_its_duty(packages: Path, registry: Registry[ControllerType]) -> None:
+def test_what_is_made_must_do_its_duty(packages: Path, registry: Registry[ParentContext, ParentController]) -> None:
     source = f"{PART}PART = ControllerType('idle', (), lambda settings, context: 7)"
     install(packages, "controller", "idle", source)
     with pytest.raises(PluginError, match=r"'idle' makes an object of type int, which has no method torque"):
         registry.make("idle", {}, CONTEXT)
 
 
-def test_two_packages_with_one_name_are_both_named(packages: Path, registry: Registry[ControllerType]) -> None:
+def test_two_packages_with_one_name_are_both_named(
+    packages: Path, registry: Registry[ParentContext, ParentController]
+) -> None:
     for package in ("first-one", "second-one"):
         install(packages, "controller", "bang_bang", BANG_BANG, package=package)
     with pytest.raises(
@@ -138,11 +145,11 @@ def test_two_packages_with_one_name_are_both_named(packages: Path, registry: Reg
         registry.find("bang_bang")
 
 
-def test_the_built_in_cannot_be_replaced(packages: Path, registry: Registry[ControllerType]) -> None:
+def test_the_built_in_cannot_be_replaced(packages: Path, registry: Registry[ParentContext, ParentController]) -> None:
     install(packages, "controller", "pd", f"{PART}PART = ControllerType('pd', (), print)", package="usurper")
     assert isinstance(registry.make("pd", {}, CONTEXT), StateFeedback)
     for ask in (list, lambda found: found.find("pid")):
-        attempt: Callable[[Registry[ControllerType]], object] = ask
+        attempt: Callable[[Registry[ParentContext, ParentController]], object] = ask
         with pytest.raises(PluginError, match=r"package usurper 1\.5 brings a parent controller 'pd', a name which is"):
             attempt(registry)
 
@@ -150,5 +157,5 @@ def test_the_built_in_cannot_be_replaced(packages: Path, registry: Registry[Cont
 def test_every_built_in_part_keeps_the_rules_of_a_plugin() -> None:
     from swarmabs_core.registry import _problem  # noqa: PLC0415
 
-    parts: dict[str, Any] = {**CONTROLLERS, **LAWS}
+    parts: dict[str, Any] = {**CONTROLLERS.built_in, **LAWS.built_in}
     assert {name: _problem(name, part) for name, part in parts.items()} == dict.fromkeys(parts, "")

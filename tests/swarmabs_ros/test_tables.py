@@ -33,7 +33,7 @@ TABLES = {
     "parent_controller": (controller.LAW, *controller.PARAMETERS),
     "agent_node": agent.PARAMETERS,
     "recorder": recorder.PARAMETERS,
-    **{f"controller {name}": entry.settings for name, entry in CONTROLLERS.items()},
+    **{f"controller {name}": entry.settings for name, entry in CONTROLLERS.built_in.items()},
     **REALTIME,
 }
 UNIT = re.compile(r"\b(ns|s|m|kg|rad|N|steps)\b|1/|0 to 1|probability|smoothing|gain|weight|friction", re.IGNORECASE)

@@ -11,7 +11,7 @@ from swarmabs_config.configure import KINDS
 from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_newcomer
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault
-from swarmabs_core.law_registry import LAWS, PAPER, law_type
+from swarmabs_core.law_registry import LAWS, PAPER
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
 from swarmabs_core.parameters import Parameter
@@ -25,7 +25,7 @@ from swarmabs_ros.status import StatusChannel
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-LAW = Parameter("law.type", PAPER.name, "law of the swarm", choices=tuple(LAWS))
+LAW = Parameter("law.type", PAPER.name, "law of the swarm", choices=tuple(LAWS.built_in))
 PARAMETERS = (
     Parameter("agent_id", 1, "id of the robot", minimum=1, maximum=65535),
     Parameter("kind", "single_integrator", "dynamics of the robot", choices=tuple(KINDS)),
@@ -70,8 +70,8 @@ PARAMETERS = (
 
 def with_law(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return a node's parameters, among them those of the law that is asked for."""
-    law = law_type(str(given_values(node).get(LAW.name, LAW.default)))
-    chosen = replace(LAW, choices=tuple(dict.fromkeys((*LAWS, law.name))))
+    law = LAWS.find(str(given_values(node).get(LAW.name, LAW.default)))
+    chosen = replace(LAW, choices=tuple(dict.fromkeys((*LAWS.built_in, law.name))))
     own = (chosen if parameter is LAW else parameter for parameter in parameters)
     return (*own, *(replace(setting, name=f"law.{setting.name}") for setting in law.settings))
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours import Behaviour, Controller, ControllerConfig, PackingController, Steered
-from swarmabs_core.controllers import CONTROLLERS, ParentContext, controller_type, make_controller
+from swarmabs_core.controllers import CONTROLLERS, ParentContext
 from swarmabs_core.controllers.base import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.controllers import ParentController
 
-LAW = Parameter("controller.type", "pd", "control law of the plane", choices=tuple(CONTROLLERS))
+LAW = Parameter("controller.type", "pd", "control law of the plane", choices=tuple(CONTROLLERS.built_in))
 PARAMETERS = (
     Parameter("plane.inertia", 0.5, "moment of inertia of the plane alone, kg m^2", above=0.0),
     Parameter(
@@ -56,8 +56,8 @@ PARAMETERS = (
 
 def with_law(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return a node's parameters with those of the law that is asked for."""
-    law = controller_type(str(given_values(node).get(LAW.name, LAW.default)))
-    chosen = replace(LAW, choices=tuple(dict.fromkeys((*CONTROLLERS, law.name))))
+    law = CONTROLLERS.find(str(given_values(node).get(LAW.name, LAW.default)))
+    chosen = replace(LAW, choices=tuple(dict.fromkeys((*CONTROLLERS.built_in, law.name))))
     return (chosen, *parameters, *(replace(setting, name=f"controller.{setting.name}") for setting in law.settings))
 
 
@@ -81,7 +81,7 @@ def law_of(settings: Settings) -> ParentController:
     period = settings.integer("period_ns") / 1e9
     context = ParentContext(period, settings.number("plane.inertia"), friction, manifold_of(settings))
     law_settings = settings.within("controller.")
-    return make_controller(str(law_settings.pop("type")), law_settings, context)
+    return CONTROLLERS.make(str(law_settings.pop("type")), law_settings, context)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report

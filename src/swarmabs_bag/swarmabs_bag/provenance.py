@@ -8,9 +8,9 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
-from swarmabs_core.controllers import ALL_CONTROLLERS
+from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.fingerprint import libm_fingerprint
-from swarmabs_core.law_registry import ALL_LAWS
+from swarmabs_core.law_registry import LAWS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,7 +36,7 @@ def versions() -> dict[str, str]:
 
 def plugin_versions(scenario: Scenario) -> dict[str, str]:
     """Return the versions of the packages that bring the scenario's parent controller and swarm law."""
-    packages = (ALL_CONTROLLERS.package(scenario.controller.type), ALL_LAWS.package(scenario.swarm.law.type))
+    packages = (CONTROLLERS.package(scenario.controller.type), LAWS.package(scenario.swarm.law.type))
     return dict(package for package in packages if package is not None)
 
 

@@ -6,7 +6,7 @@ from math import inf
 from typing import TYPE_CHECKING, cast
 
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, Limits, ObserverConfig, PlaneConfig
-from swarmabs_core.controllers import ParentContext, make_controller
+from swarmabs_core.controllers import CONTROLLERS, ParentContext
 from swarmabs_core.faults import FaultKind, Lie, RobotFault
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
@@ -191,7 +191,7 @@ def _settings(part: BaseModel) -> Settings:
 def parent_controller(scenario: Scenario) -> ParentController:
     """Return the control law of the plane."""
     context = ParentContext(scenario.period, scenario.plane.inertia, friction(scenario), manifold(scenario))
-    return make_controller(scenario.controller.type, controller_settings(scenario), context)
+    return CONTROLLERS.make(scenario.controller.type, controller_settings(scenario), context)
 
 
 def reference(scenario: Scenario) -> OffsetReference:

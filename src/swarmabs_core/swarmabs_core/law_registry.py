@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TypeAlias
 
 from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState, Kind
-from swarmabs_core.parameters import Parameter, Settings
-from swarmabs_core.registry import Registry
+from swarmabs_core.parameters import Settings
+from swarmabs_core.registry import Part, Registry
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Command: TypeAlias = Callable[[float, float, AbstractState, AuxiliaryState, DesiredAbstractState], float]
 """Position (m), velocity (m/s) and the three broadcasts in, the command (m/s or N, by the robot's kind) out."""
@@ -50,23 +47,8 @@ class Robot:
     period: float
 
 
-@dataclass(frozen=True, slots=True)
-class SwarmLaw:
-    """A swarm law as the registry holds it; this one object is all that a package brings.
-
-    Parameters
-    ----------
-    name : str
-        Value of ``swarm.law.type`` in a scenario.
-    settings : tuple of Parameter
-        What a scenario may set below ``swarm.law``; the robots' ROS parameters and the scenario's schema follow.
-    make : callable
-        Makes the function of one robot from all settings, checked, and from what it may know of that robot.
-    """
-
-    name: str
-    settings: tuple[Parameter, ...]
-    make: Callable[[Settings, Robot], Command]
+class SwarmLaw(Part[Robot, Command]):
+    """A swarm law, which makes the function of one robot; `name` is the value of ``swarm.law.type`` in a scenario."""
 
 
 def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - its gains are the swarm's
@@ -96,39 +78,4 @@ def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - 
 PAPER = SwarmLaw("paper", (), _make_paper)
 """The laws of `swarmabs_core.swarm_law`, each robot by its kind."""
 
-LAWS: Mapping[str, SwarmLaw] = {PAPER.name: PAPER}
-"""The built-in ones."""
-
-ALL_LAWS = Registry("swarm law", "swarmabs.swarm_laws", SwarmLaw, LAWS, ("__call__",))
-"""Those of installed packages too."""
-
-
-def law_type(name: str) -> SwarmLaw:
-    """Look up a swarm law.
-
-    Raises
-    ------
-    InputError
-        If there is none of this name, or the package that brings it is unfit.
-    """
-    return ALL_LAWS.find(name)
-
-
-def make_command(name: str, settings: Settings, robot: Robot) -> Command:
-    """Bind a law to a robot.
-
-    Parameters
-    ----------
-    name : str
-        Its type, such as ``paper``.
-    settings : Settings
-        Its settings; those left out have their defaults.
-    robot : Robot
-        The robot.
-
-    Raises
-    ------
-    InputError
-        If the type is unknown, a setting is refused, or the package that brings the type is unfit.
-    """
-    return cast("Command", ALL_LAWS.make(name, settings, robot))
+LAWS = Registry("swarm law", "swarmabs.swarm_laws", SwarmLaw, (PAPER,), ("__call__",))

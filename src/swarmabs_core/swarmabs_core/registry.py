@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, resolve
@@ -33,29 +34,30 @@ class PluginError(InputError):
         super().__init__(f"{self.problem}; {remedy}")
 
 
-class Part(Protocol):
-    """What a registry holds: a name, declared settings, and how to make the thing itself from them."""
-
-    @property
-    def name(self) -> str:
-        """Name by which it is selected."""
-        ...
-
-    @property
-    def settings(self) -> tuple[Parameter, ...]:
-        """Its settings."""
-        ...
-
-    @property
-    def make(self) -> Callable[[Settings, Any], object]:
-        """Make the thing from checked settings and from what it may know of the system."""
-        ...
+ContextT = TypeVar("ContextT")
+MadeT = TypeVar("MadeT")
 
 
-PartT = TypeVar("PartT", bound=Part)
+@dataclass(frozen=True, slots=True)
+class Part(Generic[ContextT, MadeT]):
+    """What a registry holds; one such object is all that a package brings.
+
+    Parameters
+    ----------
+    name : str
+        Name by which it is selected.
+    settings : tuple of Parameter
+        Its settings, from which the scenario's schema and the parameters of nodes follow.
+    make : callable
+        Makes the thing itself from all its settings, checked, and from what it may know of the system.
+    """
+
+    name: str
+    settings: tuple[Parameter, ...]
+    make: Callable[[Settings, ContextT], MadeT]
 
 
-class Registry(Mapping[str, PartT], Generic[PartT]):
+class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
     """Parts of one sort by name.
 
     Looking up loads one package at most; iterating gives all names without loading any.
@@ -68,24 +70,34 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         Group of the entry points by which packages bring parts.
     shape : type
         What the object behind an entry point must be.
-    built_in : mapping
+    built_in : tuple of Part
         The built-in parts, which no package can replace.
     duties : tuple of str
         Methods that what a part makes must have.
+
+    Attributes
+    ----------
+    built_in : mapping
+        The built-in parts by name.
     """
 
     def __init__(
-        self, noun: str, group: str, shape: type[PartT], built_in: Mapping[str, PartT], duties: tuple[str, ...]
+        self,
+        noun: str,
+        group: str,
+        shape: type[Part[ContextT, MadeT]],
+        built_in: tuple[Part[ContextT, MadeT], ...],
+        duties: tuple[str, ...],
     ) -> None:
         self._noun = noun
         self._group = group
         self._shape = shape
-        self._built_in = built_in
+        self.built_in: Mapping[str, Part[ContextT, MadeT]] = {part.name: part for part in built_in}
         self._duties = duties
-        self._loaded: dict[str, PartT] = {}
+        self._loaded: dict[str, Part[ContextT, MadeT]] = {}
         self._packages: dict[str, tuple[str, str]] = {}
 
-    def __getitem__(self, name: str) -> PartT:
+    def __getitem__(self, name: str) -> Part[ContextT, MadeT]:
         """Return a part.
 
         Raises
@@ -95,23 +107,23 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         PluginError
             If the package that brings it is unfit; the text names the package and what is wrong.
         """
-        if name in self._built_in:
-            return self._built_in[name]
+        if name in self.built_in:
+            return self.built_in[name]
         if name not in self._loaded:
             self._loaded[name] = self._load(name, self._brought()[name])
         return self._loaded[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._built_in or name in self._loaded or name in self._brought()
+        return name in self.built_in or name in self._loaded or name in self._brought()
 
     def __iter__(self) -> Iterator[str]:
-        yield from self._built_in
+        yield from self.built_in
         yield from sorted(self._brought())
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
-    def find(self, name: str) -> PartT:
+    def find(self, name: str) -> Part[ContextT, MadeT]:
         """Look up a part that a user has named.
 
         Raises
@@ -124,7 +136,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         except KeyError:
             raise InputError(f"no {self._noun} {name!r}; there are {', '.join(sorted(self))}") from None
 
-    def make(self, name: str, settings: Settings, context: object) -> Any:
+    def make(self, name: str, settings: Settings, context: ContextT) -> MadeT:
         """Make what a part stands for.
 
         Parameters
@@ -160,7 +172,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
 
         found: dict[str, list[EntryPoint]] = {}
         for point in entry_points(group=self._group):
-            if point.name in self._built_in:
+            if point.name in self.built_in:
                 raise PluginError(
                     f"{_origin(point)} brings a {self._noun} {point.name!r}, a name which is built in",
                     "give it another name, or uninstall the package",
@@ -168,7 +180,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
             found.setdefault(point.name, []).append(point)
         return found
 
-    def _load(self, name: str, points: list[EntryPoint]) -> PartT:
+    def _load(self, name: str, points: list[EntryPoint]) -> Part[ContextT, MadeT]:
         point, *others = points
         if others:
             origins = " and ".join(sorted(_origin(each) for each in points))

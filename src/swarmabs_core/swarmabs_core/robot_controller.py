@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-from swarmabs_core.law_registry import make_command
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class RobotController:
     """
 
     def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits, plane_length: float) -> None:
-        self.follow = make_command(law, settings, robot)
+        self.follow = LAWS.make(law, settings, robot)
         self.ideal: SingleIntegratorDrive | DoubleIntegratorDrive
         if robot.kind is Kind.SINGLE_INTEGRATOR:
             self.ideal = SingleIntegratorDrive(robot.period)

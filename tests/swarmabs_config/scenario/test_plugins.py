@@ -17,8 +17,8 @@ from swarmabs_config.scenario import (
     json_schema,
     parse_scenario,
 )
-from swarmabs_core.controllers import CONTROLLERS, controller_type
-from swarmabs_core.law_registry import law_type
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.parameters import resolve
 from swarmabs_run.orchestration.plan import plan
 
@@ -63,7 +63,7 @@ def test_settings_reach_controller_and_nodes() -> None:
     given = {name: value for process in processes for name, value in process.parameters.items()}
     assert {name: given[f"controller.{name}"] for name in expected} == expected
     assert (given["controller.type"], given["law.type"], given["law.factor"]) == ("bang_bang", "scaled", 1.0)
-    table = controller_type("bang_bang").settings
+    table = CONTROLLERS.find("bang_bang").settings
     assert resolve(table, controller_settings(scenario), owner="x") == expected
 
 
@@ -153,7 +153,7 @@ def test_the_schema_offers_what_is_installed() -> None:
     schema = json_schema()
     models = schema["properties"]["controller"]["oneOf"]  # type: ignore[index]
     names = [model["properties"]["type"]["const"] for model in models]
-    assert names == [*CONTROLLERS, "bang_bang"]
+    assert names == [*CONTROLLERS.built_in, "bang_bang"]
     fields = models[-1]["properties"]
     assert fields["torque"]["exclusiveMinimum"] == 0.0
     assert (fields["torque"]["maximum"], fields["torque"]["default"]) == (2.0, 0.1)
@@ -173,7 +173,7 @@ def test_the_bag_names_the_packages() -> None:
 
 
 def test_the_law_of_the_paper_has_no_settings() -> None:
-    assert law_type("paper").settings == ()
+    assert LAWS.find("paper").settings == ()
     with pytest.raises(ScenarioError, match=r"swarm\.law\.k: unknown key 'k'"):
         parse(law="{type: paper, k: [1, 1]}")
 

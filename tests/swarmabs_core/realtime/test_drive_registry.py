@@ -11,7 +11,7 @@ from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.drive_registry import ALL_DRIVES, Body, drive_type, make_drive
+from swarmabs_core.realtime.drive_registry import DRIVES, Body
 from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
 
 MS = 1_000_000
@@ -42,7 +42,7 @@ STANDING = """
 
 
 def test_a_simulated_body_is_that_of_the_robot() -> None:
-    drive = make_drive("simulated", {}, BODY)
+    drive = DRIVES.make("simulated", {}, BODY)
     assert isinstance(drive, SimulatedDrive)
     drive.read(0)
     drive.write(0.3, 0)
@@ -52,19 +52,19 @@ def test_a_simulated_body_is_that_of_the_robot() -> None:
 
 def test_a_package_brings_a_drive(packages: Path) -> None:
     install(packages, "drive", "standing", STANDING)
-    assert make_drive("standing", {"place": 0.25}, BODY).read(7) == Measurement(7, 0.35, 0.0)
-    assert ALL_DRIVES.package("standing") == ("test-standing", "1.5")
-    assert set(ALL_DRIVES) == {"simulated", "topic", "standing"}
+    assert DRIVES.make("standing", {"place": 0.25}, BODY).read(7) == Measurement(7, 0.35, 0.0)
+    assert DRIVES.package("standing") == ("test-standing", "1.5")
+    assert set(DRIVES) == {"simulated", "topic", "standing"}
     with pytest.raises(InputError, match="give at least -1"):
-        make_drive("standing", {"place": -2.0}, BODY)
+        DRIVES.make("standing", {"place": -2.0}, BODY)
 
 
 def test_what_cannot_stop_is_no_drive(packages: Path) -> None:
     install(packages, "drive", "standing", STANDING.replace("def stop", "def rest"))
     with pytest.raises(InputError, match="has no method stop; repair the package"):
-        make_drive("standing", {}, BODY)
+        DRIVES.make("standing", {}, BODY)
 
 
 def test_an_unknown_drive_is_named_with_those_there_are() -> None:
     with pytest.raises(InputError, match="no drive 'topics'; there are simulated, topic"):
-        drive_type("topics")
+        DRIVES.find("topics")

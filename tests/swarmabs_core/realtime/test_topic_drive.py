@@ -14,7 +14,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.drive_registry import Body, make_drive
+from swarmabs_core.realtime.drive_registry import DRIVES, Body
 from swarmabs_core.realtime.drives import Measurement
 from swarmabs_core.realtime.readings import Joints, Reading
 from swarmabs_core.realtime.topic_drive import TopicDrive, Wiring
@@ -49,7 +49,7 @@ class Wire:
 def made(kind: Kind, *, mass: float = 0.5, limits: Limits | None = None, **given: Value) -> tuple[TopicDrive, Wire]:
     wire = Wire()
     body = Body(1, kind, Schedule(10 * MS), mass, 0.0, GRAVITY, limits or Limits(), connect=wire.connect)
-    drive = make_drive("topic", {name.replace("__", "."): value for name, value in given.items()}, body)
+    drive = DRIVES.make("topic", {name.replace("__", "."): value for name, value in given.items()}, body)
     assert isinstance(drive, TopicDrive)
     return drive, wire
 
@@ -277,7 +277,7 @@ def test_settings_that_make_no_sense_are_refused(kind: Kind, settings: dict[str,
 
 def test_without_a_node_there_is_nothing_to_connect_to() -> None:
     with pytest.raises(InputError, match="no ROS node"):
-        make_drive("topic", {}, Body(1, SI, Schedule(MS), 0.5))
+        DRIVES.make("topic", {}, Body(1, SI, Schedule(MS), 0.5))
 
 
 def test_a_body_does_not_turn_round_by_one_reading() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime import drive_registry
-from swarmabs_core.realtime.drive_registry import DRIVES, SIMULATED, Body, drive_type
+from swarmabs_core.realtime.drive_registry import DRIVES, SIMULATED, Body
 from swarmabs_ros.parameters import given_values
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
 PREFIX = "drive."
-DRIVE = Parameter("drive.type", SIMULATED.name, "what moves the robot", choices=tuple(DRIVES))
+DRIVE = Parameter("drive.type", SIMULATED.name, "what moves the robot", choices=tuple(DRIVES.built_in))
 
 
 def with_drive(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
@@ -33,10 +33,10 @@ def with_drive(node: Node, parameters: tuple[Parameter, ...]) -> tuple[Parameter
         If there is no such drive, or the package that brings it is unfit.
     """
     try:
-        drive = drive_type(str(given_values(node).get(DRIVE.name, DRIVE.default)))
+        drive = DRIVES.find(str(given_values(node).get(DRIVE.name, DRIVE.default)))
     except InputError as error:
         raise InputError(f"parameter {DRIVE.name}: {error}") from error
-    chosen = replace(DRIVE, choices=tuple(dict.fromkeys((*DRIVES, drive.name))))
+    chosen = replace(DRIVE, choices=tuple(dict.fromkeys((*DRIVES.built_in, drive.name))))
     own = (chosen if parameter is DRIVE else parameter for parameter in parameters)
     return (*own, *(replace(setting, name=PREFIX + setting.name) for setting in drive.settings))
 
@@ -62,7 +62,7 @@ def make_drive(settings: Settings, config: RealtimeAgentConfig, node: RealtimeNo
         velocity=settings.number("velocity"),
         connect=lambda wiring: _connect(wiring, node),
     )
-    return drive_registry.make_drive(str(given.pop("type")), given, body)
+    return drive_registry.DRIVES.make(str(given.pop("type")), given, body)
 
 
 def _connect(wiring: Wiring, node: RealtimeNode) -> Link:

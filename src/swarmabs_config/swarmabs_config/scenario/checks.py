@@ -187,7 +187,7 @@ def _brought(scenario: "Scenario") -> Iterator[Finding]:
     made: list[tuple[Location, Callable[[], object]]] = []
     if scenario.controller.type not in CONTROLLER_CONFIGS:
         made.append((("controller",), partial(configure.parent_controller, scenario)))
-    if scenario.swarm.law.type not in LAWS:
+    if scenario.swarm.law.type not in LAWS.built_in:
         made += [(("swarm", "law"), partial(behaviours.Agent, config)) for config in configure.agent_configs(scenario)]
     for location, make in made:
         try:

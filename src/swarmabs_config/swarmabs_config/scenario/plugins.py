@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from swarmabs_core.controllers import ALL_CONTROLLERS, TRAJECTORY
-from swarmabs_core.law_registry import ALL_LAWS
+from swarmabs_core.controllers import CONTROLLERS, TRAJECTORY
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.registry import Part, Registry
 
 from .controllers import (
@@ -53,7 +53,7 @@ class TrackingConfig(ControllerConfig):
 class _Configs(Mapping[str, type[Model]]):
     """Models by name: given ones, then those derived for what installed packages bring, each when it is asked for."""
 
-    def __init__(self, given: Mapping[str, type[Model]], registry: Registry[Any], base: type[Model]) -> None:
+    def __init__(self, given: Mapping[str, type[Model]], registry: Registry[Any, Any], base: type[Model]) -> None:
         self._given = given
         self._registry = registry
         self._base = base
@@ -70,14 +70,14 @@ class _Configs(Mapping[str, type[Model]]):
         return sum(1 for _ in self)
 
 
-ALL_CONTROLLER_CONFIGS: Mapping[str, type[Model]] = _Configs(CONTROLLER_CONFIGS, ALL_CONTROLLERS, ControllerConfig)
+ALL_CONTROLLER_CONFIGS: Mapping[str, type[Model]] = _Configs(CONTROLLER_CONFIGS, CONTROLLERS, ControllerConfig)
 """The model of each ``controller.type``, those of installed packages too."""
-ALL_LAW_CONFIGS: Mapping[str, type[Model]] = _Configs(LAW_CONFIGS, ALL_LAWS, LawConfig)
+ALL_LAW_CONFIGS: Mapping[str, type[Model]] = _Configs(LAW_CONFIGS, LAWS, LawConfig)
 """The model of each ``swarm.law.type``, those of installed packages too."""
 
 
 @cache
-def derived(part: Part, base: type[Model]) -> type[Model]:
+def derived(part: Part[Any, Any], base: type[Model]) -> type[Model]:
     """Return the model of a part's settings: dotted names become nested mappings, `TRAJECTORY` a trajectory.
 
     Parameters

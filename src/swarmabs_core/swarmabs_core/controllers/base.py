@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
-from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.registry import Part
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +71,5 @@ class OffsetController(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class ControllerType:
-    """A parent controller as the registry holds it; this one object is all that a package brings.
-
-    Parameters
-    ----------
-    name : str
-        Value of ``controller.type`` in a scenario.
-    settings : tuple of Parameter
-        What a scenario may set below ``controller``; the node's ROS parameters and the scenario's schema follow.
-    make : callable
-        Makes the controller from all its settings, checked, and from what it may know of the plane.
-    """
-
-    name: str
-    settings: tuple[Parameter, ...]
-    make: Callable[[Settings, ParentContext], ParentController]
+class ControllerType(Part[ParentContext, ParentController]):
+    """A parent controller; `name` is the value of ``controller.type`` in a scenario."""

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import made_of
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.messages import Kind
-from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.parameters import Settings
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.drives import Drive, SimulatedDrive
 from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive, TopicSettings
-from swarmabs_core.registry import Registry
+from swarmabs_core.registry import Part, Registry
 from swarmabs_core.robot_controller import Limits
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from swarmabs_core.realtime.topic_drive import Connect
 
 
@@ -60,23 +57,8 @@ class Body:
     connect: Connect | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class DriveType:
-    """A drive as the registry holds it; this one object is all that a package brings.
-
-    Parameters
-    ----------
-    name : str
-        Value of ``drive.type`` of a robot's node.
-    settings : tuple of Parameter
-        What may be set below ``drive``.
-    make : callable
-        Makes the drive of a robot from all settings, checked, and from what it may know of the robot.
-    """
-
-    name: str
-    settings: tuple[Parameter, ...]
-    make: Callable[[Settings, Body], Drive]
+class DriveType(Part[Body, Drive]):
+    """A drive; `name` is the value of ``drive.type`` of a robot's node."""
 
 
 def _simulated(settings: Settings, body: Body) -> Drive:  # noqa: ARG001 - it has none
@@ -100,39 +82,4 @@ def _topic(settings: Settings, body: Body) -> Drive:
 TOPIC = DriveType("topic", SETTINGS, _topic)
 """A base behind ROS topics."""
 
-DRIVES: Mapping[str, DriveType] = {entry.name: entry for entry in (SIMULATED, TOPIC)}
-"""The built-in ones."""
-
-ALL_DRIVES = Registry("drive", "swarmabs.drives", DriveType, DRIVES, ("read", "write", "stop"))
-"""Those of installed packages too."""
-
-
-def drive_type(name: str) -> DriveType:
-    """Look up a drive.
-
-    Raises
-    ------
-    InputError
-        If there is none of this name, or the package that brings it is unfit.
-    """
-    return ALL_DRIVES.find(name)
-
-
-def make_drive(name: str, settings: Settings, body: Body) -> Drive:
-    """Make the drive of a robot.
-
-    Parameters
-    ----------
-    name : str
-        Its type, such as ``topic``.
-    settings : Settings
-        Its settings; those left out have their defaults.
-    body : Body
-        The robot.
-
-    Raises
-    ------
-    InputError
-        If the type is unknown, a setting is refused, or the package that brings the type is unfit.
-    """
-    return cast("Drive", ALL_DRIVES.make(name, settings, body))
+DRIVES = Registry("drive", "swarmabs.drives", DriveType, (SIMULATED, TOPIC), ("read", "write", "stop"))

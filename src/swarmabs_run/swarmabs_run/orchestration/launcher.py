@@ -20,8 +20,8 @@ import traceback
 import warnings
 from typing import Any, NoReturn
 
-from swarmabs_core.controllers import controller_type
-from swarmabs_core.law_registry import law_type
+from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
@@ -139,8 +139,8 @@ def main() -> int:
         controller, law, *options = sys.argv[1:]
         for package in PACKAGES:
             importlib.import_module(f"{package}.{'realtime' if REALTIME in options else 'node'}")
-        controller_type(controller)  # what a package brings is looked for once, and not in every node
-        law_type(law)
+        CONTROLLERS.find(controller)  # what a package brings is looked for once, and not in every node
+        LAWS.find(law)
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
         gc.collect()
