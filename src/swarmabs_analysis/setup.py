@@ -10,12 +10,12 @@ setup(
     maintainer_email="maintainers@swarmabs.example",
     license="Apache-2.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "report/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "PyYAML", "matplotlib", "numpy", "rich"],
+    install_requires=["setuptools", "PyYAML", "jinja2", "matplotlib", "numpy", "rich"],
     extras_require={
         "parquet": ["pyarrow"],
         "sweep": ["dask", "distributed", "pyarrow"],

@@ -12,8 +12,8 @@ from tests.swarmabs_analysis.report.conftest import Page
 from tests.swarmabs_bag.test_digest import digest
 
 from swarmabs_analysis.report import Report
+from swarmabs_analysis.report.margins import weights
 from swarmabs_analysis.report.record import read_recorded
-from swarmabs_analysis.report.weights import weights
 
 LENGTH, GRAVITY = 1.0, 9.81
 

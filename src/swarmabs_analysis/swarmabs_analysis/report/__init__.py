@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from swarmabs_analysis.report.page import page
+from swarmabs_analysis.report.margins import margins, weights
+from swarmabs_analysis.report.page import lowest, page
 from swarmabs_analysis.report.panels import panels
 from swarmabs_analysis.report.pictures import overview
 from swarmabs_analysis.report.record import read_recorded
-from swarmabs_analysis.report.weights import margins, weights
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from swarmabs_analysis.report.margins import Margins
     from swarmabs_analysis.report.record import Recorded
-    from swarmabs_analysis.report.weights import Margins
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +72,9 @@ def _numbers(recorded: Recorded, margin: Margins) -> dict[str, Any]:
         **recorded.metrics,
         "events": len(recorded.swarm.events),
         "margins": {
-            "end": _lowest(margin.end),
-            "abstract_state": _lowest(margin.actual),
-            "desired_abstract_state": _lowest(margin.desired),
-            "spread": _lowest(margin.spread),
+            "end": lowest(margin.end),
+            "abstract_state": lowest(margin.actual),
+            "desired_abstract_state": lowest(margin.desired),
+            "spread": lowest(margin.spread),
         },
     }
-
-
-def _lowest(values: Any) -> float | None:
-    return float(np.nanmin(values)) if np.isfinite(values).any() else None

@@ -32,8 +32,8 @@ from swarmabs_analysis.figures.style import (
     SKY,
     VERMILION,
 )
-from swarmabs_analysis.report.spread import density, draw_bands
-from swarmabs_analysis.report.words import counted, joined, quantity, span
+from swarmabs_analysis.report.formatting import counted, joined, quantity, span
+from swarmabs_analysis.report.percentile_bands import density, draw_bands
 from swarmabs_config import configure
 from swarmabs_core.messages import EventKind, Kind
 from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
     from numpy.typing import NDArray
 
+    from swarmabs_analysis.report.margins import Margins, Weights
     from swarmabs_analysis.report.record import Recorded
-    from swarmabs_analysis.report.weights import Margins, Weights
 
     Floats = NDArray[np.float64]
 
@@ -350,15 +350,13 @@ def _sums(recorded: Recorded) -> Panel:
 
 
 def _membership(recorded: Recorded, on_plane: Weights) -> Panel:
-    arrays, agents = recorded.arrays, recorded.arrays.agents
-    reporting, stopped = agents.kind > 0, recorded.swarm.have_status("safe_stop")
+    arrays, agents, swarm = recorded.arrays, recorded.arrays.agents, recorded.swarm
+    reporting, stopped = agents.kind > 0, swarm.have_status("safe_stop")
+    standing = swarm.have_status("dead") | swarm.have_status("silent")
     looks = {
-        "follows": (recorded.swarm.have_status("active"), GREEN),
+        "follows": (swarm.on_plane & ~stopped & ~standing, GREEN),
         "safe stop": (stopped, ORANGE),
-        "stands still, out of the run": (
-            recorded.swarm.have_status("dead") | recorded.swarm.have_status("silent"),
-            GREY,
-        ),
+        "stands still, out of the run": (standing, GREY),
     }
 
     def rows(figure: FigureBase) -> None:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from swarmabs_analysis.figures import style
+from swarmabs_analysis.report.formatting import quantity, shown
 from swarmabs_analysis.report.thinning import thin_lines
-from swarmabs_analysis.report.words import quantity, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -53,7 +54,7 @@ _REFERENCE = re.compile(r"url\(#([^)]*)\)")
 _SETTINGS = {"savefig.dpi": 160, "figure.dpi": 160}
 
 
-def page_picture(panel: Panel) -> ET.Element:
+def page_picture(panel: Panel) -> Markup:
     """Return a panel as an ``svg`` element without namespaces, whose colours are variables of the page."""
     with _drawing():
         figure = Figure(figsize=(WIDTH, panel.height), layout="constrained")
@@ -63,7 +64,10 @@ def page_picture(panel: Panel) -> ET.Element:
             axes.patch.set_visible(False)
         _settle(figure)
         root = ET.fromstring(style.rendered(figure, ["svg"])["svg"])  # noqa: S314 - matplotlib's own output
-    return _inlined(root, panel.key)
+    picture = _inlined(root, panel.key)
+    picture.set("role", "img")
+    picture.set("aria-label", f"{panel.heading}. {panel.about}")
+    return Markup(ET.tostring(picture, encoding="unicode", method="html"))  # noqa: S704 - escaped by the tree
 
 
 def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:

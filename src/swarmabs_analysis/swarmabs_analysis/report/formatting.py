@@ -1,4 +1,4 @@
-"""Numbers and text from bags as words of a report."""
+"""Numbers and text from bags, as a report writes them."""
 
 from __future__ import annotations
 
@@ -38,5 +38,19 @@ def counted(number: int, noun: str) -> str:
 
 def shown(value: object) -> str:
     """Return what a bag says as one line that can be shown: printable, and not without end."""
-    text = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in str(value))
+    text = "".join(map(_printable, str(value)))
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+
+
+def printable_lines(text: str) -> str:
+    """Return text with its lines as they are, and a mark for each letter that cannot be shown."""
+    return "\n".join("".join(map(_printable, line)) for line in text.splitlines())
+
+
+def sentence(text: str) -> str:
+    """Return text that begins with a capital and ends with a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _printable(letter: str) -> str:
+    return letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}"
