@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmabs_config.graph import Endpoints, requested
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, RECORDING_PROGRESS, RecordingProgress
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_run.simulation import Simulation
 
@@ -81,7 +81,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     scenario = load_scenario(Path(settings.text("scenario_file")))
     steps = [[record.message for record in step.records] for step in Simulation(scenario).steps()]
     subscriptions = {RECORDING_PROGRESS: requested(RECORDING_PROGRESS, depth=1)}
-    return NodeSpec(Feeder(steps), (*MAIN_TOPICS, EVENTS), subscriptions)
+    return NodeSpec(Feeder(steps), Endpoints((*MAIN_TOPICS, EVENTS), subscriptions))
 
 
 def main(args: list[str] | None = None) -> int:

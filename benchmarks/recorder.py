@@ -9,8 +9,9 @@ from typing import Any
 
 from benchmarks.common import COORDINATED, Settings, measure_run, program, repeated, row, spread
 
+from swarmabs_config.graph import RECORDER
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, RECORDING_PROGRESS
-from swarmabs_run.orchestration.plan import RECORDER, ProcessPlan
+from swarmabs_run.orchestration.plan import ProcessPlan
 
 MESSAGES_PER_SECOND = 30_000
 """Speed that the length of the run is made for."""

@@ -26,6 +26,7 @@ import plane_sim.node
 import plane_sim.realtime
 from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
+from swarmabs_config.graph import GRAPH, LOCKSTEP, OFFERED, REALTIME, RECORDER, End, Link
 from swarmabs_config.scenario import (
     AGENT_KINDS,
     CONTROLLER_CONFIGS,
@@ -34,20 +35,16 @@ from swarmabs_config.scenario import (
     TRAJECTORY_CONFIGS,
     Scenario,
 )
-from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.messages import BASIS, BROADCAST, STEERING, TOPICS, Topic
+from swarmabs_core.messages import TOPICS
 from swarmabs_core.realtime import topic_drive
-from swarmabs_ros.qos import OFFERED, REALTIME
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
-from swarmabs_run.orchestration.plan import ProcessPlan, plan
-from swarmabs_run.orchestration.realtime_plan import realtime_plan
 from swarmabs_run.steering import node as steering
 from swarmabs_view.protocol import json_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
 
     from swarmabs_core.parameters import Parameter
 
@@ -116,36 +113,35 @@ def parameters(declared: Iterable[Parameter], prefix: str = "") -> str:
 
 def topics() -> str:
     """Return the table of topics: type, QoS offered, who publishes and who subscribes."""
-    scenario, files = find_scenario("pd_het_4").resolved(), (Path("scenario.yaml"), Path("bag"), Path("logs"))
 
-    def planned(**options: bool) -> Sequence[ProcessPlan]:
-        return plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2], **options)  # type: ignore[arg-type]
+    def quality(link: Link) -> str:
+        qos = link.offered.get(LOCKSTEP) or link.offered[REALTIME]
+        return f"{qos.reliability}, {qos.durability}, {qos.depth}"
 
-    special = {
-        BROADCAST: planned(packed=True),
-        STEERING: planned(steered=True),
-        BASIS: realtime_plan(scenario, scenario_file=files[0], bag=files[1], logs=files[2]),
-    }
-    usual = planned()
-
-    def names(relation: str, topic: Topic) -> str:
-        processes = special.get(topic, usual)
-        found = (p.module.rpartition(".")[0].rpartition(".")[2] for p in processes if topic in getattr(p, relation))
-        return ", ".join(dict.fromkeys(found))
+    def nodes(ends: tuple[End, ...]) -> str:
+        return ", ".join(dict.fromkeys(f"{code(end.node)}{_conditions(end)}" for end in ends))
 
     return table(
         ("topic", "type", "QoS offered", "published by", "read by"),
         (
             (
-                code(topic.name),
-                topic.ros_type.split("/")[-1],
-                f"{OFFERED[topic].reliability}, {OFFERED[topic].durability}, {OFFERED[topic].depth}",
-                names("publications", topic),
-                names("subscriptions", topic),
+                code(link.topic.name),
+                link.topic.ros_type.split("/")[-1],
+                quality(link),
+                nodes(link.writers),
+                nodes(link.readers),
             )
-            for topic in TOPICS
+            for link in GRAPH
         ),
     )
+
+
+def _conditions(end: End) -> str:
+    """Say when there is an end of a topic, nothing if there always is."""
+    found = [] if end.driver is None or end.node == RECORDER else [end.driver.value]
+    found += [] if end.only is None else [end.only.value]
+    found += [] if end.unless is None else [f"not {end.unless.value}"]
+    return f" ({', '.join(found)})" if found else ""
 
 
 def realtime_qos() -> str:
@@ -158,7 +154,7 @@ def realtime_qos() -> str:
                 f"{qos.reliability}, {qos.durability}, {qos.depth}",
                 f"{qos.lease:g} s, by topic" if qos.lease else "none",
             )
-            for topic, qos in REALTIME.items()
+            for topic, qos in OFFERED[REALTIME].items()
         ),
     )
 

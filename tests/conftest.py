@@ -18,11 +18,12 @@ import rclpy
 from hypothesis import settings
 from tests.processes import MARK, marked_processes
 
+from swarmabs_config.ports import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.realtime.drive_registry import DRIVES
 from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
-from swarmabs_run.orchestration.domain import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE, claimed_domain
+from swarmabs_run.orchestration.domain import claimed_domain
 
 # Property tests draw the same examples every time, and take the time they need on a busy machine.
 settings.register_profile("swarmabs", deadline=None, derandomize=True, print_blob=True)

@@ -11,17 +11,10 @@ from typing import TYPE_CHECKING
 from layers import UPPER, Coupling, absolute, carried_robot, led_controller, lower
 
 from swarmabs_config import configure
+from swarmabs_config.graph import CONTROLLER, LOCKSTEP, ROBOT, Endpoints, Option, endpoints, requested
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.messages import (
-    AGENT_STATE,
-    BROADCASTS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    PLANE_STATE,
-    RECORDING_PROGRESS,
-)
+from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec
 
 if TYPE_CHECKING:
@@ -46,9 +39,9 @@ def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: 
     upper, plane = (load_scenario(Path(settings.text(name))) for name in ("upper_file", "lower_file"))
     robot = settings.integer("robot")
     behaviour = carried_robot(upper, robot, plane, _coupling(settings))
-    heard = {topic: requested(topic, depth=10) for topic in BROADCASTS}
-    link = absolute(PLANE_STATE, lower(robot))
-    return NodeSpec(behaviour, (EVENTS, AGENT_STATE), {**heard, link: requested(PLANE_STATE, depth=10)})
+    own, link = endpoints(ROBOT, LOCKSTEP), absolute(PLANE_STATE, lower(robot))
+    heard = {**own.subscriptions, link: requested(PLANE_STATE, depth=10)}
+    return NodeSpec(behaviour, Endpoints(own.publications, heard))
 
 
 def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - it has nothing to report
@@ -58,7 +51,6 @@ def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # n
     behaviour = led_controller(
         scenario, robot, _coupling(settings), recording_window=configure.recording_window(scenario)
     )
-    depths = {PLANE_STATE: 10, RECORDING_PROGRESS: 1}
-    heard = {topic: requested(topic, depth=depth) for topic, depth in depths.items()}
-    link = absolute(AGENT_STATE, UPPER)
-    return NodeSpec(behaviour, (EVENTS, DESIRED_ABSTRACT_STATE), {**heard, link: requested(AGENT_STATE, depth=100)})
+    own, link = endpoints(CONTROLLER, LOCKSTEP, frozenset({Option.CREDITED})), absolute(AGENT_STATE, UPPER)
+    heard = {**own.subscriptions, link: requested(AGENT_STATE, depth=100)}
+    return NodeSpec(behaviour, Endpoints(own.publications, heard))

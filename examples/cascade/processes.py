@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 from layers import FOLDER, UPPER, lower
 
+from swarmabs_config.graph import CONTROLLER, PLANE, RECORDER
+from swarmabs_config.ports import domains_spanned
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
 from swarmabs_run.orchestration.dds_profile import dds_environment, profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain, domains_spanned
+from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
-from swarmabs_run.orchestration.plan import CONTROLLER, PLANE, RECORDER, ProcessPlan, plan
+from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.orchestration.supervision import how_it_ended
 from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 

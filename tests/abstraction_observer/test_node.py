@@ -7,6 +7,7 @@ from tests.swarmabs_core.helpers import agent_state
 from tests.swarmabs_ros.nodes import settings_from
 
 from abstraction_observer.node import PARAMETERS, config, make, model
+from swarmabs_config.graph import LOCKSTEP, OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
@@ -40,10 +41,11 @@ def test_every_parameter_reaches_the_configuration() -> None:
 
 
 def test_it_hears_robots_and_sums_them_up() -> None:
-    spec = make(settings_from(PARAMETERS), CHANNEL)
-    assert isinstance(spec.behaviour, Observer)
-    assert set(spec.publications) == {ABSTRACT_STATE, AUXILIARY_STATE, EVENTS}
-    assert set(spec.subscriptions) == {AGENT_STATE}
+    settings = settings_from(PARAMETERS)
+    assert isinstance(make(settings, CHANNEL).behaviour, Observer)
+    ends = settings.endpoints(OBSERVER, LOCKSTEP)
+    assert set(ends.publications) == {ABSTRACT_STATE, AUXILIARY_STATE, EVENTS}
+    assert set(ends.subscriptions) == {AGENT_STATE}
 
 
 def test_it_watches_the_plane_if_that_is_wanted() -> None:
@@ -53,7 +55,7 @@ def test_it_watches_the_plane_if_that_is_wanted() -> None:
     assert model(settings_from(PARAMETERS)) is None
     spec = make(given, CHANNEL)
     assert spec.behaviour.awaits() == (AGENT_STATE, PLANE_STATE)
-    assert set(spec.subscriptions) == {AGENT_STATE, PLANE_STATE}
+    assert set(given.endpoints(OBSERVER, LOCKSTEP).subscriptions) == {AGENT_STATE, PLANE_STATE}
 
 
 def test_silent_robots_are_dropped_only_if_that_is_wanted() -> None:
@@ -72,5 +74,5 @@ def test_silent_robots_are_dropped_only_if_that_is_wanted() -> None:
 
 @pytest.mark.parametrize("count", [4, 200])
 def test_a_large_swarm_has_room_to_wait_in(count: int) -> None:
-    spec = make(settings_from(PARAMETERS, members=tuple(range(1, count + 1))), CHANNEL)
-    assert spec.subscriptions[AGENT_STATE].depth >= 2 * count
+    settings = settings_from(PARAMETERS, members=tuple(range(1, count + 1)))
+    assert settings.endpoints(OBSERVER, LOCKSTEP).subscriptions[AGENT_STATE].depth >= 2 * count

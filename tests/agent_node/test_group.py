@@ -26,8 +26,9 @@ def scenario_file(tmp_path: Path) -> str:
 
 def test_it_speaks_for_its_robots_and_hears_what_a_robot_hears(scenario_file: str) -> None:
     spec = make(settings_from(PARAMETERS, scenario_file=scenario_file, agent_ids=(2, 4)), CHANNEL)
-    assert set(spec.publications) == {AGENT_STATE, EVENTS}
-    assert set(spec.subscriptions) == set(BROADCASTS)
+    assert spec.endpoints is not None
+    assert set(spec.endpoints.publications) == {AGENT_STATE, EVENTS}
+    assert set(spec.endpoints.subscriptions) == set(BROADCASTS)
     states = spec.behaviour.start()
     assert [state.agent_id for state in states if isinstance(state, AgentState)] == [2, 4]
 
@@ -37,7 +38,8 @@ def test_robots_that_feel_their_tilt_hear_the_plane(tmp_path: Path) -> None:
     scenario = find_scenario("pd_het_4", ["plane.robot_gravity=true"]).resolved()
     file.write_text(dump_scenario(scenario), encoding="utf-8")
     spec = make(settings_from(PARAMETERS, scenario_file=str(file), agent_ids=(2, 4)), CHANNEL)
-    assert set(spec.subscriptions) == {*BROADCASTS, PLANE_STATE}
+    assert spec.endpoints is not None
+    assert set(spec.endpoints.subscriptions) == {*BROADCASTS, PLANE_STATE}
 
 
 @pytest.mark.parametrize("ids", [(1, 9), (9,)])

@@ -8,6 +8,7 @@ import pytest
 from tests.swarmabs_ros.nodes import settings_from
 
 from agent_node.node import PARAMETERS, config, make
+from swarmabs_config.graph import LOCKSTEP, ROBOT
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import FaultKind, RobotFault
@@ -87,13 +88,17 @@ def test_a_single_integrator_has_neither_damping_nor_velocity(values: dict[str, 
 
 @pytest.mark.parametrize("kind", ["single_integrator", "double_integrator"])
 def test_it_hears_the_three_broadcasts_and_nothing_else(kind: str) -> None:
-    spec = make(settings_from(PARAMETERS, kind=kind), CHANNEL)
-    assert isinstance(spec.behaviour, Agent)
-    assert set(spec.subscriptions) == set(BROADCASTS)
-    assert set(spec.publications) == {AGENT_STATE, EVENTS}
+    settings = settings_from(PARAMETERS, kind=kind)
+    agent = make(settings, CHANNEL).behaviour
+    assert isinstance(agent, Agent)
+    ends = settings.endpoints(ROBOT, LOCKSTEP)
+    assert set(ends.subscriptions) == set(BROADCASTS) == set(agent.needs)
+    assert set(ends.publications) == {AGENT_STATE, EVENTS}
 
 
 @pytest.mark.parametrize(("kind", "extra"), [("single_integrator", set()), ("double_integrator", {PLANE_STATE})])
 def test_only_a_body_that_feels_its_tilt_reads_its_own_sensor(kind: str, extra: set[object]) -> None:
-    spec = make(settings_from(PARAMETERS, kind=kind, feels_gravity=True), CHANNEL)
-    assert set(spec.subscriptions) == {*BROADCASTS, *extra}
+    settings = settings_from(PARAMETERS, kind=kind, feels_gravity=True)
+    agent = make(settings, CHANNEL).behaviour
+    assert isinstance(agent, Agent)
+    assert set(settings.endpoints(ROBOT, LOCKSTEP).subscriptions) == {*BROADCASTS, *extra} == set(agent.needs)

@@ -22,6 +22,7 @@ from tests.hosts.namespaces import say
 
 from swarmabs_config.fleet.model import Fleet
 from swarmabs_config.fleet.participants import node_plans
+from swarmabs_config.graph import REALTIME
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
     TOPIC_OF,
@@ -37,7 +38,6 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
-from swarmabs_ros.qos import REALTIME
 from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment
 from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
 

@@ -6,6 +6,7 @@ import pytest
 from tests.swarmabs_ros.nodes import given, settings_from, started_node
 
 from parent_controller.node import LAW, make, table
+from swarmabs_config.graph import CONTROLLER, LOCKSTEP
 from swarmabs_core.behaviours import Controller, PackingController
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import (
@@ -43,22 +44,24 @@ def test_the_law_decides_which_parameters_there_are(law: str) -> None:
 
 @pytest.mark.parametrize("law", CONTROLLERS.built_in)
 def test_it_hears_the_plane_and_says_what_it_wants(law: str) -> None:
-    spec = make(settings_of(law), CHANNEL)
-    assert isinstance(spec.behaviour, Controller)
-    assert set(spec.publications) == {DESIRED_ABSTRACT_STATE, EVENTS}
-    assert set(spec.subscriptions) == {PLANE_STATE}
+    settings = settings_of(law)
+    assert isinstance(make(settings, CHANNEL).behaviour, Controller)
+    ends = settings.endpoints(CONTROLLER, LOCKSTEP)
+    assert set(ends.publications) == {DESIRED_ABSTRACT_STATE, EVENTS}
+    assert set(ends.subscriptions) == {PLANE_STATE}
 
 
 def test_it_hears_a_recorder_only_if_there_is_one() -> None:
-    spec = make(settings_of("pd", recording_window=100), CHANNEL)
-    assert set(spec.subscriptions) == {PLANE_STATE, RECORDING_PROGRESS}
+    settings = settings_of("pd", recording_window=100)
+    assert set(settings.endpoints(CONTROLLER, LOCKSTEP).subscriptions) == {PLANE_STATE, RECORDING_PROGRESS}
 
 
 def test_it_packs_the_broadcasts_if_asked_to() -> None:
-    spec = make(settings_of("pd", packed=True), CHANNEL)
-    assert isinstance(spec.behaviour, PackingController)
-    assert set(spec.publications) == {DESIRED_ABSTRACT_STATE, BROADCAST, EVENTS}
-    assert set(spec.subscriptions) == {PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE}
+    settings = settings_of("pd", packed=True)
+    assert isinstance(make(settings, CHANNEL).behaviour, PackingController)
+    ends = settings.endpoints(CONTROLLER, LOCKSTEP)
+    assert set(ends.publications) == {DESIRED_ABSTRACT_STATE, BROADCAST, EVENTS}
+    assert set(ends.subscriptions) == {PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE}
 
 
 def test_gains_and_manifold_reach_the_law() -> None:

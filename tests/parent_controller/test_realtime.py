@@ -10,7 +10,7 @@ from tests.swarmabs_ros.nodes import realtime_settings_from
 from parent_controller.node import LAW
 from parent_controller.realtime import PARAMETERS, make
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Mode, PlaneState
+from swarmabs_core.messages import PLANE_STATE, Mode, PlaneState
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
@@ -30,7 +30,6 @@ def made(**values: str | float) -> tuple[RealtimeSpec, RealtimeController]:
 def test_it_answers_the_plane_and_takes_an_operators_commands() -> None:
     spec, controller = made()
     assert spec.wakes == (PLANE_STATE,)
-    assert DESIRED_ABSTRACT_STATE in spec.publications
     assert controller.mode is Mode.RUN
     spec.services["swarm/stop"](PERIOD)
     assert controller.mode is Mode.STOP

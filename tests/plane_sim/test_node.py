@@ -7,6 +7,7 @@ from math import inf
 from tests.swarmabs_ros.nodes import settings_from
 
 from plane_sim.node import PARAMETERS, config, make
+from swarmabs_config.graph import LOCKSTEP, PLANE
 from swarmabs_core.behaviours import Plane
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
@@ -58,13 +59,14 @@ def test_no_end_stop_and_a_perfect_sensor_by_default() -> None:
 
 
 def test_it_hears_robots_and_events_and_says_where_the_plane_is() -> None:
-    spec = make(settings_from(PARAMETERS), StatusChannel("plane_sim"))
-    assert isinstance(spec.behaviour, Plane)
-    assert set(spec.publications) == {PLANE_STATE, EVENTS}
-    assert set(spec.subscriptions) == {AGENT_STATE, EVENTS}
-    assert spec.subscriptions[EVENTS].reliability == "reliable", "a lost event of a death would stall the plane"
+    settings = settings_from(PARAMETERS)
+    assert isinstance(make(settings, StatusChannel("plane_sim")).behaviour, Plane)
+    ends = settings.endpoints(PLANE, LOCKSTEP)
+    assert set(ends.publications) == {PLANE_STATE, EVENTS}
+    assert set(ends.subscriptions) == {AGENT_STATE, EVENTS}
+    assert ends.subscriptions[EVENTS].reliability == "reliable", "a lost event of a death would stall the plane"
 
 
 def test_a_large_swarm_has_room_to_wait_in() -> None:
-    spec = make(settings_from(PARAMETERS, members=tuple(range(1, 201))), StatusChannel("plane_sim"))
-    assert spec.subscriptions[AGENT_STATE].depth >= 400
+    settings = settings_from(PARAMETERS, members=tuple(range(1, 201)))
+    assert settings.endpoints(PLANE, LOCKSTEP).subscriptions[AGENT_STATE].depth >= 400

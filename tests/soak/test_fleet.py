@@ -10,10 +10,11 @@ from tests.soak.fleet import fleet_violations, of_a_fleet
 from tests.soak.scenarios import Draw, scenarios
 from tests.swarmabs_core.helpers import builtin
 
+from swarmabs_config.graph import agent_name
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.envelope import LaneEnvelope
-from swarmabs_run.virtual_fleet import VirtualFleet, agent_name
+from swarmabs_run.virtual_fleet import VirtualFleet
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from swarmabs_bag.metadata import FileRecord, TopicRecord, bag_metadata, dump_yaml, qos_profile, write_metadata
-from swarmabs_ros.qos import Qos
+from swarmabs_config.graph import Qos
 
 QOS = """\
 - history: keep_last

@@ -13,8 +13,8 @@ from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from swarmabs_config.graph import LOCKSTEP, OFFERED
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
-from swarmabs_ros.qos import OFFERED
 
 Field = int | float | str
 Fields = tuple[Field, ...]
@@ -79,9 +79,9 @@ def test_rosbags_sees_types_hashes_and_qos(bag: Path, run: list[Message]) -> Non
             assert connection.msgtype == topic.ros_type
             assert isinstance(connection.ext, ConnectionExtRosbag2)
             (profile,) = connection.ext.offered_qos_profiles
-            assert profile.reliability.name.lower() == OFFERED[topic].reliability
-            assert profile.durability.name.lower() == OFFERED[topic].durability
-            assert profile.depth == OFFERED[topic].depth
+            assert profile.reliability.name.lower() == OFFERED[LOCKSTEP][topic].reliability
+            assert profile.durability.name.lower() == OFFERED[LOCKSTEP][topic].durability
+            assert profile.depth == OFFERED[LOCKSTEP][topic].depth
             assert (profile.deadline.sec, profile.deadline.nsec) == (9223372036, 854775807)
 
 

@@ -28,9 +28,9 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
+from swarmabs_config.graph import LOCKSTEP, OFFERED
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPIC_OF, Message
-from swarmabs_ros.qos import OFFERED
 
 NAMES = [f"/{topic.name}" for topic in (*MAIN_TOPICS, EVENTS)]
 INFINITE = {"sec": 9223372036, "nsec": 854775807}
@@ -85,9 +85,9 @@ def test_channels_tell_qos_and_type_hash(file: Path) -> None:
         assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == [
             {
                 "history": "keep_last",
-                "depth": OFFERED[topic].depth,
-                "reliability": OFFERED[topic].reliability,
-                "durability": OFFERED[topic].durability,
+                "depth": OFFERED[LOCKSTEP][topic].depth,
+                "reliability": OFFERED[LOCKSTEP][topic].reliability,
+                "durability": OFFERED[LOCKSTEP][topic].durability,
                 "deadline": INFINITE,
                 "lifespan": INFINITE,
                 "liveliness": "automatic",

@@ -18,9 +18,9 @@ from mcap.stream_reader import StreamReader
 from swarmabs_bag.errors import BagFolderError, DamagedBagError, UnknownTypeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.writer import BagWriter
+from swarmabs_config.graph import Qos
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, Message, PlaneState, Topic
-from swarmabs_ros.qos import Qos
 
 TOPICS = (*MAIN_TOPICS, EVENTS)
 

@@ -18,11 +18,11 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, contents, deployed, 
 from swarmabs_bag.recorder import realtime as recorder
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_config.fleet.participants import node_plans
+from swarmabs_config.graph import RECORDER
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import resolve
 from swarmabs_fleet.bundle import deploy
 from swarmabs_fleet.parameters import parameters
-from swarmabs_run.orchestration.plan import RECORDER
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

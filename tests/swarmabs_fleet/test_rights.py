@@ -17,13 +17,11 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
-from swarmabs_fleet import permissions
 from swarmabs_fleet.operate.board import Board
 from swarmabs_fleet.operate.link import Link
 from swarmabs_fleet.operate.target import Target
 from swarmabs_fleet.parameters import parameter_file
 from swarmabs_fleet.permissions import Rights, host_enclaves, node_rights
-from swarmabs_ros import diagnostics
 from swarmabs_run.orchestration.domain import claimed_domain
 
 DISCOVERY_INFO = "ros_discovery_info"
@@ -156,7 +154,3 @@ def test_a_driver_has_the_other_side_of_what_its_node_has(tmp_path: Path) -> Non
         "rt/hall/cmd_vel",
         "rt/hall/agent_002/force",
     ]
-
-
-def test_the_topic_of_diagnostics_is_the_nodes() -> None:
-    assert permissions.DIAGNOSTICS == diagnostics.TOPIC

@@ -10,6 +10,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from tests.swarmabs_ros.nodes import started_node
 
+from swarmabs_config.graph import requested
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPICS, EventKind, PlaneState, SwarmEvent, Topic
 from swarmabs_ros.endpoints import (
@@ -21,7 +22,6 @@ from swarmabs_ros.endpoints import (
     receiver,
     ros_type,
 )
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import SwarmNode
 
 pytestmark = pytest.mark.usefixtures("ros")

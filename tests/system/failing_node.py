@@ -9,11 +9,11 @@ import sys
 import time
 from pathlib import Path
 
+from swarmabs_config.graph import REALTIME, Endpoints, requested
 from swarmabs_core.messages import EVENTS, PLANE_STATE, Message, Messages, PlaneState
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Health, Level, Schedule
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import run_realtime, schedule_of
 from swarmabs_ros.runner import Settings
 
@@ -43,8 +43,8 @@ class Failing:
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     behaviour = Failing(schedule_of(settings), Path(settings.text("file")))
-    heard = {PLANE_STATE: requested(PLANE_STATE, depth=10, offers=REALTIME)}
-    return RealtimeSpec(behaviour, 0.5, (EVENTS, PLANE_STATE), heard)
+    heard = {PLANE_STATE: requested(PLANE_STATE, REALTIME, depth=10)}
+    return RealtimeSpec(behaviour, 0.5, Endpoints((EVENTS, PLANE_STATE), heard))
 
 
 if __name__ == "__main__":

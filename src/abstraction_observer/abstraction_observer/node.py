@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import sys
 
-from swarmabs_core.behaviours import Behaviour, Observer, ObserverConfig, Steered
+from swarmabs_config.graph import OBSERVER
+from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
 from swarmabs_core.friction import Friction
 from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    EVENTS,
-    PLANE_STATE,
-    STEERING,
-    Messages,
-)
+from swarmabs_core.messages import Messages
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.parent_response import ParentModel
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -68,18 +60,9 @@ def model(settings: Settings) -> ParentModel | None:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints."""
-    watched = model(settings)
-    observer = Observer(config(settings), watched)
-    subscriptions = {AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members"))))}
-    if watched is not None:
-        subscriptions[PLANE_STATE] = requested(PLANE_STATE, depth=10)
-
-    behaviour: Behaviour = observer
+    """Return the behaviour, and what it answers to a stall."""
+    observer = Observer(config(settings), model(settings))
     gate = Steered(observer) if settings.flag(STEERED.name) else None
-    if gate is not None:
-        behaviour = gate
-        subscriptions[STEERING] = requested(STEERING, depth=100)
 
     def drop() -> Messages:
         if gate is not None and not gate.open:  # it is not the robots who are waited for
@@ -87,17 +70,12 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         silent = observer.silent_agents()
         return observer.drop(silent, SILENT) if silent else ()
 
-    return NodeSpec(
-        behaviour,
-        (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
-        subscriptions,
-        on_stall=drop if settings.text("on_stall") == "drop" else None,
-    )
+    return NodeSpec(gate or observer, on_stall=drop if settings.text("on_stall") == "drop" else None)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("abstraction_observer", PARAMETERS, make, args)
+    return run_node(OBSERVER, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 from abstraction_observer.memory import MemoryFile
 from abstraction_observer.node import PARAMETERS as LOCKSTEP
+from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, AUXILIARY_STATE, BASIS, EVENTS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import OBSERVER_PHASE
 from swarmabs_core.realtime.observer import FEWEST, RealtimeObserver, RealtimeObserverConfig
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import choose, run_realtime, schedule_of
 
 if TYPE_CHECKING:
@@ -81,24 +80,15 @@ def config(settings: Settings) -> RealtimeObserverConfig:
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
-    """Return behaviour and endpoints."""
+    """Return the behaviour."""
     path = settings.text("memory")
     memory = MemoryFile(Path(path), node.notes.warning) if path else None
-    depth = max(100, 4 * len(settings.integers("members")))
-    return RealtimeSpec(
-        RealtimeObserver(config(settings), memory),
-        OBSERVER_PHASE,
-        (EVENTS, BASIS, ABSTRACT_STATE, AUXILIARY_STATE),
-        {
-            AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME),
-            EVENTS: requested(EVENTS, depth=1000, reliable=True, offers=REALTIME),
-        },
-    )
+    return RealtimeSpec(RealtimeObserver(config(settings), memory), OBSERVER_PHASE)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime("abstraction_observer", PARAMETERS, make, args)
+    return run_realtime(OBSERVER, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

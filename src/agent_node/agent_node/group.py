@@ -6,12 +6,12 @@ import sys
 from pathlib import Path
 
 from swarmabs_config import configure
+from swarmabs_config.graph import LOCKSTEP, ROBOT, Option
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours import AgentGroup, Unpacking
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import AGENT_STATE, EVENTS
+from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -42,7 +42,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     )
     if settings.flag(PACKED.name):
         group = Unpacking(group)
-    return NodeSpec(group, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in group.needs})
+    feeling = (Option.FEELING,) if PLANE_STATE in group.needs else ()
+    return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling))
 
 
 def main(args: list[str] | None = None) -> int:

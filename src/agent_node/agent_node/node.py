@@ -8,17 +8,17 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from swarmabs_config.configure import KINDS
+from swarmabs_config.graph import ROBOT
 from swarmabs_core.behaviours import AgentConfig, LifeSpan, Limits, Listener, Unpacking, make_newcomer
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault
 from swarmabs_core.law_registry import LAWS, PAPER
 from swarmabs_core.membership import ChangeKind
-from swarmabs_core.messages import AGENT_STATE, EVENTS, Kind
+from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.sensing import Sensor
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.parameters import given_values
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -140,16 +140,16 @@ def config(settings: Settings) -> AgentConfig:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints."""
+    """Return the behaviour."""
     agent: Listener = make_newcomer(config(settings), steered=settings.flag(STEERED.name))
     if settings.flag(PACKED.name):
         agent = Unpacking(agent)
-    return NodeSpec(agent, (EVENTS, AGENT_STATE), {topic: requested(topic, depth=10) for topic in agent.needs})
+    return NodeSpec(agent)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("agent_node", table, make, args)
+    return run_node(ROBOT, table, make, args)
 
 
 if __name__ == "__main__":

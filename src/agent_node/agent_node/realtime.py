@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 from agent_node.drives import DRIVE, make_drive, with_drive
 from agent_node.node import PARAMETERS as LOCKSTEP, gains_of, kind_of, with_law
-from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS
+from swarmabs_config.graph import ROBOT, SERVICES
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.robot_controller import Limits
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import choose, run_realtime, schedule_of
 
 if TYPE_CHECKING:
@@ -96,21 +95,19 @@ def config(settings: Settings) -> RealtimeAgentConfig:
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
-    """Return behaviour and endpoints, the drive open."""
+    """Return the behaviour, the drive open."""
     robot = config(settings)
     agent = RealtimeAgent(robot, make_drive(settings, robot, node))
     return RealtimeSpec(
         agent,
         AGENT_PHASE,
-        (EVENTS, AGENT_STATE),
-        {topic: requested(topic, depth=10, offers=REALTIME) for topic in BROADCASTS},
-        services={"~/leave": agent.leave, "~/join": agent.join},
+        services=dict(zip(SERVICES[ROBOT], (agent.leave, agent.join), strict=True)),
     )
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime("agent_node", table, make, args)
+    return run_realtime(ROBOT, table, make, args)
 
 
 if __name__ == "__main__":

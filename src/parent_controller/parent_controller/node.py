@@ -6,26 +6,16 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours import Behaviour, Controller, ControllerConfig, PackingController, Steered
+from swarmabs_config.graph import CONTROLLER
+from swarmabs_core.behaviours import Controller, ControllerConfig, PackingController, Steered
 from swarmabs_core.controllers import CONTROLLERS, ParentContext
 from swarmabs_core.controllers.base import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AUXILIARY_STATE,
-    BROADCAST,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    PLANE_STATE,
-    RECORDING_PROGRESS,
-    STEERING,
-)
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import Stair
 from swarmabs_ros.parameters import given_values
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -85,37 +75,27 @@ def law_of(settings: Settings) -> ParentController:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints.
+    """Return the behaviour.
 
     Raises
     ------
     InputError
         If the reference shall be offset, and the law cannot do it.
     """
-    window = settings.integer("recording_window")
-    subscriptions = {PLANE_STATE: requested(PLANE_STATE, depth=10)}
-    if window:
-        subscriptions[RECORDING_PROGRESS] = requested(RECORDING_PROGRESS, depth=1)
     law = law_of(settings)
     offsets = tuple(map(Stair.parse, settings.texts("offsets")))
     if offsets and not isinstance(law, OffsetController):
         raise InputError("parameter offsets: the law has no method offset_torque; leave the parameter out")
     period_ns = settings.integer("period_ns")
-    config = ControllerConfig(period_ns, manifold_of(settings), window, settings.last_step(), offsets)
-    plain = Controller(config, law)
-    controller: Behaviour = plain
-    if settings.flag(STEERED.name):
-        controller = Steered(plain)
-        subscriptions[STEERING] = requested(STEERING, depth=100)
-    if not settings.flag(PACKED.name):
-        return NodeSpec(controller, (EVENTS, DESIRED_ABSTRACT_STATE), subscriptions)
-    subscriptions |= {topic: requested(topic, depth=10) for topic in (ABSTRACT_STATE, AUXILIARY_STATE)}
-    return NodeSpec(PackingController(controller), (EVENTS, DESIRED_ABSTRACT_STATE, BROADCAST), subscriptions)
+    window = settings.integer("recording_window")
+    plain = Controller(ControllerConfig(period_ns, manifold_of(settings), window, settings.last_step(), offsets), law)
+    controller = Steered(plain) if settings.flag(STEERED.name) else plain
+    return NodeSpec(PackingController(controller) if settings.flag(PACKED.name) else controller)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("parent_controller", table, make, args)
+    return run_node(CONTROLLER, table, make, args)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,13 @@ import sys
 from typing import TYPE_CHECKING
 
 from parent_controller.node import PARAMETERS as LOCKSTEP, law_of, manifold_of, with_law
-from swarmabs_core.messages import ABSTRACT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, Mode
+from swarmabs_config.graph import CONTROLLER, SERVICES
+from swarmabs_core.messages import PLANE_STATE, Mode
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import CONTROLLER_PHASE
 from swarmabs_core.realtime.controller import RealtimeController, RealtimeControllerConfig
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import choose, run_realtime, schedule_of
 from swarmabs_ros.runner import GRAVITY
 
@@ -41,7 +41,7 @@ def table(node: RealtimeNode) -> tuple[Parameter, ...]:
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
-    """Return behaviour and endpoints."""
+    """Return the behaviour."""
     config = RealtimeControllerConfig(
         schedule=schedule_of(settings),
         bounds=Bounds(settings.number("gravity"), settings.number("plane_length")),
@@ -54,16 +54,14 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     return RealtimeSpec(
         controller,
         CONTROLLER_PHASE,
-        (EVENTS, BASIS, DESIRED_ABSTRACT_STATE),
-        {topic: requested(topic, depth=10, offers=REALTIME) for topic in (PLANE_STATE, ABSTRACT_STATE)},
         wakes=(PLANE_STATE,),
-        services={"swarm/stop": controller.stop, "swarm/reset": controller.reset},
+        services=dict(zip(SERVICES[CONTROLLER], (controller.stop, controller.reset), strict=True)),
     )
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime("parent_controller", table, make, args)
+    return run_realtime(CONTROLLER, table, make, args)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Literal, cast
 
-from swarmabs_core.messages import EVENTS, PLANE_STATE
+from swarmabs_config.graph import PLANE_DRIVER
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import PLANE_PHASE
 from swarmabs_core.realtime.plane_driver import PlaneDriver, PlaneDriverConfig
@@ -61,17 +61,17 @@ def config(settings: Settings) -> PlaneDriverConfig:
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
-    """Return behaviour and endpoints, the sensor connected."""
+    """Return the behaviour, the sensor connected."""
     driver = config(settings)
     topic = settings.text("topic") or ("~/imu" if driver.source == "imu" else "~/joint_states")
     arrival = settings.text("stamp") == "arrival"
     sensor = SensorSubscription(node, driver.source, topic, node.loop_group, arrival=arrival)
-    return RealtimeSpec(PlaneDriver(driver, sensor.take), PLANE_PHASE, (EVENTS, PLANE_STATE), {})
+    return RealtimeSpec(PlaneDriver(driver, sensor.take), PLANE_PHASE)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime("plane_driver", PARAMETERS, make, args)
+    return run_realtime(PLANE_DRIVER, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

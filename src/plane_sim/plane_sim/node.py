@@ -5,15 +5,14 @@ from __future__ import annotations
 import sys
 from math import inf
 
-from swarmabs_core.behaviours import Behaviour, Plane, PlaneConfig, Steered
+from swarmabs_config.graph import PLANE
+from swarmabs_core.behaviours import Plane, PlaneConfig, Steered
 from swarmabs_core.faults import Lie
 from swarmabs_core.friction import Friction
-from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, STEERING
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.sensing import Sensor
 from swarmabs_core.steering import Stair
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import GRAVITY, MEMBERS, SCHEDULE, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -87,22 +86,14 @@ def config(settings: Settings) -> PlaneConfig:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints."""
-    subscriptions = {
-        AGENT_STATE: requested(AGENT_STATE, depth=max(100, 4 * len(settings.integers("members")))),
-        EVENTS: requested(EVENTS, depth=1000, reliable=True),
-    }
+    """Return the behaviour."""
     plane = Plane(config(settings))
-    behaviour: Behaviour = plane
-    if settings.flag(STEERED.name):
-        behaviour = Steered(plane)
-        subscriptions[STEERING] = requested(STEERING, depth=100)
-    return NodeSpec(behaviour, (EVENTS, PLANE_STATE), subscriptions)
+    return NodeSpec(Steered(plane) if settings.flag(STEERED.name) else plane)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("plane_sim", PARAMETERS, make, args)
+    return run_node(PLANE, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

@@ -6,16 +6,15 @@ import sys
 from typing import TYPE_CHECKING
 
 from plane_sim.node import PARAMETERS as LOCKSTEP
+from swarmabs_config.graph import PLANE
 from swarmabs_core.desired_state import STEEPEST
 from swarmabs_core.friction import Friction
-from swarmabs_core.messages import AGENT_STATE, BASIS, EVENTS, PLANE_STATE
 from swarmabs_core.plant import Disturbance
 from swarmabs_core.realtime.base import PLANE_PHASE
 from swarmabs_core.realtime.plane import RealtimePlane, RealtimePlaneConfig
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.sensing import Sensor
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import choose, run_realtime, schedule_of
 
 if TYPE_CHECKING:
@@ -51,19 +50,13 @@ def config(settings: Settings) -> RealtimePlaneConfig:
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
-    """Return behaviour and endpoints."""
-    depth = max(100, 4 * len(settings.integers("members")))
-    return RealtimeSpec(
-        RealtimePlane(config(settings)),
-        PLANE_PHASE,
-        (EVENTS, BASIS, PLANE_STATE),
-        {AGENT_STATE: requested(AGENT_STATE, depth=depth, offers=REALTIME)},
-    )
+    """Return the behaviour."""
+    return RealtimeSpec(RealtimePlane(config(settings)), PLANE_PHASE)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime("plane_sim", PARAMETERS, make, args)
+    return run_realtime(PLANE, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from swarmabs_config.graph import Qos
 from swarmabs_config.scenario.errors import ScenarioError
 from swarmabs_config.scenario.yaml_tree import read_tree
-from swarmabs_ros.qos import Qos
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

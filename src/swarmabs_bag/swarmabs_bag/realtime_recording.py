@@ -6,10 +6,10 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.recording import Latest, Metrics
+from swarmabs_config.graph import REALTIME, RECORDER, endpoints
 from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
     AGENT_STATE,
-    BASIS,
     EVENTS,
     MAIN_TOPICS,
     NEVER,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.recording import Reference
     from swarmabs_core.realtime.base import Schedule
 
-RECORDED = (*MAIN_TOPICS, EVENTS, BASIS)
+RECORDED = tuple(endpoints(RECORDER, REALTIME).subscriptions)
 """Topics of a recording in real time."""
 MEMORY = 1000
 """Steps before and after the recorder's own within which messages are recorded, and copies of them recognised."""

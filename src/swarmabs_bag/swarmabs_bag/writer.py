@@ -28,7 +28,7 @@ from swarmabs_bag.output import RecordFile, Reserve
 from swarmabs_bag.records import RecordError
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.splitting import ONE_FILE, Split
-from swarmabs_ros.qos import OFFERED
+from swarmabs_config.graph import LOCKSTEP, OFFERED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from swarmabs_config.graph import Qos
     from swarmabs_core.messages import Topic
-    from swarmabs_ros.qos import Qos
 
 BAG_FILE = "bag_0.mcap"
 """Name of the first MCAP file in a bag's folder; those that follow when it is split count on."""
@@ -104,7 +104,7 @@ class BagWriter:
         topics: Sequence[Topic],
         attachments: Mapping[str, bytes],
         namespace: str = "/",
-        qos: Mapping[Topic, Qos] = OFFERED,
+        qos: Mapping[Topic, Qos] = OFFERED[LOCKSTEP],
         chunk_seconds: float = CHUNK_SECONDS,
         chunk_bytes: int = CHUNK_BYTES,
         split: Split = ONE_FILE,

@@ -113,12 +113,12 @@ def join(swarm: Path, robot: int, patience: float) -> int:
 @_patience
 def remove(swarm: Path, robot: int, patience: float) -> int:
     """Say of a silent robot that it was carried off the plane, since it cannot say so itself."""
+    from swarmabs_config.graph import OBSERVER  # noqa: PLC0415
     from swarmabs_core.errors import RunError  # noqa: PLC0415
     from swarmabs_core.realtime.observer import CARRIED_AWAY  # noqa: PLC0415
     from swarmabs_fleet.operate.board import Board  # noqa: PLC0415 - slow, not for --help
     from swarmabs_fleet.operate.link import linked  # noqa: PLC0415
     from swarmabs_fleet.operate.target import target  # noqa: PLC0415
-    from swarmabs_run.orchestration.plan import OBSERVER  # noqa: PLC0415
 
     with target(swarm) as found:
         found.robot(robot)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING, cast
 
+from swarmabs_config.graph import recording_window as window_of
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, Limits, ObserverConfig, PlaneConfig
 from swarmabs_core.controllers import CONTROLLERS, ParentContext
 from swarmabs_core.faults import FaultKind, Lie, RobotFault
@@ -27,11 +28,6 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import ParentResponseObserver, Scenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.parameters import Settings, Value
-
-RECORDING_STEPS = 100
-RECORDING_MESSAGES = 20_000
-"""How many steps, and how many states of robots, a recorded run may be ahead of what is on disk."""
-SHORTEST_RECORDING_WINDOW = 4
 
 KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
 
@@ -82,9 +78,8 @@ def stairs(scenario: Scenario, kind: str) -> tuple[Stair, ...]:
 
 
 def recording_window(scenario: Scenario) -> int:
-    """Return how many steps a recorded run may be ahead of what is on disk: few where a step has many messages."""
-    fitting = RECORDING_MESSAGES // len(scenario.agents)
-    return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, fitting))
+    """Return how many steps a recorded run may be ahead of what is on disk."""
+    return window_of(len(scenario.agents))
 
 
 def friction(scenario: Scenario) -> Friction:

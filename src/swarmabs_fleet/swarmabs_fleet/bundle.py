@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
 from swarmabs_config.fleet.participants import nodes_on
 from swarmabs_config.fleet.parts import Sros2Security
+from swarmabs_config.graph import RECORDER
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_fleet import scripts
 from swarmabs_fleet.certificates import keystore
@@ -24,7 +25,6 @@ from swarmabs_fleet.places import Places
 from swarmabs_fleet.profile import fleet_profile, profile_roles
 from swarmabs_fleet.units import units
 from swarmabs_fleet.wireguard import configuration
-from swarmabs_run.orchestration.plan import RECORDER
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.loader import LoadedFleet

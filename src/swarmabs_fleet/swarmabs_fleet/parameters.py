@@ -6,12 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_config.fleet.participants import DISCOVERY, PLANE_DRIVER
+from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.robots import PluginDrive, SimulatedDrive
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE_DRIVER, RECORDER
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_core.declaration import values_of
 from swarmabs_core.realtime.topic_drive import TopicSettings
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, RECORDER, controller_parameters, plane_parameters
+from swarmabs_run.orchestration.plan import controller_parameters, plane_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,24 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.names import path_of
-from swarmabs_config.fleet.participants import DISCOVERY, PLANE_DRIVER, node_plans, nodes_on
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    BASIS,
-    BROADCASTS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    MAIN_TOPICS,
-    PLANE_STATE,
-    Topic,
-)
+from swarmabs_config.fleet.participants import DISCOVERY, node_plans, nodes_on
+from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, REALTIME, RECORDER, ROBOT, SERVICES, endpoints
+from swarmabs_core.messages import EVENTS
 from swarmabs_core.realtime.topic_drive import TopicSettings
 from swarmabs_fleet.environment import tool_enclave
 from swarmabs_fleet.profile import profile_roles
 from swarmabs_fleet.rendering import render
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
@@ -41,26 +30,6 @@ _COMMAND_LINE = "_ros2cli"
 _MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
 _COMMANDED = {"twist": "cmd_vel", "force": "force", "joint": "joint_command"}
 """Names of topics below a node's own where the fleet file gives none."""
-DIAGNOSTICS = "diagnostics"
-"""Where the swarm's nodes say how they are, as in `swarmabs_ros.diagnostics`, which needs ROS."""
-_PUBLISHED: dict[str, tuple[Topic, ...]] = {
-    PLANE: (PLANE_STATE, BASIS, EVENTS),
-    PLANE_DRIVER: (PLANE_STATE, EVENTS),
-    OBSERVER: (ABSTRACT_STATE, AUXILIARY_STATE, BASIS, EVENTS),
-    CONTROLLER: (DESIRED_ABSTRACT_STATE, BASIS, EVENTS),
-    RECORDER: (),
-    DISCOVERY: (),
-}
-_HEARD: dict[str, tuple[Topic, ...]] = {
-    PLANE: (AGENT_STATE,),
-    PLANE_DRIVER: (),
-    OBSERVER: (AGENT_STATE, EVENTS),
-    CONTROLLER: (PLANE_STATE, ABSTRACT_STATE),
-    RECORDER: (*MAIN_TOPICS, EVENTS, BASIS),
-    DISCOVERY: (),
-}
-_SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset")}
-"""Services that are not below the node's own name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,25 +77,21 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
         publish += [_LOG, f"rt{own}/*"]
     if node.name != DISCOVERY:
         publish.append(_topic(ns, DIAGNOSTICS))
-    publish += [_topic(ns, topic.name) for topic in _published(node)]
-    subscribe += [_topic(ns, topic.name) for topic in _heard(node)]
+    role = ROBOT if node.robot else node.name
+    ends = endpoints(role, REALTIME)
+    publish += [_topic(ns, topic.name) for topic in ends.publications]
+    subscribe += [_topic(ns, topic.name) for topic in ends.subscriptions]
     if node.name != RECORDER:  # services: those of its parameters and its life cycle among them
         publish.append(f"rr{own}/*Reply")
         subscribe.append(f"rq{own}/*Request")
-    for service in _SERVICES.get(node.name, ()):
+    for service in SERVICES.get(role, ()):
+        if service.startswith("~/"):  # below its own name
+            continue
         publish.append(f"rr{path_of(ns, service)}Reply")
         subscribe.append(f"rq{path_of(ns, service)}Request")
     measured, commanded = _body_topics(fleet, node)
     publish += [topic for topic in commanded if not topic.startswith(f"rt{own}/")]
     return Rights(tuple(publish), (*subscribe, *measured))
-
-
-def _published(node: NodePlan) -> tuple[Topic, ...]:
-    return (AGENT_STATE, EVENTS) if node.robot else _PUBLISHED[node.name]
-
-
-def _heard(node: NodePlan) -> tuple[Topic, ...]:
-    return BROADCASTS if node.robot else _HEARD[node.name]
 
 
 def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:

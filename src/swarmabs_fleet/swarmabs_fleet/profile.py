@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import DISCOVERY_SERVER, DRIVERS, OPERATOR, node_plans
+from swarmabs_config.ports import metatraffic_port
 from swarmabs_core.realtime.topic_drive import TopicSettings
 from swarmabs_run.orchestration.dds_profile import FROM_ENVIRONMENT, REALTIME_LEASE
 from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, locator, render, unicast_locators
-from swarmabs_run.orchestration.domain import metatraffic_port
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.robots import PluginDrive
+from swarmabs_config.graph import OBSERVER, RECORDER
 from swarmabs_fleet.places import Places, enclave, state_folder, target_name, unit_name
 from swarmabs_fleet.profile import DISCOVERY_GROUP, peers
 from swarmabs_fleet.rendering import render
-from swarmabs_run.orchestration.plan import OBSERVER, RECORDER
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

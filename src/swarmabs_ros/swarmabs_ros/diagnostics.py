@@ -9,8 +9,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 if TYPE_CHECKING:
     from swarmabs_core.realtime.base import Health
 
-TOPIC = "diagnostics"
-"""Relative to the namespace: a swarm's own."""
 PERIOD = 1.0
 """Time between two, s."""
 

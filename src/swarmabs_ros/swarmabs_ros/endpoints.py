@@ -23,7 +23,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from swarmabs_ros.qos import OFFERED, Qos
+from swarmabs_config.graph import LOCKSTEP, OFFERED, Driver, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -60,9 +60,9 @@ def profile(qos: Qos) -> QoSProfile:
     return found
 
 
-def advertise(node: Node, topic: Topic, offers: Mapping[Topic, Qos] = OFFERED) -> Publisher:
+def advertise(node: Node, topic: Topic, driver: Driver = LOCKSTEP) -> Publisher:
     """Create the publisher of a topic, which takes serialised messages."""
-    return node.create_publisher(ros_type(topic), topic.name, profile(offers[topic]))
+    return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[driver][topic]))
 
 
 class Receiver(Protocol):

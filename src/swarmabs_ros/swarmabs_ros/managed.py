@@ -19,11 +19,11 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
+from swarmabs_config.graph import DIAGNOSTICS, REALTIME
 from swarmabs_core.errors import RunError, SwarmabsError
 from swarmabs_core.realtime.base import Health, Level, Schedule
 from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
-from swarmabs_ros.qos import REALTIME
 from swarmabs_ros.realtime import Engine, RealtimeLoop, read_clocks, timing_report
 from swarmabs_ros.systemd import notify
 from swarmabs_ros.timing import StepClock
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from rclpy.impl.rcutils_logger import RcutilsLogger
     from rclpy.lifecycle import LifecycleState
 
+    from swarmabs_config.graph import Endpoints
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_core.realtime.base import RealtimeBehaviour
-    from swarmabs_ros.qos import Qos
     from swarmabs_ros.status import StatusChannel
 
 TOLD_WITHIN = 1.0
@@ -59,10 +59,8 @@ class RealtimeSpec:
         Its state machine.
     phase : float
         Share of the period that is over when its step is due.
-    publications : tuple of Topic
-        What it publishes.
-    subscriptions : mapping
-        What it listens to, with the requested quality of service.
+    endpoints : Endpoints, optional
+        What it publishes and reads, if that does not follow from the graph and its parameters.
     wakes : tuple of Topic
         Topics that are answered at once.
     services : mapping
@@ -71,8 +69,7 @@ class RealtimeSpec:
 
     behaviour: RealtimeBehaviour
     phase: float
-    publications: tuple[Topic, ...]
-    subscriptions: Mapping[Topic, Qos]
+    endpoints: Endpoints | None = None
     wakes: tuple[Topic, ...] = ()
     services: Mapping[str, Callable[[int], Messages]] = field(default_factory=dict)
 
@@ -97,25 +94,28 @@ class RealtimeNode(LifecycleNode):
         """For subscriptions that the loop takes from by itself, such as those of a drive."""
         self._loop: RealtimeLoop
         self._make: Callable[[], RealtimeSpec]
+        self._endpoints: Endpoints
         self._schedule: Schedule
         self._status: StatusChannel
         self._executor: Executor
         self._clock_of_steps: StepClock | None = None
         self._before: tuple[Any, ...] | None = None
-        self._diagnostics = self.create_publisher(DiagnosticArray, diagnostics.TOPIC, 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(diagnostics.PERIOD, self._diagnose, clock=steady)
 
     def prepare(
         self,
         make: Callable[[], RealtimeSpec],
+        endpoints: Endpoints,
         schedule: Schedule,
         loop: RealtimeLoop,
         executor: Executor,
         status: StatusChannel,
     ) -> None:
         """Say what configuring makes, and who does what; before the executor runs."""
-        self._make, self._schedule, self._loop, self._executor, self._status = make, schedule, loop, executor, status
+        self._make, self._endpoints, self._schedule = make, endpoints, schedule
+        self._loop, self._executor, self._status = loop, executor, status
 
     # Transitions
 
@@ -215,9 +215,10 @@ class RealtimeNode(LifecycleNode):
     def _configure(self) -> None:
         self._before = self._entities()
         spec = self._make()
-        publishers = {topic: advertise(self, topic, REALTIME) for topic in spec.publications}
-        receiver = WaitSetReceiver(self, spec.subscriptions, self.loop_group)
-        depths = {topic: qos.depth for topic, qos in spec.subscriptions.items()}
+        ends = spec.endpoints or self._endpoints
+        publishers = {topic: advertise(self, topic, REALTIME) for topic in ends.publications}
+        receiver = WaitSetReceiver(self, ends.subscriptions, self.loop_group)
+        depths = {topic: qos.depth for topic, qos in ends.subscriptions.items()}
         self._clock_of_steps = StepClock(self._schedule, spec.phase)
         self._loop.attach(Engine(spec.behaviour, self._clock_of_steps, receiver, depths, publishers, spec.wakes))
         for name, command in spec.services.items():

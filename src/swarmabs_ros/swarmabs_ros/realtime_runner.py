@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NoReturn
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
+from swarmabs_config.graph import REALTIME
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Schedule
@@ -67,7 +68,7 @@ def run_realtime(
     Parameters
     ----------
     name : str
-        Its name, where none is remapped.
+        Its name in the graph, and its own where none is remapped.
     table : tuple of Parameter, or callable
         Its parameters beyond the common ones; callable if they depend on a value given.
     make : callable
@@ -89,7 +90,7 @@ def run_realtime(
     status = StatusChannel(node.get_name())
     try:
         settings = _settings(node, table(node) if callable(table) else table, status)
-        _run(node, settings, lambda: make(settings, node), status)
+        _run(name, node, settings, lambda: make(settings, node), status)
     except InputError as error:
         return fail(status, error, 2)
     except RunError as error:
@@ -110,10 +111,12 @@ def _settings(node: RealtimeNode, own: Table, status: StatusChannel) -> Settings
     return Settings(values, node.get_namespace())
 
 
-def _run(node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel) -> None:
+def _run(
+    role: str, node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel
+) -> None:
     executor = SingleThreadedExecutor(context=node.context)
     loop = RealtimeLoop(node.failed, _watchdog(), on_hang=lambda: _give_up(node))
-    node.prepare(make, schedule_of(settings), loop, executor, status)
+    node.prepare(make, settings.endpoints(role, REALTIME), schedule_of(settings), loop, executor, status)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.stop())

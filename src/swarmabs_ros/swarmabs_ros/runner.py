@@ -12,6 +12,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import TOPICS, Messages, Topic
@@ -28,10 +29,10 @@ if TYPE_CHECKING:
 
     from rclpy.publisher import Publisher
 
+    from swarmabs_config.graph import Driver, Option
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.parameters import Value
     from swarmabs_ros.endpoints import Receiver, Waiting
-    from swarmabs_ros.qos import Qos
 
 INTERRUPTED = "interrupted"
 """What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
@@ -115,6 +116,23 @@ class Settings:
         """Return the scheduled changes of the membership."""
         return tuple(sorted(Change.parse(text) for text in self.texts("schedule")))
 
+    def endpoints(self, node: str, driver: Driver, *also: Option, robots: int | None = None) -> Endpoints:
+        """Return what a node with these parameters publishes and reads.
+
+        Parameters
+        ----------
+        node : str
+            Its name in the graph.
+        driver : Driver
+            What makes its steps.
+        also : Option
+            What it is asked for beside what its parameters say.
+        robots : int, optional
+            How many robots ever take part, by default the members that the parameters name.
+        """
+        known = len(cast("tuple[int, ...]", self._values.get("members", ()))) if robots is None else robots
+        return endpoints(node, driver, options_of(self._values) | {*also}, robots=known)
+
     def within(self, prefix: str) -> dict[str, Value]:
         """Return the values whose names begin with a prefix, by the rest of their names."""
         return {name[len(prefix) :]: value for name, value in self._values.items() if name.startswith(prefix)}
@@ -128,10 +146,8 @@ class NodeSpec:
     ----------
     behaviour : Behaviour
         Its state machine.
-    publications : tuple of Topic
-        What it publishes.
-    subscriptions : mapping
-        What it listens to, with the requested quality of service.
+    endpoints : Endpoints, optional
+        What it publishes and reads, if that does not follow from the graph and its parameters.
     on_stall : callable, optional
         What the behaviour answers to a stall.
     on_exit : callable, optional
@@ -147,8 +163,7 @@ class NodeSpec:
     """
 
     behaviour: Behaviour
-    publications: tuple[Topic, ...]
-    subscriptions: Mapping[Topic, Qos]
+    endpoints: Endpoints | None = None
     on_stall: Callable[[], Messages] | None = None
     on_exit: Callable[[str | None], None] = field(default=lambda _: None)
     lingers: bool = True
@@ -181,7 +196,7 @@ def run_node(
     Parameters
     ----------
     name : str
-        Its name, where none is remapped.
+        Its name in the graph, and its own where none is remapped.
     table : tuple of Parameter, or callable
         Its parameters beyond the common ones; callable if they depend on a value given.
     make : callable
@@ -205,7 +220,7 @@ def run_node(
         own = table(node) if callable(table) else table
         settings = Settings(declare(node, (*COMMON, *own)), node.get_namespace())
         spec = make(settings, status)
-        return _run(node, settings, spec, status)
+        return _run(name, node, settings, spec, status)
     except InputError as error:
         return fail(status, error, 2)
     except RunError as error:
@@ -222,9 +237,10 @@ def fail(status: StatusChannel, error: Exception, code: int) -> int:
     return code
 
 
-def _run(node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> int:
-    publishers = {topic: advertise(node, topic) for topic in spec.publications}
-    inbox = receiver(node, spec.subscriptions, cast("Waiting", settings.text("receive")))
+def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> int:
+    ends = spec.endpoints or settings.endpoints(role, LOCKSTEP)
+    publishers = {topic: advertise(node, topic) for topic in ends.publications}
+    inbox = receiver(node, ends.subscriptions, cast("Waiting", settings.text("receive")))
     loop = Lockstep(
         spec.behaviour,
         inbox,

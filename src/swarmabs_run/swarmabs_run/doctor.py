@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Literal
 import psutil
 
 from swarmabs_bag.provenance import versions
+from swarmabs_config.ports import LARGEST_DOMAIN
 from swarmabs_config.scenario import load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import TOPICS
-from swarmabs_run.orchestration.domain import LARGEST_DOMAIN, claimed_domain
+from swarmabs_run.orchestration.domain import claimed_domain
 
 if TYPE_CHECKING:
     from collections.abc import Callable

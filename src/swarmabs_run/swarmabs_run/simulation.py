@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
+from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
 from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    MAIN_TOPICS,
-    PLANE_STATE,
-    TOPIC_OF,
-)
+from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, TOPIC_OF
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -50,24 +42,21 @@ class Simulation:
         controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
         )
-        self._behaviours: tuple[Behaviour, ...] = (observer, plane, controller, *agents)
+        watching = set() if model is None else {Option.WATCHING}
+        nodes: list[tuple[Behaviour, str, frozenset[Option]]] = [
+            (observer, OBSERVER, frozenset(watching)),
+            (plane, PLANE, frozenset()),
+            (controller, CONTROLLER, frozenset()),
+        ]
+        nodes += [(agent, ROBOT, frozenset({Option.FEELING} if PLANE_STATE in agent.needs else ())) for agent in agents]
+        self._behaviours = tuple(behaviour for behaviour, *_ in nodes)
+        self._subscribers: dict[Topic, list[Callable[[Message], Messages]]] = {topic: [] for topic in OFFERED[LOCKSTEP]}
+        for behaviour, node, options in nodes:
+            for topic in endpoints(node, LOCKSTEP, options).subscriptions:
+                self._subscribers[topic].append(behaviour.handle)
         self._collector = RunCollector(
             configure.members(scenario), configure.schedule(scenario), scenario.steps, memory=2
         )
-        feeling = [agent for agent in agents if PLANE_STATE in agent.needs]
-        hear = [agent.handle for agent in agents]
-        self._subscribers: dict[Topic, tuple[Callable[[Message], Messages], ...]] = {
-            AGENT_STATE: (observer.handle, plane.handle),
-            PLANE_STATE: (
-                *(() if model is None else (observer.handle,)),
-                controller.handle,
-                *(agent.handle for agent in feeling),
-            ),
-            ABSTRACT_STATE: tuple(hear),
-            AUXILIARY_STATE: tuple(hear),
-            DESIRED_ABSTRACT_STATE: tuple(hear),
-            EVENTS: (plane.handle,),
-        }
 
     def steps(self) -> Iterator[RecordedStep]:
         """Run, and yield every step as a bag would hold it.

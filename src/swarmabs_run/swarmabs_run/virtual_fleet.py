@@ -12,16 +12,8 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure as lockstep, realtime as configure
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    PLANE_STATE,
-    TOPIC_OF,
-    Mode,
-)
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, REALTIME, ROBOT, agent_name, endpoints
+from swarmabs_core.messages import EVENTS, TOPIC_OF, Mode
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig, ideal_motion
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE
 from swarmabs_core.realtime.controller import RealtimeController
@@ -36,7 +28,6 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import AgentState, Message, Messages, Topic
     from swarmabs_core.realtime.base import RealtimeBehaviour
 
-PLANE, OBSERVER, CONTROLLER = "plane_sim", "abstraction_observer", "parent_controller"
 _ROBOT = "agent_"
 EPOCH = 1_700_000_000_000_000_000
 """A time of the clock, ns since 1970, as large as those of real clocks are."""
@@ -105,11 +96,6 @@ class _Body(SimulatedDrive):
         return super().read(EPOCH + round(self._fleet.time * 1e9))._replace(stamp=now)
 
 
-def agent_name(agent_id: int) -> str:
-    """Return the name of a robot's node."""
-    return f"{_ROBOT}{agent_id:03d}"
-
-
 class VirtualFleet:
     """All nodes of a scenario, each with a clock of its own, and the network between them.
 
@@ -171,17 +157,15 @@ class VirtualFleet:
     def _add_coordinators(self, scenario: Scenario, start_mode: Mode) -> None:
         clock = self._clock
         controller = configure.controller_config(scenario, clock, start_mode)
-        self._add(PLANE, PLANE_PHASE, {AGENT_STATE}, lambda: RealtimePlane(configure.plane_config(scenario, clock)))
+        self._add(PLANE, PLANE_PHASE, lambda: RealtimePlane(configure.plane_config(scenario, clock)))
         self._add(
             OBSERVER,
             OBSERVER_PHASE,
-            {AGENT_STATE, EVENTS},
             lambda: RealtimeObserver(configure.observer_config(scenario, clock), self._memory),
         )
         self._add(
             CONTROLLER,
             CONTROLLER_PHASE,
-            {PLANE_STATE, ABSTRACT_STATE},
             lambda: RealtimeController(controller, lambda: lockstep.parent_controller(scenario)),
         )
 
@@ -192,12 +176,12 @@ class VirtualFleet:
             self._add(
                 agent_name(agent.id),
                 AGENT_PHASE,
-                {ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE},
                 lambda config=config, drive=drive: RealtimeAgent(config, drive),  # type: ignore[misc]
             )
 
-    def _add(self, name: str, phase: float, listens: set[Topic], make: Callable[[], RealtimeBehaviour]) -> None:
-        self._nodes[name] = _Node(name, phase, frozenset(listens), make, None)
+    def _add(self, name: str, phase: float, make: Callable[[], RealtimeBehaviour]) -> None:
+        heard = endpoints(ROBOT if name.startswith(_ROBOT) else name, REALTIME).subscriptions
+        self._nodes[name] = _Node(name, phase, frozenset(heard), make, None)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import rclpy
 
+from swarmabs_config.graph import requested
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
@@ -26,7 +27,6 @@ from swarmabs_core.messages import (
     PLANE_STATE,
 )
 from swarmabs_ros.endpoints import receiver
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import SwarmNode
 from swarmabs_ros.start import initialise
 from swarmabs_view.curves import CurveBuffer

@@ -14,8 +14,8 @@ from rclpy.qos import (
 
 from swarmabs_analysis.replay.qos import recorded_profiles
 from swarmabs_bag.metadata import dump_yaml, qos_profile
+from swarmabs_config.graph import LOCKSTEP, OFFERED
 from swarmabs_ros.endpoints import profile
-from swarmabs_ros.qos import OFFERED
 
 
 def policies(made: QoSProfile) -> tuple[object, ...]:
@@ -23,9 +23,9 @@ def policies(made: QoSProfile) -> tuple[object, ...]:
     return made.history, made.depth, made.reliability, made.durability, made.liveliness, *map(str, durations)
 
 
-@pytest.mark.parametrize("topic", OFFERED, ids=lambda topic: topic.name)
+@pytest.mark.parametrize("topic", OFFERED[LOCKSTEP], ids=lambda topic: topic.name)
 def test_what_a_run_offers_comes_back(topic: object) -> None:
-    qos = OFFERED[topic]  # type: ignore[index]
+    qos = OFFERED[LOCKSTEP][topic]  # type: ignore[index]
     (found,) = recorded_profiles(dump_yaml([qos_profile(qos)]))
     assert policies(found)[:4] == policies(profile(qos))[:4]
     assert policies(found)[4:] == (QoSLivelinessPolicy.AUTOMATIC, *policies(QoSProfile(depth=1))[5:])
@@ -57,7 +57,7 @@ def test_older_bags_have_numbers_for_policies() -> None:
 
 
 def test_each_different_offer_is_returned_once() -> None:
-    one, other = (qos_profile(qos) for qos in list(OFFERED.values())[:2])
+    one, other = (qos_profile(qos) for qos in list(OFFERED[LOCKSTEP].values())[:2])
     found = recorded_profiles(dump_yaml([one, other, one]))
     assert [made.depth for made in found] == [one["depth"], other["depth"]]
 

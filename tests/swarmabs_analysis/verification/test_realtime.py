@@ -16,6 +16,7 @@ from tests.swarmabs_core.realtime.bags import WORLDS, Recorded, Stored, messages
 from swarmabs_analysis.verification import Difference
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_config import realtime as configure
+from swarmabs_config.graph import CONTROLLER
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
@@ -39,7 +40,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime import agent
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
-from swarmabs_run.virtual_fleet import CONTROLLER, EPOCH, VirtualFleet
+from swarmabs_run.virtual_fleet import EPOCH, VirtualFleet
 
 SIMULATED_BY_THE_WORLD = {"clocks": (2, 3, 4)}
 """Robots whose bodies follow the clock of their node; the virtual bodies follow that of the world."""

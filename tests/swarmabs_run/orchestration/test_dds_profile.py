@@ -15,12 +15,19 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from tests.processes import until
 
+from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES, Qos
+from swarmabs_config.ports import (
+    GUARD_OFFSET,
+    LARGEST_DOMAIN,
+    METATRAFFIC_OFFSET,
+    PARTICIPANT_GAIN,
+    SPACING,
+    metatraffic_port,
+    multicast_port,
+)
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_ros.endpoints import WaitSetReceiver, profile, ros_type
-from swarmabs_ros.qos import Qos
 from swarmabs_run.orchestration.dds_profile import (
-    CONTROLLER_PARTICIPANT,
-    COORDINATORS,
     FIRST_FREE,
     FROM_ENVIRONMENT,
     GROUP_VARIABLE,
@@ -29,15 +36,6 @@ from swarmabs_run.orchestration.dds_profile import (
     multicast_group,
     multicast_works,
     profile_xml,
-)
-from swarmabs_run.orchestration.domain import (
-    GUARD_OFFSET,
-    LARGEST_DOMAIN,
-    METATRAFFIC_OFFSET,
-    PARTICIPANT_GAIN,
-    SPACING,
-    metatraffic_port,
-    multicast_port,
 )
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
@@ -153,8 +151,8 @@ def test_the_groups_port_is_nobody_elses() -> None:
 
 
 def test_robots_the_controller_and_who_hears_the_robots_are_three_groups() -> None:
-    controller = multicast_group(CONTROLLER_PARTICIPANT)
-    gatherers = {multicast_group(n) for n in range(COORDINATORS) if n != CONTROLLER_PARTICIPANT}
+    controller = multicast_group(NODES[CONTROLLER].participant)
+    gatherers = {multicast_group(n) for n in range(COORDINATORS) if n != NODES[CONTROLLER].participant}
     robots = {multicast_group(participant) for participant in range(COORDINATORS, LARGE_SWARM)}
     assert len(gatherers) == len(robots) == 1
     assert len({controller} | gatherers | robots) == 3

@@ -11,17 +11,10 @@ from contextlib import ExitStack
 
 import pytest
 
+from swarmabs_config.ports import DOMAIN_GAIN, GUARD_OFFSET, LARGEST_DOMAIN, PORT_BASE, SPACING, metatraffic_port
 from swarmabs_core.errors import RunError
 from swarmabs_run.orchestration import domain
-from swarmabs_run.orchestration.domain import (
-    DOMAIN_GAIN,
-    GUARD_OFFSET,
-    LARGEST_DOMAIN,
-    PORT_BASE,
-    SPACING,
-    claimed_domain,
-    metatraffic_port,
-)
+from swarmabs_run.orchestration.domain import claimed_domain
 
 HOLDER = """
 import sys

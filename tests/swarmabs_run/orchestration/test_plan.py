@@ -15,6 +15,7 @@ import parent_controller.node
 import plane_sim.node
 import swarmabs_bag.recorder.node
 from swarmabs_config import configure
+from swarmabs_config.graph import CONTROLLER, COORDINATORS, OBSERVER, PLANE, RECORDER, agent_name
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.messages import (
@@ -35,8 +36,7 @@ from swarmabs_core.parameters import Parameter, resolve
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.runner import COMMON, Settings, SwarmNode
 from swarmabs_ros.status import StatusChannel
-from swarmabs_run.orchestration.dds_profile import COORDINATORS
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, ProcessPlan, agent_name, plan
+from swarmabs_run.orchestration.plan import ProcessPlan, plan
 
 FAULTY = (
     (

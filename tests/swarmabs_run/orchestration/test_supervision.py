@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_run.orchestration.supervision import RESTARTS, Failure, Supervision, how_it_ended, last_lines
 
 ROBOTS = ("agent_001", "agent_002", "agent_003", "agent_017")

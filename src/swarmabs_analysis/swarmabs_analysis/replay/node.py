@@ -9,12 +9,12 @@ from swarmabs_analysis.replay.plan import played
 from swarmabs_analysis.replay.source import recorded_steps
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
+from swarmabs_config.graph import Endpoints, requested
 from swarmabs_core.behaviours.player import NodeName, Player
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -45,7 +45,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     player = Player(steps, nodes, last_step=last, window=settings.integer("window"))
     depth = max(100, 4 * len(scenario.agents))
     subscriptions = {topic: requested(topic, depth=depth if topic is AGENT_STATE else 10) for topic in player.hears}
-    return NodeSpec(player, played(nodes), subscriptions)
+    return NodeSpec(player, Endpoints(played(nodes), subscriptions))
 
 
 def main(args: list[str] | None = None) -> int:

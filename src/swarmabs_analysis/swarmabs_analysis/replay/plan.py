@@ -7,17 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
+from swarmabs_config.graph import CONTROLLER, FIRST_SPARE, OBSERVER, PLANE, RECORDER, agent_name
 from swarmabs_core.behaviours.player import NodeKind, Player
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, RECORDING_PROGRESS
-from swarmabs_run.orchestration.plan import (
-    CONTROLLER,
-    OBSERVER,
-    PLANE,
-    RECORDER,
-    ProcessPlan,
-    agent_name,
-    expect_counterparts,
-)
+from swarmabs_run.orchestration.plan import ProcessPlan, expect_counterparts
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -28,8 +21,6 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
 
 PLAYER = "replay_player"
-PLAYER_PARTICIPANT = 4
-"""DDS participant id of the player: the first one that a run leaves free among the coordinators."""
 
 _NAMES = {NodeKind.PLANE: PLANE, NodeKind.OBSERVER: OBSERVER, NodeKind.CONTROLLER: CONTROLLER}
 
@@ -74,7 +65,7 @@ def replay_plan(
     player = ProcessPlan(
         PLAYER,
         "swarmabs_analysis.replay.node",
-        PLAYER_PARTICIPANT,
+        FIRST_SPARE,
         shared
         | {
             "bag": str(source.bag.path.resolve()),

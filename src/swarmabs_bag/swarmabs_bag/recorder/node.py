@@ -11,14 +11,13 @@ from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recorder.reporting import GATHER_SECONDS, PARAMETERS as COMMON, Reporter, scenario_of, split_of
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
+from swarmabs_config.graph import LOCKSTEP, RECORDER
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
-    AGENT_STATE,
     EVENTS,
     MAIN_TOPICS,
     NEVER,
-    RECORDING_PROGRESS,
     STEERING,
     Action,
     Message,
@@ -29,7 +28,6 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.record import Record
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from swarmabs_bag.recording import RecordedStep
-    from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import Scenario
 
 PARAMETERS = (
     *COMMON,
@@ -154,7 +152,7 @@ _EVERYTHING = (EVENTS, *MAIN_TOPICS)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
-    """Return behaviour and endpoints.
+    """Return the behaviour, and what is done at its side and at its end.
 
     Raises
     ------
@@ -181,17 +179,9 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
     recorder = Recorder(scenario, recording, report, ends, steered=steered)
-    # What may be under way, and the step that is being recorded.
-    depth = max(1000, (configure.recording_window(scenario) + 1) * len(scenario.agents))
-    subscriptions = {
-        # Acknowledgements cost each coordinator a thread that is woken several times per step.
-        topic: requested(topic, depth=depth if topic is AGENT_STATE else 1000, reliable=topic is EVENTS)
-        for topic in ((STEERING, *_EVERYTHING) if steered else _EVERYTHING)
-    }
     return NodeSpec(
         recorder,
-        (RECORDING_PROGRESS,),
-        subscriptions,
+        settings.endpoints(RECORDER, LOCKSTEP, robots=len(scenario.agents)),
         on_exit=lambda problem: reporter.done(problem, complete=recorder.finished),
         lingers=False,
         gather=GATHER_SECONDS,
@@ -202,7 +192,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("recorder", PARAMETERS, make, args)
+    return run_node(RECORDER, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 
-from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_bag.recorder.reporting import (
     GATHER_SECONDS,
@@ -22,6 +21,7 @@ from swarmabs_bag.recorder.reporting import (
     split_of,
 )
 from swarmabs_config import configure
+from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER, endpoints
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import NEVER
 from swarmabs_core.parameters import Parameter
@@ -30,7 +30,6 @@ from swarmabs_core.record import Record
 from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.qos import REALTIME, requested
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
 from swarmabs_ros.runner import COMMON, INTERRUPTED, Settings, SwarmNode, fail
 from swarmabs_ros.start import initialise
@@ -58,8 +57,6 @@ SLICE = 0.1
 """Longest time, s, for which the node does not look whether it shall stop."""
 LINGER = 0.5
 """Time, s, after the last step in which its messages still come."""
-_DEPTH = 5000
-"""Messages of a topic that may wait: the recorder may stand still for some seconds while the disk does."""
 
 
 class RealtimeRecorder:
@@ -74,11 +71,12 @@ class RealtimeRecorder:
     """
 
     def __init__(self, node: Node, status: StatusChannel) -> None:
-        subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True, offers=REALTIME) for topic in RECORDED}
+        subscriptions = endpoints(RECORDER, REALTIME).subscriptions
+        self._depths = {topic: qos.depth for topic, qos in subscriptions.items()}
         self._receiver = WaitSetReceiver(node, subscriptions)
         self._status = status
         self._name = node.get_name()
-        self._diagnostics = node.create_publisher(DiagnosticArray, diagnostics.TOPIC, 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._diagnosed = 0.0
         self._told_fallen = False
         self._interval, self._due = watchdog_interval(), 0
@@ -97,7 +95,7 @@ class RealtimeRecorder:
             if self._stopped:
                 self._drain(recording)
                 return False
-            if self._receiver.wait(RECORDED, SLICE):
+            if self._receiver.wait(tuple(self._depths), SLICE):
                 time.sleep(GATHER_SECONDS)  # waking up for each costs more than recording it
                 self._drain(recording)
             recording.poll()
@@ -122,8 +120,8 @@ class RealtimeRecorder:
             notify("WATCHDOG=1")
 
     def _drain(self, recording: RealtimeRecording) -> None:
-        for topic in RECORDED:
-            for _ in range(_DEPTH):
+        for topic, depth in self._depths.items():
+            for _ in range(depth):
                 payload = self._receiver.take(topic)
                 if payload is None:
                     break
@@ -190,11 +188,11 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop (SIGINT, SIGTERM), or `last_step` is over; return its exit code."""
     try:
-        initialise("recorder", args)
+        initialise(RECORDER, args)
     except InputError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
-    node = SwarmNode("recorder")
+    node = SwarmNode(RECORDER)
     status = StatusChannel(node.get_name())
     try:
         _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)

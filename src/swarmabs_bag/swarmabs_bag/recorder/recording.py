@@ -12,10 +12,10 @@ from swarmabs_bag.recording import RunFigures
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
+from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 from swarmabs_core.realtime.base import Health, Level
-from swarmabs_ros.qos import OFFERED, REALTIME
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.recording import Latest, Step
+    from swarmabs_config.graph import Qos
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record
-    from swarmabs_ros.qos import Qos
 
 
 class Figures(Protocol):
@@ -176,7 +176,14 @@ class Recording(_Recording):
         self._run = RunFigures(self._reference)
         origin: dict[str, Any] = {"driver": driver, "replay": replay, "steered": steered}
         super().__init__(
-            scenario, folder, self._run, topics=topics, qos=OFFERED, namespace=namespace, split=split, **origin
+            scenario,
+            folder,
+            self._run,
+            topics=topics,
+            qos=OFFERED[LOCKSTEP],
+            namespace=namespace,
+            split=split,
+            **origin,
         )
 
     def add(self, step: Step) -> None:
@@ -253,7 +260,14 @@ class RealtimeRecording(_Recording):
         world = RealtimeWorld(schedule, robots, simulated_plane, tuple(own_limits)).provenance()
         origin: dict[str, Any] = {"driver": DRIVER, "realtime": world}
         super().__init__(
-            scenario, folder, self._run, topics=RECORDED, qos=REALTIME, namespace=namespace, split=split, **origin
+            scenario,
+            folder,
+            self._run,
+            topics=RECORDED,
+            qos=OFFERED[REALTIME],
+            namespace=namespace,
+            split=split,
+            **origin,
         )
 
     @property

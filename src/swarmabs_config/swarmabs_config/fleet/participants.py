@@ -9,15 +9,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from swarmabs_run.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
-from swarmabs_run.orchestration.domain import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_port
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+from swarmabs_config.graph import (
+    CONTROLLER,
+    COORDINATORS,
+    FIRST_SPARE,
+    NODES,
+    OBSERVER,
+    PLANE,
+    PLANE_DRIVER,
+    REALTIME,
+    RECORDER,
+    ROBOT,
+    agent_name,
+)
+from swarmabs_config.ports import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_port
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.robots import Robot
 
-OPERATOR = 4
+OPERATOR = FIRST_SPARE
 """Participant id of the tool that an operator uses, one at a time."""
 DISCOVERY_SERVER = 5
 DRIVERS = (6, 7)
@@ -26,7 +37,6 @@ LARGEST_PARTICIPANT = 44
 """Up to here the ports stay below those of the next domain."""
 
 DISCOVERY = "discovery_server"
-PLANE_DRIVER = "plane_driver"
 Role = Literal["coordinator", "robot", "server"]
 
 
@@ -61,22 +71,17 @@ class NodePlan:
 def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
     """Return all nodes of a fleet: the coordinators first, then the robots by id."""
     parts = fleet.coordinators
-    simulated = parts.plane.type == "simulated"
-    nodes = [
-        NodePlan(
-            PLANE if simulated else PLANE_DRIVER,
-            "plane_sim.realtime" if simulated else "plane_sim.driver",
-            parts.plane.host,
-            0,
-            "coordinator",
-        ),
-        NodePlan(OBSERVER, "abstraction_observer.realtime", parts.observer.host, 1, "coordinator"),
-        NodePlan(
-            CONTROLLER, "parent_controller.realtime", parts.controller.host, CONTROLLER_PARTICIPANT, "coordinator"
-        ),
-    ]
+    hosts = {
+        PLANE if parts.plane.type == "simulated" else PLANE_DRIVER: parts.plane.host,
+        OBSERVER: parts.observer.host,
+        CONTROLLER: parts.controller.host,
+    }
     if parts.recorder is not None:
-        nodes.append(NodePlan(RECORDER, "swarmabs_bag.recorder.realtime", parts.recorder.host, 3, "coordinator"))
+        hosts[RECORDER] = parts.recorder.host
+    nodes = [
+        NodePlan(name, NODES[name].modules[REALTIME], host, NODES[name].participant, "coordinator")
+        for name, host in hosts.items()
+    ]
     if fleet.network.discovery == "server" and fleet.network.server is not None:
         module = "swarmabs_fleet.discovery_server"
         nodes.append(NodePlan(DISCOVERY, module, fleet.network.server, DISCOVERY_SERVER, "server"))
@@ -84,7 +89,7 @@ def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
     for robot in fleet.members:
         number = on_host.setdefault(robot.host, COORDINATORS)
         on_host[robot.host] += 1
-        nodes.append(NodePlan(agent_name(robot.id), "agent_node.realtime", robot.host, number, "robot", robot))
+        nodes.append(NodePlan(agent_name(robot.id), NODES[ROBOT].modules[REALTIME], robot.host, number, "robot", robot))
     return tuple(nodes)
 
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, field_validator
 
 from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface, Name, Network, TunnelAddress
+from swarmabs_config.ports import LARGEST_DOMAIN
 from swarmabs_config.scenario.fields import AsTuple, Model, Number, Positive, Tagged, problem
 from swarmabs_config.scenario.texts import FrameName, TopicName
-from swarmabs_run.orchestration.domain import LARGEST_DOMAIN
 
 Axis: TypeAlias = Literal["+x", "+y", "+z", "-x", "-y", "-z"]
 Stamp: TypeAlias = Literal["header", "arrival"]

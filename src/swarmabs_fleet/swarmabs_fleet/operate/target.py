@@ -9,8 +9,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

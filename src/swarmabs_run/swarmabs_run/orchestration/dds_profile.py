@@ -14,8 +14,9 @@ from __future__ import annotations
 import socket
 from typing import TYPE_CHECKING
 
+from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES
+from swarmabs_config.ports import multicast_port
 from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
-from swarmabs_run.orchestration.domain import multicast_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,15 +29,9 @@ FROM_ENVIRONMENT = f"<participantID>${{{PARTICIPANT_VARIABLE}}}</participantID>"
 FIRST_FREE = ""
 """The process takes the first participant id that nobody has."""
 
-COORDINATORS = 8
-"""Participant ids below belong to the coordinators (plane, observer, controller, recorder, spares)."""
-
 GROUP_VARIABLE = "SWARMABS_GROUP"
 """Environment variable that holds the address of a process's multicast group."""
 _ROBOTS, _CONTROLLER, _GATHERERS = "239.255.83.1", "239.255.83.2", "239.255.83.3"
-
-CONTROLLER_PARTICIPANT = 2
-"""Participant id of the parent controller, the one coordinator that does not hear the robots."""
 
 REALTIME_LEASE = 5
 """Silence, s, after which a participant in real time is forgotten: it may have been restarted as another one."""
@@ -56,7 +51,8 @@ def multicast_group(participant: int) -> str:
     """Return the address of the group to which a participant listens."""
     if participant >= COORDINATORS:
         return _ROBOTS
-    return _CONTROLLER if participant == CONTROLLER_PARTICIPANT else _GATHERERS
+    # The parent controller is the one coordinator that does not hear the robots.
+    return _CONTROLLER if participant == NODES[CONTROLLER].participant else _GATHERERS
 
 
 def multicast_works(timeout: float = 0.5) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_run.orchestration.domain import (
+from swarmabs_config.ports import (
     DATA_OFFSET,
     DOMAIN_GAIN,
     METATRAFFIC_OFFSET,

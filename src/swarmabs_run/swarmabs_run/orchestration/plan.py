@@ -10,27 +10,26 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_config import configure
-from swarmabs_core.behaviours.steered import HELM
-from swarmabs_core.membership import UNPLANNED
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    BROADCAST,
-    BROADCASTS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    MAIN_TOPICS,
-    PLANE_STATE,
-    RECORDING_PROGRESS,
-    STEERING,
-    Kind,
-    Topic,
+from swarmabs_config.graph import (
+    CONTROLLER,
+    COORDINATORS,
+    LOCKSTEP,
+    NODES,
+    OBSERVER,
+    PLANE,
+    RECORDER,
+    ROBOT,
+    STEERER,
+    Driver,
+    Option,
+    agent_name,
+    endpoints,
+    options_of,
 )
+from swarmabs_core.membership import UNPLANNED
+from swarmabs_core.messages import Kind, Topic
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
 from swarmabs_ros.repeat import FIRST, WINDOW
-from swarmabs_ros.runner import STEERED
-from swarmabs_run.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -41,10 +40,6 @@ if TYPE_CHECKING:
 
 PATIENCE = 1e-4
 """Time, s, per robot that a node waits at least for an answer before it repeats itself."""
-
-PLANE, OBSERVER, CONTROLLER, RECORDER = "plane_sim", "abstraction_observer", "parent_controller", "recorder"
-STEERING_PARTICIPANT = 4
-"""DDS participant id of the node that steers: the first one that a run leaves free among the coordinators."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +95,6 @@ def _yaml(value: object) -> str:
     return repr(value)
 
 
-def agent_name(agent_id: int) -> str:
-    """Return the node name of a robot."""
-    return f"agent_{agent_id:03d}"
-
-
 def group_name(agent_ids: tuple[int, ...]) -> str:
     """Return the node name of a process with several robots."""
     return f"agents_{agent_ids[0]:03d}_to_{agent_ids[-1]:03d}"
@@ -153,75 +143,60 @@ def plan(
         "repeat_steps": min(WINDOW, 2 * configure.recording_window(scenario)),
     }
     # Who begins each step with what is ordered for it.
-    obeying = common | ({STEERED.name: True} if steered else {})
-    orders = (STEERING,) if steered else ()
+    obeying = common | ({"steered": True} if steered else {})
     swarm: dict[str, object] = {
         "members": configure.members(scenario),
         "schedule": tuple(str(change) for change in configure.schedule(scenario)),
         "gravity": scenario.plane.gravity,
     }
+    coordinators = {
+        PLANE: obeying
+        | swarm
+        | plane_parameters(scenario)
+        | {
+            "length": scenario.plane.length,
+            "actuator_lag": scenario.swarm.actuator_lag,
+            "lies": tuple(map(str, configure.lies(scenario))),
+            "torques": tuple(map(str, configure.stairs(scenario, DISTURBANCE))),
+        },
+        OBSERVER: obeying
+        | swarm
+        | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall}
+        | _observer_parameters(scenario),
+        CONTROLLER: obeying
+        | controller_parameters(scenario)
+        | {
+            "recording_window": configure.recording_window(scenario),
+            "offsets": tuple(map(str, configure.stairs(scenario, REFERENCE))),
+            "packed": packed,
+        },
+        RECORDER: obeying
+        | {
+            "scenario_file": str(scenario_file),
+            "bag": str(bag or ""),
+            "max_bag_size": split.bytes,
+            "max_bag_duration_ns": split.nanoseconds,
+            "logs": str(logs),
+        },
+    }
+    if steered:  # its socket lies beside the scenario, in the folder of the run
+        place = {"scenario_file": str(scenario_file), "folder": str(scenario_file.parent)}
+        coordinators[STEERER] = common | place | {"step_seconds": step_seconds}
     processes = [
-        ProcessPlan(
-            PLANE,
-            "plane_sim.node",
-            0,
-            obeying
-            | swarm
-            | plane_parameters(scenario)
-            | {
-                "length": scenario.plane.length,
-                "actuator_lag": scenario.swarm.actuator_lag,
-                "lies": tuple(map(str, configure.lies(scenario))),
-                "torques": tuple(map(str, configure.stairs(scenario, DISTURBANCE))),
-            },
-            (EVENTS, PLANE_STATE),
-            (AGENT_STATE, EVENTS, *orders),
-        ),
-        ProcessPlan(
-            OBSERVER,
-            "abstraction_observer.node",
-            1,
-            obeying
-            | swarm
-            | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall}
-            | _observer_parameters(scenario),
-            (EVENTS, ABSTRACT_STATE, AUXILIARY_STATE),
-            (*((AGENT_STATE,) if scenario.observer.type == "sum" else (AGENT_STATE, PLANE_STATE)), *orders),
-        ),
-        ProcessPlan(
-            CONTROLLER,
-            "parent_controller.node",
-            CONTROLLER_PARTICIPANT,
-            obeying
-            | controller_parameters(scenario)
-            | {
-                "recording_window": configure.recording_window(scenario),
-                "offsets": tuple(map(str, configure.stairs(scenario, REFERENCE))),
-                "packed": packed,
-            },
-            (EVENTS, DESIRED_ABSTRACT_STATE, *((BROADCAST,) if packed else ())),
-            (PLANE_STATE, RECORDING_PROGRESS, *((ABSTRACT_STATE, AUXILIARY_STATE) if packed else ()), *orders),
-        ),
-        ProcessPlan(
-            RECORDER,
-            "swarmabs_bag.recorder.node",
-            3,
-            obeying
-            | {
-                "scenario_file": str(scenario_file),
-                "bag": str(bag or ""),
-                "max_bag_size": split.bytes,
-                "max_bag_duration_ns": split.nanoseconds,
-                "logs": str(logs),
-            },
-            (RECORDING_PROGRESS,),
-            (*MAIN_TOPICS, EVENTS, *orders),
-        ),
-        *([_steering_process(common | {"step_seconds": step_seconds}, scenario_file)] if steered else ()),
+        *(coordinator(node, LOCKSTEP, parameters, scenario) for node, parameters in coordinators.items()),
         *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process, steered=steered),
     ]
     expect_counterparts(processes)
     return tuple(processes)
+
+
+def coordinator(node: str, driver: Driver, parameters: dict[str, object], scenario: Scenario) -> ProcessPlan:
+    """Return the process of a node that there is once."""
+    kind = NODES[node]
+    ends = endpoints(node, driver, options_of(parameters), robots=len(scenario.agents))
+    return ProcessPlan(
+        node, kind.modules[driver], kind.participant, parameters, ends.publications, tuple(ends.subscriptions)
+    )
 
 
 def plane_parameters(scenario: Scenario) -> dict[str, object]:
@@ -256,18 +231,6 @@ def controller_parameters(scenario: Scenario) -> dict[str, object]:
     }
 
 
-def _steering_process(common: dict[str, object], scenario_file: Path) -> ProcessPlan:
-    """Return the process of the node that steers; its socket lies beside the scenario, in the folder of the run."""
-    return ProcessPlan(
-        HELM,
-        "swarmabs_run.steering.node",
-        STEERING_PARTICIPANT,
-        common | {"scenario_file": str(scenario_file), "folder": str(scenario_file.parent)},
-        (STEERING,),
-        (PLANE_STATE, EVENTS),
-    )
-
-
 def _observer_parameters(scenario: Scenario) -> dict[str, object]:
     """Return what the observer knows of the plane, if it watches it."""
     model = configure.parent_model(scenario)
@@ -284,29 +247,24 @@ def _agent_processes(
     absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}
     if not steered:  # who is there only when it is added has no process where nobody can be added
         configs = tuple(config for config in configs if config.agent_id not in absent)
-    heard = (BROADCAST,) if common["packed"] else BROADCASTS
     processes = []
     for index, first in enumerate(range(0, len(configs), per_process)):
         hosted = configs[first : first + per_process]
         ids = tuple(config.agent_id for config in hosted)
         feels = any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted)
         if per_process == 1:
-            name, module, parameters = agent_name(ids[0]), "agent_node.node", _agent_parameters(hosted[0])
+            name, module, parameters = agent_name(ids[0]), NODES[ROBOT].modules[LOCKSTEP], _agent_parameters(hosted[0])
         else:
             name, module = group_name(ids), "agent_node.group"
             parameters = {"scenario_file": str(scenario_file), "agent_ids": ids}
-        waits = not absent.isdisjoint(ids)
-        if waits:
-            parameters[STEERED.name] = True
+        parameters |= common
+        if not absent.isdisjoint(ids):
+            parameters["steered"] = True
+        options = options_of(parameters) | ({Option.FEELING} if feels else set())
+        ends = endpoints(ROBOT, LOCKSTEP, options)
         processes.append(
             ProcessPlan(
-                name,
-                module,
-                COORDINATORS + index,
-                common | parameters,
-                (EVENTS, AGENT_STATE),
-                (*heard, *((PLANE_STATE,) if feels else ()), *((STEERING,) if waits else ())),
-                ids,
+                name, module, COORDINATORS + index, parameters, ends.publications, tuple(ends.subscriptions), ids
             )
         )
     return processes

@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING
 import psutil
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
+from swarmabs_config.graph import RECORDER
+from swarmabs_config.ports import domains_spanned
 from swarmabs_run.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain, domains_spanned
+from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.looking_in import write_network, write_processes
-from swarmabs_run.orchestration.plan import RECORDER, ProcessPlan
+from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.progress import Outcome, Progress
 from swarmabs_run.orchestration.progress_file import ProgressFile
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines

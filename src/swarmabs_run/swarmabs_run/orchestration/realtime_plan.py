@@ -4,30 +4,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_config import configure
-from swarmabs_config.realtime import bounds
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    BASIS,
-    BROADCASTS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    PLANE_STATE,
-)
-from swarmabs_run.orchestration.dds_profile import CONTROLLER_PARTICIPANT, COORDINATORS
-from swarmabs_run.orchestration.plan import (
+from swarmabs_config.graph import (
     CONTROLLER,
+    COORDINATORS,
+    NODES,
     OBSERVER,
     PLANE,
+    REALTIME,
     RECORDER,
-    ProcessPlan,
+    ROBOT,
     agent_name,
+    endpoints,
+)
+from swarmabs_config.realtime import bounds
+from swarmabs_run.orchestration.plan import (
+    ProcessPlan,
     agent_parameters,
     controller_parameters,
+    coordinator,
     plane_parameters,
 )
 
@@ -66,74 +62,49 @@ def realtime_plan(
     }
     swarm: dict[str, object] = {"members": configure.members(scenario), "gravity": scenario.plane.gravity}
     length: dict[str, object] = {"plane_length": scenario.plane.length}
+    coordinators = {
+        PLANE: clock | swarm | plane_parameters(scenario) | {"length": scenario.plane.length},
+        OBSERVER: clock
+        | swarm
+        | length
+        | {
+            "ksd": scenario.swarm.gains.ksd,
+            "swarm_mass": swarm_mass,
+            "state_age_limit": realtime.state_age_limit,
+            "start": realtime.start,
+            "quorum": min(realtime.quorum or 0, len(scenario.agents)),
+        },
+        CONTROLLER: clock
+        | length
+        | controller_parameters(scenario)
+        | {"gravity": scenario.plane.gravity, "plane_age_limit": realtime.plane_age_limit},
+        RECORDER: {
+            "period_ns": scenario.step_ns,
+            "await_epoch": True,
+            "last_step": scenario.steps,
+            "scenario_file": str(scenario_file),
+            "bag": str(bag or ""),
+            "max_bag_size": split.bytes,
+            "max_bag_duration_ns": split.nanoseconds,
+            "logs": str(logs),
+        },
+    }
+    told = {
+        "swarm_mass": swarm_mass,
+        "lane_margin": realtime.lane_margin,
+        "broadcast_age_limit": realtime.broadcast_age_limit,
+    }
+    robot = endpoints(ROBOT, REALTIME)
     return (
-        ProcessPlan(
-            PLANE,
-            "plane_sim.realtime",
-            0,
-            clock | swarm | plane_parameters(scenario) | {"length": scenario.plane.length},
-            (EVENTS, BASIS, PLANE_STATE),
-            (AGENT_STATE,),
-        ),
-        ProcessPlan(
-            OBSERVER,
-            "abstraction_observer.realtime",
-            1,
-            clock
-            | swarm
-            | length
-            | {
-                "ksd": scenario.swarm.gains.ksd,
-                "swarm_mass": swarm_mass,
-                "state_age_limit": realtime.state_age_limit,
-                "start": realtime.start,
-                "quorum": min(realtime.quorum or 0, len(scenario.agents)),
-            },
-            (EVENTS, BASIS, ABSTRACT_STATE, AUXILIARY_STATE),
-            (AGENT_STATE, EVENTS),
-        ),
-        ProcessPlan(
-            CONTROLLER,
-            "parent_controller.realtime",
-            CONTROLLER_PARTICIPANT,
-            clock
-            | length
-            | controller_parameters(scenario)
-            | {"gravity": scenario.plane.gravity, "plane_age_limit": realtime.plane_age_limit},
-            (EVENTS, BASIS, DESIRED_ABSTRACT_STATE),
-            (PLANE_STATE, ABSTRACT_STATE),
-        ),
-        ProcessPlan(
-            RECORDER,
-            "swarmabs_bag.recorder.realtime",
-            3,
-            {
-                "period_ns": scenario.step_ns,
-                "await_epoch": True,
-                "last_step": scenario.steps,
-                "scenario_file": str(scenario_file),
-                "bag": str(bag or ""),
-                "max_bag_size": split.bytes,
-                "max_bag_duration_ns": split.nanoseconds,
-                "logs": str(logs),
-            },
-            (),
-            RECORDED,
-        ),
+        *(coordinator(node, REALTIME, parameters, scenario) for node, parameters in coordinators.items()),
         *(
             ProcessPlan(
                 agent_name(config.agent_id),
-                "agent_node.realtime",
+                NODES[ROBOT].modules[REALTIME],
                 COORDINATORS + index,
-                clock
-                | agent_parameters(config)
-                | {
-                    "swarm_mass": swarm_mass,
-                    "lane_margin": realtime.lane_margin,
-                    "broadcast_age_limit": realtime.broadcast_age_limit,
-                },
-                (EVENTS, AGENT_STATE),
-                BROADCASTS,
+                clock | agent_parameters(config) | told,
+                robot.publications,
+                tuple(robot.subscriptions),
                 (config.agent_id,),
             )
             for index, config in enumerate(configure.agent_configs(scenario))

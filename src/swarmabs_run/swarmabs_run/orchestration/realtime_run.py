@@ -7,9 +7,9 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_config.graph import RECORDER
 from swarmabs_config.realtime import check_realtime
 from swarmabs_ros.status import epoch_records
-from swarmabs_run.orchestration.plan import RECORDER
 from swarmabs_run.orchestration.process_run import ProcessRun, process_state
 from swarmabs_run.orchestration.realtime_plan import realtime_plan
 from swarmabs_run.orchestration.supervision import Failure, how_it_ended

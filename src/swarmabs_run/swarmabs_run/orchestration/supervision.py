@@ -7,7 +7,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_run.orchestration.plan import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+from swarmabs_config.graph import RECORDER, agent_name, writers
+from swarmabs_core.messages import BROADCASTS, PLANE_STATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -15,12 +16,7 @@ if TYPE_CHECKING:
 RESTARTS = 2
 """How often a robot's process that does not come up is started again."""
 
-PUBLISHER_OF = {
-    "plane/state": PLANE,
-    "swarm/abstract_state": OBSERVER,
-    "swarm/auxiliary_state": OBSERVER,
-    "swarm/desired_abstract_state": CONTROLLER,
-}
+PUBLISHER_OF = {topic.name: writers(topic)[0] for topic in (PLANE_STATE, *BROADCASTS)}
 
 
 @dataclass(frozen=True, slots=True)

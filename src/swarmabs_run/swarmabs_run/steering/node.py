@@ -6,15 +6,15 @@ import sys
 from pathlib import Path
 
 from swarmabs_config import configure
+from swarmabs_config.graph import STEERER
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core.behaviours import Decision, Helm, HelmConfig
 from swarmabs_core.controllers.base import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import EVENTS, PLANE_STATE, STEERING, Action
+from swarmabs_core.messages import Action
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.steering.desk import Desk
@@ -58,7 +58,7 @@ def in_words(decision: Decision) -> str:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
-    """Return behaviour and endpoints.
+    """Return the behaviour, and what it does when it is idle.
 
     Raises
     ------
@@ -87,18 +87,14 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     }
     desk = Desk(helm, scenario.step_ns, facts, tell)
     SteeringServer(Path(settings.text("folder")), desk).start()
-    subscriptions = {
-        PLANE_STATE: requested(PLANE_STATE, depth=10),
-        EVENTS: requested(EVENTS, depth=1000, reliable=True),
-    }
     seconds = settings.number("step_seconds")
     behaviour = Paced(helm, seconds) if seconds else helm
-    return NodeSpec(behaviour, (STEERING,), subscriptions, on_idle=desk.work)
+    return NodeSpec(behaviour, on_idle=desk.work)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_node("steering", PARAMETERS, make, args)
+    return run_node(STEERER, PARAMETERS, make, args)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,10 @@ from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
+from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, PlaneState, Topic
-from swarmabs_ros.qos import OFFERED, REALTIME
 from swarmabs_view.visualization.description import plane_urdf
 from swarmabs_view.visualization.ros_messages import Translator, description
 from swarmabs_view.visualization.scene import Scene
@@ -73,7 +73,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
             topics=(*own, *drawn.values()),
             attachments={name: text for name in _KEPT if (text := bag.attachment(name)) is not None},
             namespace=bag.namespace,
-            qos=(REALTIME if BASIS in own else OFFERED) | {topic: shown.qos for shown, topic in drawn.items()},
+            qos=OFFERED[REALTIME if BASIS in own else LOCKSTEP] | {topic: shown.qos for shown, topic in drawn.items()},
         ) as writer,
     ):
         now, period = bag.start, 1e9 / rate

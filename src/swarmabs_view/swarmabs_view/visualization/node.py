@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import rclpy
 
 from swarmabs_config import configure
+from swarmabs_config.graph import requested
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import agent_id_of, decode
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
@@ -29,7 +30,6 @@ from swarmabs_core.messages import (
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.qos import requested
 from swarmabs_ros.runner import Settings, SwarmNode
 from swarmabs_ros.start import initialise
 from swarmabs_view.visualization.description import plane_urdf

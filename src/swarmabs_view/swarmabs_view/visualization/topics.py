@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from swarmabs_ros.qos import Qos
+from swarmabs_config.graph import Qos
 
 
 @dataclass(frozen=True, slots=True)
