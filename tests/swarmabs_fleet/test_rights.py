@@ -17,8 +17,8 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
-from swarmabs_fleet.operate.board import Board
-from swarmabs_fleet.operate.link import Link
+from swarmabs_fleet.operate.client import OperatorClient
+from swarmabs_fleet.operate.health import HealthMonitor
 from swarmabs_fleet.operate.target import Target
 from swarmabs_fleet.parameters import parameter_file
 from swarmabs_fleet.permissions import Rights, host_enclaves, node_rights
@@ -124,11 +124,11 @@ class Recording:
 
 def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
     rights = host_enclaves(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base")["operator_base"]
-    link = Link(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
+    client = OperatorClient(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
     actions: list[Callable[[], object]] = [
-        lambda: link.announced(2, "gone", 1.0).__enter__(),
-        lambda: link.listen(Board({}), 1.0, lambda: False),
-        *(lambda name=name: link.call(name, 1.0) for name in ("swarm/stop", "swarm/reset", "agent_001/leave")),  # type: ignore[misc]
+        lambda: client.announced(2, "gone", 1.0).__enter__(),
+        lambda: client.listen(HealthMonitor({}), 1.0, lambda: False),
+        *(lambda name=name: client.call(name, 1.0) for name in ("swarm/stop", "swarm/reset", "agent_001/leave")),  # type: ignore[misc]
     ]
     for action in actions:
         with pytest.raises(_AskedFor) as asked:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from swarmabs_fleet.operate.board import Row
+    from swarmabs_fleet.operate.health import Row
 
 _STYLES = {"OK": "green", "WARN": "yellow"}
 
@@ -41,26 +41,26 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
 
     The exit code is 1 if one is silent or in error.
     """
-    from swarmabs_fleet.operate.board import Board, in_order  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_fleet.operate.link import linked  # noqa: PLC0415
+    from swarmabs_fleet.operate.client import joined  # noqa: PLC0415
+    from swarmabs_fleet.operate.health import HealthMonitor, in_order  # noqa: PLC0415 - slow, not for --help
     from swarmabs_fleet.operate.target import target  # noqa: PLC0415
 
     if watch and as_json:
         raise click.UsageError("--watch and --json exclude each other")
-    with target(swarm) as found, linked(found) as link:
-        board = Board(found.hosts)
+    with target(swarm) as found, joined(found) as client:
+        monitor = HealthMonitor(found.hosts)
         if watch:
             from rich.live import Live  # noqa: PLC0415
 
-            with Live(_table(board.rows(0.0)), refresh_per_second=2) as live:
+            with Live(_table(monitor.rows(0.0)), refresh_per_second=2) as live:
 
                 def refresh() -> bool:
-                    live.update(_table(board.rows(time.monotonic())))
+                    live.update(_table(monitor.rows(time.monotonic())))
                     return False
 
-                link.listen(board, float("inf"), refresh)
-        link.listen(board, patience, board.complete)
-        rows = board.rows(time.monotonic())
+                client.listen(monitor, float("inf"), refresh)
+        client.listen(monitor, patience, monitor.complete)
+        rows = monitor.rows(time.monotonic())
     if as_json:
         nodes = [row._asdict() for row in rows]
         print_json({"swarm": found.name, "in_order": in_order(rows), "nodes": nodes})
@@ -116,19 +116,19 @@ def remove(swarm: Path, robot: int, patience: float) -> int:
     from swarmabs_config.graph import OBSERVER  # noqa: PLC0415
     from swarmabs_core.errors import RunError  # noqa: PLC0415
     from swarmabs_core.realtime.observer import CARRIED_AWAY  # noqa: PLC0415
-    from swarmabs_fleet.operate.board import Board  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_fleet.operate.link import linked  # noqa: PLC0415
+    from swarmabs_fleet.operate.client import joined  # noqa: PLC0415
+    from swarmabs_fleet.operate.health import HealthMonitor  # noqa: PLC0415 - slow, not for --help
     from swarmabs_fleet.operate.target import target  # noqa: PLC0415
 
     with target(swarm) as found:
         found.robot(robot)
-        board = Board({OBSERVER: found.hosts.get(OBSERVER, "unknown")})
+        monitor = HealthMonitor({OBSERVER: found.hosts.get(OBSERVER, "unknown")})
 
         def gone() -> bool:
-            return str(robot) in board.value(OBSERVER, "left").split()
+            return str(robot) in monitor.value(OBSERVER, "left").split()
 
-        with linked(found) as link, link.announced(robot, CARRIED_AWAY, patience):
-            link.listen(board, patience, gone)
+        with joined(found) as client, client.announced(robot, CARRIED_AWAY, patience):
+            client.listen(monitor, patience, gone)
     if not gone():
         raise RunError(
             f"{found.name}: the observer has not taken robot {robot} off the plane; it does so only with one that is "
@@ -139,13 +139,13 @@ def remove(swarm: Path, robot: int, patience: float) -> int:
 
 
 def _call(swarm: Path, service: Callable[[Any], str], patience: float, done: str) -> int:
-    from swarmabs_fleet.operate.link import linked  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_fleet.operate.client import joined  # noqa: PLC0415 - slow, not for --help
     from swarmabs_fleet.operate.target import target  # noqa: PLC0415
 
     with target(swarm) as found:
         name = service(found)
-        with linked(found) as link:
-            link.call(name, patience)
+        with joined(found) as client:
+            client.call(name, patience)
     click.echo(f"{found.name}: {done}")
     return 0
 

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
     from rich.console import Group
 
-    from swarmabs_fleet.operate.processes import Look
+    from swarmabs_run.processes import Snapshot
 
 SAMPLE = 0.5
-"""Time, s, over which a single look takes the processor time."""
+"""Time, s, over which a single snapshot takes the processor time."""
 _SLICE = 0.1
 
 
@@ -41,29 +41,29 @@ def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None
 
     RUN is the folder of the run; without it, the newest one in runs/ that goes on. With --json the command looks once.
     """
-    from swarmabs_fleet.operate.processes import RunProcesses, document, newest_run  # noqa: PLC0415 - slow
+    from swarmabs_run.processes import RunProcesses, document, newest_run  # noqa: PLC0415 - slow
 
     folder = newest_run(RUNS) if run is None else run
     processes = RunProcesses(folder)
-    processes.look(time.monotonic(), shares=0)  # from here on processor time counts
+    processes.snapshot(time.monotonic(), shares=0)  # from here on processor time counts
     if once or as_json:
         time.sleep(SAMPLE)
-        look = processes.look(time.monotonic(), shares=None)
+        snapshot = processes.snapshot(time.monotonic(), shares=None)
         if as_json:
-            print_json(document(folder, look))
+            print_json(document(folder, snapshot))
         else:
-            print_tables(_table(folder, look))
+            print_tables(_table(folder, snapshot))
         return
     if not sys.stdout.isatty():
         while _wait(processes.going_on, interval):
-            print_tables(_table(folder, processes.look(time.monotonic())))
+            print_tables(_table(folder, processes.snapshot(time.monotonic())))
         return
     from rich.live import Live  # noqa: PLC0415 - as above
 
     with Live(auto_refresh=False, transient=True) as live:
         wait = SAMPLE
         while _wait(processes.going_on, wait):
-            live.update(_table(folder, processes.look(time.monotonic())), refresh=True)
+            live.update(_table(folder, processes.snapshot(time.monotonic())), refresh=True)
             wait = interval
     click.echo(f"{folder}: the run is over")
 
@@ -79,7 +79,7 @@ def _wait(going_on: Callable[[], bool], seconds: float) -> bool:
     return False
 
 
-def _table(folder: Path, look: Look) -> Group:
+def _table(folder: Path, snapshot: Snapshot) -> Group:
     from rich.console import Group  # noqa: PLC0415 - slow to import
     from rich.table import Table  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
@@ -89,21 +89,21 @@ def _table(folder: Path, look: Look) -> Group:
     for name in ("pid", "CPU %", "PSS MB", "RSS MB"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("state", no_wrap=True)
-    for row in look.rows:
+    for row in snapshot.rows:
         cpu = "?" if row.cpu is None else f"{row.cpu:.1f}"
         table.add_row(Text(row.name), str(row.pid), cpu, _megabytes(row.pss), _megabytes(row.rss), row.state)
-    cpu_sum = sum(row.cpu or 0.0 for row in look.rows)
-    shares = [row.pss for row in look.rows if row.pss is not None]
-    pss_sum = sum(shares) if len(shares) == len(look.rows) else None
-    table.add_row("all", str(len(look.rows)), f"{cpu_sum:.1f}", _megabytes(pss_sum), "", "", style="bold")
-    return Group(Text(_title(folder, look), style="bold"), table)
+    cpu_sum = sum(row.cpu or 0.0 for row in snapshot.rows)
+    shares = [row.pss for row in snapshot.rows if row.pss is not None]
+    pss_sum = sum(shares) if len(shares) == len(snapshot.rows) else None
+    table.add_row("all", str(len(snapshot.rows)), f"{cpu_sum:.1f}", _megabytes(pss_sum), "", "", style="bold")
+    return Group(Text(_title(folder, snapshot), style="bold"), table)
 
 
-def _title(folder: Path, look: Look) -> str:
-    told = look.told
+def _title(folder: Path, snapshot: Snapshot) -> str:
+    told = snapshot.told
     if told is None:
         return f"{folder}: starting"
-    rate = "" if look.step_rate is None else f", {look.step_rate:.0f} steps/s"
+    rate = "" if snapshot.step_rate is None else f", {snapshot.step_rate:.0f} steps/s"
     return f"{folder}: {told.phase}, step {told.step} of {told.steps}{rate}"
 
 

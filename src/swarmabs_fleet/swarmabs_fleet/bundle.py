@@ -16,7 +16,6 @@ from swarmabs_config.fleet.parts import Sros2Security
 from swarmabs_config.graph import RECORDER
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_fleet import scripts
-from swarmabs_fleet.certificates import keystore
 from swarmabs_fleet.environment import environment_file, node_environment, tool_environment
 from swarmabs_fleet.keys import Keys
 from swarmabs_fleet.manifest import MANIFEST, SUMS, manifest
@@ -24,10 +23,10 @@ from swarmabs_fleet.parameters import parameter_file, parameters
 from swarmabs_fleet.places import Places
 from swarmabs_fleet.profile import fleet_profile, profile_roles
 from swarmabs_fleet.units import units
-from swarmabs_fleet.wireguard import configuration
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.loader import LoadedFleet
+    from swarmabs_config.fleet.model import Fleet
 
 SECRET, PLAIN, PROGRAM = 0o600, 0o644, 0o755
 _FOLDER, _SECRET_FOLDER = 0o755, 0o700
@@ -105,13 +104,8 @@ def host_bundle(loaded: LoadedFleet, host: str, keys: Keys | None) -> dict[str, 
     made = units(fleet, host, nodes)
     files |= {f"systemd/{name}": _text(text) for name, text in made.items()}
     files["units.txt"] = _text("".join(f"{name}\n" for name in made))
-    if keys is not None and fleet.tunnel is not None:
-        files[f"wireguard/{fleet.tunnel.interface}.conf"] = BundleFile(
-            configuration(fleet, host, keys).encode(), SECRET
-        )
-    if keys is not None and isinstance(fleet.security, Sros2Security):
-        store = keystore(fleet, host, keys, fleet.security.valid_days)
-        files |= {f"keystore/{path}": BundleFile(content, SECRET) for path, content in store.items()}
+    if keys is not None:
+        files |= _secrets(fleet, host, keys)
     files |= {name: BundleFile(text.encode(), PROGRAM) for name, text in scripts.scripts(fleet, host).items()}
     files = dict(sorted(files.items()))
     sums = [(path, sha256(file.content).hexdigest()) for path, file in files.items()]
@@ -120,6 +114,20 @@ def host_bundle(loaded: LoadedFleet, host: str, keys: Keys | None) -> dict[str, 
     facts = manifest(loaded, host, listed)
     files[MANIFEST] = _text(json.dumps(facts, indent=2) + "\n")
     return files
+
+
+def _secrets(fleet: Fleet, host: str, keys: Keys) -> dict[str, BundleFile]:
+    """Return the files of a host's bundle that hold keys, by path."""
+    from swarmabs_fleet.certificates import keystore  # noqa: PLC0415 - cryptography is there only where keys are made
+    from swarmabs_fleet.wireguard import configuration  # noqa: PLC0415 - as above
+
+    files: dict[str, bytes] = {}
+    if fleet.tunnel is not None:
+        files[f"wireguard/{fleet.tunnel.interface}.conf"] = configuration(fleet, host, keys).encode()
+    if isinstance(fleet.security, Sros2Security):
+        store = keystore(fleet, host, keys, fleet.security.valid_days)
+        files |= {f"keystore/{path}": content for path, content in store.items()}
+    return {path: BundleFile(content, SECRET) for path, content in files.items()}
 
 
 def _text(text: str) -> BundleFile:

@@ -9,14 +9,20 @@ from __future__ import annotations
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key, pkcs7
+from cryptography.x509 import Certificate, load_pem_x509_certificate
+from cryptography.x509.oid import NameOID
+
 from swarmabs_core.errors import InputError
 from swarmabs_fleet.permissions import governance, host_enclaves, permissions
 from swarmabs_fleet.places import enclave
 
 if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
-    from cryptography.x509 import Certificate
-
     from swarmabs_config.fleet.model import Fleet
     from swarmabs_fleet.keys import Keys
 
@@ -92,8 +98,6 @@ class _Authority:
         return key, certificate
 
     def _has_issued(self, certificate: Certificate) -> bool:
-        from cryptography.exceptions import InvalidSignature  # noqa: PLC0415 - see keys.py
-
         try:
             certificate.verify_directly_issued_by(self._certificate)
         except (InvalidSignature, TypeError, ValueError):
@@ -119,9 +123,6 @@ class _Authority:
         return signature
 
     def _sign(self, content: bytes) -> bytes:
-        from cryptography.hazmat.primitives import hashes, serialization  # noqa: PLC0415 - see keys.py
-        from cryptography.hazmat.primitives.serialization import pkcs7  # noqa: PLC0415
-
         options = [pkcs7.PKCS7Options.Text, pkcs7.PKCS7Options.DetachedSignature]
         builder = pkcs7.PKCS7SignatureBuilder().set_data(content)
         return builder.add_signer(self._certificate, self._key, hashes.SHA256()).sign(
@@ -130,10 +131,6 @@ class _Authority:
 
     def _issue(self, name: str, key: EllipticCurvePrivateKey, issuer: Certificate | None) -> bytes:
         """Return a new certificate in PEM: of an enclave, or of the authority itself if there is no issuer."""
-        from cryptography import x509  # noqa: PLC0415 - see keys.py
-        from cryptography.hazmat.primitives import hashes, serialization  # noqa: PLC0415
-        from cryptography.x509.oid import NameOID  # noqa: PLC0415
-
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         # From yesterday on: a robot whose clock is a little slow must not refuse it.
         today = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
@@ -163,30 +160,22 @@ def _validity(certificate: Certificate) -> tuple[datetime, datetime]:
 
 
 def _new_key() -> bytes:
-    from cryptography.hazmat.primitives import serialization  # noqa: PLC0415 - see keys.py
-    from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
-
     return ec.generate_private_key(ec.SECP256R1()).private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
 
 
 def _load_key(keys: Keys, name: str, content: bytes) -> EllipticCurvePrivateKey:
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey as Key  # noqa: PLC0415 - see keys.py
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key  # noqa: PLC0415
-
     try:
         key = load_pem_private_key(content, None)
     except (TypeError, ValueError) as error:
         raise InputError(f"{keys.folder / name} holds no private key; {_RESTORE}") from error
-    if not isinstance(key, Key):
+    if not isinstance(key, EllipticCurvePrivateKey):
         raise InputError(f"{keys.folder / name} holds a key of another kind; {_RESTORE}")
     return key
 
 
 def _load_certificate(keys: Keys, name: str, content: bytes) -> Certificate:
-    from cryptography.x509 import load_pem_x509_certificate  # noqa: PLC0415 - see keys.py
-
     try:
         return load_pem_x509_certificate(content)
     except ValueError as error:

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
 UNIT_FOLDER = "/etc/systemd/system"
 WIREGUARD_FOLDER = "/etc/wireguard"
+FENCE = "fence.sh"
+"""Script of a bundle that lets in by the tunnel only what is for the address in it."""
 SOURCED_PYTHON = "/usr/bin/python3"
 
 
@@ -60,3 +62,8 @@ def target_name(fleet: Fleet) -> str:
 def enclave(fleet: Fleet, name: str) -> str:
     """Return the name of a node's security enclave."""
     return f"/{fleet.name}/{name}"
+
+
+def tunnel_heading(fleet: Fleet) -> str:
+    """Return the first line of a tunnel's configuration, by which scripts know it as their own."""
+    return f"# swarmabs fleet {fleet.name}"

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_fleet.places import UNIT_FOLDER, WIREGUARD_FOLDER, state_folder, target_name
+from swarmabs_fleet.places import FENCE, UNIT_FOLDER, WIREGUARD_FOLDER, state_folder, target_name, tunnel_heading
 from swarmabs_fleet.rendering import render
-from swarmabs_fleet.wireguard import FENCE, heading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +34,7 @@ def scripts(fleet: Fleet, host: str) -> dict[str, str]:
         "tunnel": fleet.tunnel.interface if fleet.tunnel else "",
         "address": fleet.address(host),
         "interface": fleet.interface(host),
-        "tunnel_heading": heading(fleet),
+        "tunnel_heading": tunnel_heading(fleet),
         "state": f"/var/lib/{state_folder(fleet)}",
         "unit_folder": UNIT_FOLDER,
         "wireguard_folder": WIREGUARD_FOLDER,

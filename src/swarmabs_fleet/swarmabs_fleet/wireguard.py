@@ -5,21 +5,15 @@ from __future__ import annotations
 import base64
 from typing import TYPE_CHECKING
 
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+
 from swarmabs_config.fleet.participants import node_plans
-from swarmabs_fleet.places import Places
+from swarmabs_fleet.places import FENCE, Places, tunnel_heading
 from swarmabs_fleet.rendering import render
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
     from swarmabs_fleet.keys import Keys
-
-FENCE = "fence.sh"
-"""Script of a bundle that lets in by the tunnel only what is for the address in it."""
-
-
-def heading(fleet: Fleet) -> str:
-    """Return the first line of a configuration, by which scripts know it as their own."""
-    return f"# swarmabs fleet {fleet.name}"
 
 
 def tunnel_peers(fleet: Fleet, host: str) -> list[str]:
@@ -34,7 +28,7 @@ def configuration(fleet: Fleet, host: str, keys: Keys) -> str:
         "wireguard.conf",
         fleet=fleet,
         host=host,
-        heading=heading(fleet),
+        heading=tunnel_heading(fleet),
         fence=f"{Places.of(fleet, host).installed}/{FENCE}",
         private=private_key(keys, host),
         peers={peer: public_key(keys, peer) for peer in tunnel_peers(fleet, host)},
@@ -48,13 +42,9 @@ def private_key(keys: Keys, host: str) -> str:
 
 def public_key(keys: Keys, host: str) -> str:
     """Return the public key of a host in base64."""
-    from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey  # noqa: PLC0415 - see keys.py
-
     secret = X25519PrivateKey.from_private_bytes(base64.b64decode(private_key(keys, host), validate=True))
     return base64.b64encode(secret.public_key().public_bytes_raw()).decode()
 
 
 def _new_key() -> bytes:
-    from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey  # noqa: PLC0415 - see keys.py
-
     return base64.b64encode(X25519PrivateKey.generate().private_bytes_raw()) + b"\n"

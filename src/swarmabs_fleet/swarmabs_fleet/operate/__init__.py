@@ -1,1 +1,1 @@
-"""An operator's hand and eye on a swarm in real time: stop, reset, drain, join, status."""
+"""Operating a swarm in real time: stop, reset, drain, join, status."""

@@ -9,8 +9,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_config.fleet.participants import DISCOVERY, node_plans
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.errors import InputError
+from swarmabs_fleet.environment import tool_environment
+from swarmabs_fleet.profile import fleet_profile
+from swarmabs_run.orchestration.dds_profile import dds_environment
+from swarmabs_run.orchestration.looking_in import environment_of_run, goes_on, is_realtime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -80,21 +87,12 @@ def target(path: Path) -> Iterator[Target]:
     if path.is_dir():
         yield _run(path)
         return
-    from swarmabs_config.fleet.loader import load_fleet  # noqa: PLC0415 - not needed for runs
-
     fleet = load_fleet(path).fleet
     with TemporaryDirectory(prefix="swarmabs-operator-") as folder:
         yield _fleet(fleet, Path(folder))
 
 
 def _run(folder: Path) -> Target:
-    from swarmabs_config.scenario import load_scenario  # noqa: PLC0415
-    from swarmabs_run.orchestration.looking_in import (  # noqa: PLC0415 - as above
-        environment_of_run,
-        goes_on,
-        is_realtime,
-    )
-
     environment = environment_of_run(folder)
     if not is_realtime(folder):
         raise InputError(
@@ -108,11 +106,6 @@ def _run(folder: Path) -> Target:
 
 
 def _fleet(fleet: Fleet, folder: Path) -> Target:
-    from swarmabs_config.fleet.participants import DISCOVERY, node_plans  # noqa: PLC0415
-    from swarmabs_fleet.environment import tool_environment  # noqa: PLC0415
-    from swarmabs_fleet.profile import fleet_profile  # noqa: PLC0415
-    from swarmabs_run.orchestration.dds_profile import dds_environment  # noqa: PLC0415
-
     host = fleet.coordinators.controller.host
     profile = folder / "operator.xml"
     profile.write_text(fleet_profile(fleet, host, "operator"), encoding="utf-8")

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 ORCHESTRATOR = "orchestrator"
 SHARES = 16
-"""Processes whose PSS a look asks for, in turn: the kernel adds it up page by page, which holds the process up."""
+"""Processes whose PSS a snapshot asks for, in turn: the kernel adds it up page by page, which blocks the process."""
 SILENCE = 3.0
 """Age, s, from which a report of the run's progress no longer tells its speed."""
 
 
 class Row(NamedTuple):
-    """A process: name, id, share of a core since the look before (%), memory (bytes), what the kernel says it does.
+    """A process: name, id, share of a core since the snapshot before (%), memory (bytes), what the kernel says it does.
 
     ``pss`` shares what several processes have in common among them, so it adds up; ``rss`` counts it for each. None is
     what the kernel does not tell.
@@ -42,7 +42,7 @@ class Row(NamedTuple):
     state: str
 
 
-class Look(NamedTuple):
+class Snapshot(NamedTuple):
     """A run at one moment: its processes, the orchestrator first, and how far it is."""
 
     rows: tuple[Row, ...]
@@ -85,14 +85,14 @@ class RunProcesses:
         """Tell whether the run goes on."""
         return goes_on(self.folder)
 
-    def look(self, now: float, shares: int | None = SHARES) -> Look:
-        """Return how the processes are doing at a time (s, monotonic); CPU time counts since the look before.
+    def snapshot(self, now: float, shares: int | None = SHARES) -> Snapshot:
+        """Return how the processes are doing at a time (s, monotonic); CPU time counts since the snapshot before.
 
         Of so many processes, those whose turn it is, the PSS is asked for anew; with None of all.
         """
         told = read_progress(self._logs)
         found = {process: self._watched.get(process) or self._name(process) for process in self._family()}
-        # The same objects as before: they know the processor time of the look before.
+        # The same objects as before: they know the processor time of the snapshot before.
         known = {process: process for process in self._watched}
         self._watched = {known.get(process, process): name for process, name in found.items()}
         # Those that were asked longest ago stand first.
@@ -103,7 +103,7 @@ class RunProcesses:
         rows = [row for p, name in watched if (row := _row(p, name, self._pss.get(p))) is not None]
         first = [row for row in rows if row.name == ORCHESTRATOR]
         others = sorted((row for row in rows if row.name != ORCHESTRATOR), key=lambda row: row.name)
-        return Look((*first, *others), told, 0.0 if told is None else now - told.told_at)
+        return Snapshot((*first, *others), told, 0.0 if told is None else now - told.told_at)
 
     def _family(self) -> Iterable[psutil.Process]:
         if self._orchestrator is None:
@@ -148,16 +148,16 @@ def newest_run(runs: Path) -> Path:
     raise InputError(f"no run in {runs}/ is going on; start one, or name the folder of one that is elsewhere")
 
 
-def document(folder: Path, look: Look) -> dict[str, Any]:
-    """Return a look as JSON takes it."""
-    told = look.told
+def document(folder: Path, snapshot: Snapshot) -> dict[str, Any]:
+    """Return a snapshot as JSON takes it."""
+    told = snapshot.told
     return {
         "run": str(folder),
         "phase": None if told is None else told.phase,
         "step": None if told is None else told.step,
         "steps": None if told is None else told.steps,
-        "step_rate": look.step_rate,
-        "processes": [row._asdict() for row in look.rows],
+        "step_rate": snapshot.step_rate,
+        "processes": [row._asdict() for row in snapshot.rows],
     }
 
 

@@ -1,4 +1,4 @@
-"""The operator's node: it calls the services of a swarm's nodes and hears their diagnostics."""
+"""The operator client: a node that calls the services of a swarm's nodes and hears their diagnostics."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
+from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rclpy.node import Node
 
-    from swarmabs_fleet.operate.board import Board
+    from swarmabs_fleet.operate.health import HealthMonitor
     from swarmabs_fleet.operate.target import Target
 
 SLICE = 0.1
 """Longest wait, s, before looking whether enough was heard."""
 
 
-class Link:
+class OperatorClient:
     """A node in the network of a swarm.
 
     Parameters
@@ -86,9 +89,7 @@ class Link:
         RunError
             If nobody listens in time (s), or the run has ended meanwhile.
         """
-        from swarmabs_core.cdr import encode  # noqa: PLC0415 - as above
-        from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent  # noqa: PLC0415
-        from swarmabs_ros.endpoints import advertise  # noqa: PLC0415
+        from swarmabs_ros.endpoints import advertise  # noqa: PLC0415 - as above
 
         publisher = advertise(self._node, EVENTS)
         try:
@@ -103,8 +104,8 @@ class Link:
         finally:
             self._node.destroy_publisher(publisher)
 
-    def listen(self, board: Board, patience: float, enough: Callable[[], bool]) -> None:
-        """Let a board hear the diagnostics until it is enough, or the time (s) is over.
+    def listen(self, monitor: HealthMonitor, patience: float, enough: Callable[[], bool]) -> None:
+        """Let a monitor hear the diagnostics until it is enough, or the time (s) is over.
 
         Raises
         ------
@@ -117,7 +118,7 @@ class Link:
         def hear(array: DiagnosticArray) -> None:
             for status in array.status:
                 values = {str(item.key): str(item.value) for item in status.values}
-                board.hear(str(status.hardware_id), status.level[0], str(status.message), values, time.monotonic())
+                monitor.hear(str(status.hardware_id), status.level[0], str(status.message), values, time.monotonic())
 
         subscription = self._node.create_subscription(DiagnosticArray, "diagnostics", hear, 100)
         try:
@@ -130,7 +131,7 @@ class Link:
 
 
 @contextmanager
-def linked(target: Target) -> Iterator[Link]:
+def joined(target: Target) -> Iterator[OperatorClient]:
     """Join the network of a swarm for a while.
 
     Raises
@@ -141,8 +142,6 @@ def linked(target: Target) -> Iterator[Link]:
     os.environ.update(target.environment)
     import rclpy  # noqa: PLC0415 - what it reads from the environment must stand there before
     from rclpy.parameter import Parameter  # noqa: PLC0415
-
-    from swarmabs_run.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
 
     with tracing_files_removed():
         try:
@@ -158,7 +157,7 @@ def linked(target: Target) -> Iterator[Link]:
             rclpy.try_shutdown()
             raise RunError(f"{target.name}: cannot join its network: {' '.join(str(error).split())}") from error
         try:
-            yield Link(node, target)
+            yield OperatorClient(node, target)
         finally:
             node.destroy_node()
             rclpy.try_shutdown()

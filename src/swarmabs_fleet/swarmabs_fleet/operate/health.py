@@ -1,4 +1,4 @@
-"""The health of a swarm in one place: what its nodes say of themselves, and who says nothing."""
+"""The health of a swarm: what its nodes report of themselves, and which nodes are silent."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Row(NamedTuple):
 
 
 @dataclass(slots=True)
-class Board:
+class HealthMonitor:
     """Keeps the newest word of every node.
 
     Parameters

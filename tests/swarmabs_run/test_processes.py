@@ -16,10 +16,10 @@ from tests.processes import until
 
 from swarmabs_cli import main
 from swarmabs_core.errors import InputError
-from swarmabs_fleet.operate.processes import RunProcesses, newest_run
 from swarmabs_fleet.operate.target import target
 from swarmabs_run.orchestration.looking_in import RunOverError, environment_of_run, start_of
 from swarmabs_run.orchestration.progress_file import INTERVAL, ProgressFile, Told, read_progress
+from swarmabs_run.processes import RunProcesses, newest_run
 
 SWARM = [sys.executable, "-m", "swarmabs_cli"]
 NODES = {"plane_sim", "abstraction_observer", "parent_controller", "recorder"}
@@ -117,8 +117,8 @@ def test_the_speed_of_a_run_that_stands_still_is_not_known(tmp_path: Path) -> No
     file.tell("running", 0, 100, 10.0)
     file.tell("running", 60, 100, 11.0)
     processes = RunProcesses(folder)
-    assert processes.look(11.5).step_rate == pytest.approx(60.0)
-    assert processes.look(20.0).step_rate is None
+    assert processes.snapshot(11.5).step_rate == pytest.approx(60.0)
+    assert processes.snapshot(20.0).step_rate is None
 
 
 def top(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
