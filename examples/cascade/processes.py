@@ -16,7 +16,8 @@ from swarmabs_config.graph import CONTROLLER, PLANE, RECORDER
 from swarmabs_config.ports import domains_spanned
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
-from swarmabs_run.orchestration.dds_profile import dds_environment, profile_xml
+from swarmabs_run.orchestration.dds_environment import dds_environment
+from swarmabs_run.orchestration.dds_profile import profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.plan import ProcessPlan, plan

@@ -10,11 +10,11 @@ setup(
     maintainer_email="maintainers@swarmabs.example",
     license="Apache-2.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "templates/*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "psutil"],
+    install_requires=["setuptools", "jinja2", "numpy", "psutil"],
     zip_safe=False,
 )

@@ -6,10 +6,10 @@ import hashlib
 from typing import Any
 
 from tests.frozen.command import ROOT, frozen
+from tests.virtual_fleet import Network, VirtualFleet
 
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import encode
-from swarmabs_run.virtual_fleet import Network, VirtualFleet
 
 CASES = frozen("fleets")
 """By name: scenario, overrides, what happens to the fleet as [time in s, what, ...], and digest of all messages."""

@@ -38,7 +38,8 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment
+from swarmabs_run.orchestration.dds_environment import dds_environment
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE
 from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
 
 _PACE = 0.004

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 from tests.soak.scenarios import Draw
+from tests.virtual_fleet import Network, VirtualFleet
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, agent_name
 from swarmabs_core.messages import Messages
 from swarmabs_core.realtime.agent import RealtimeAgent
 from swarmabs_core.realtime.base import RealtimeBehaviour
 from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_run.virtual_fleet import Network, VirtualFleet
 
 UNTIL = 18.0
 """Time, s, at which everything is over."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from tests.soak.disturbances import CLOCKS, Disturbance
 from tests.soak.invariants import Invariant, Recovers, Violation, WithinLimits
 from tests.soak.trial import not_repeated, violations
+from tests.virtual_fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.recording import Digest, RecordedStep
@@ -16,7 +17,6 @@ from swarmabs_config.scenario.controllers import AriseConfig, ConstantTrajectory
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
 from swarmabs_core.record import Record
-from swarmabs_run.virtual_fleet import EPOCH, VirtualFleet
 
 END_STOP = 0.5
 """Angle of the end stops that planes have here: a swarm that stands still lets them fall, rad."""

@@ -9,12 +9,12 @@ from tests.soak.disturbances import UNTIL, Disturbance, disturbances
 from tests.soak.fleet import fleet_violations, of_a_fleet
 from tests.soak.scenarios import Draw, scenarios
 from tests.swarmabs_core.helpers import builtin
+from tests.virtual_fleet import VirtualFleet
 
 from swarmabs_config.graph import agent_name
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.envelope import LaneEnvelope
-from swarmabs_run.virtual_fleet import VirtualFleet
 
 pytestmark = pytest.mark.timeout(300)
 

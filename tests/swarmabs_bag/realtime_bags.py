@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from tests.swarmabs_core.realtime.bags import Stored, world
+from tests.virtual_fleet import EPOCH
 
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import realtime as configure
 from swarmabs_core.messages import NEVER, AgentState, Basis, Message, SwarmEvent
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.record import Record
-from swarmabs_run.virtual_fleet import EPOCH
 
 Change = Callable[[Stored], Iterable[Message]]
 

@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from rich.console import Console
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_core.realtime.bags import LATENCY, Stored, world
+from tests.virtual_fleet import EPOCH
 
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.export.arrays import export_arrays
@@ -34,7 +35,6 @@ from swarmabs_config import realtime as configure
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Message, PlaneState
-from swarmabs_run.virtual_fleet import EPOCH
 
 FAR = pytest.mark.parametrize("since_1970", [False, True], ids=["own epoch", "since 1970"])
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, SCENARIOS
+from tests.virtual_fleet import Network, VirtualFleet
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, agent_name
 from swarmabs_config.scenario import load_scenario
@@ -25,7 +26,6 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_core.realtime.observer import CARRIED_AWAY
 from swarmabs_run.simulation import Simulation
-from swarmabs_run.virtual_fleet import Network, VirtualFleet
 
 if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario

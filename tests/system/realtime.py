@@ -17,7 +17,8 @@ from tests.processes import SEARCH_PATH, until
 from tests.system.helpers import LONGEST
 
 from swarmabs_ros.status import REPORT_FD
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_run.orchestration.dds_environment import dds_environment
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain
 
 PATIENCE = 40.0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import DRIVERS, OPERATOR
 from swarmabs_fleet.places import Places, enclave
-from swarmabs_run.orchestration.dds_profile import PARTICIPANT_VARIABLE, dds_environment
+from swarmabs_run.orchestration.dds_environment import PARTICIPANT_VARIABLE, dds_environment
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

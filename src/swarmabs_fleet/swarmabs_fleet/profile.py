@@ -11,16 +11,13 @@ from typing import TYPE_CHECKING
 from swarmabs_config.fleet.participants import DISCOVERY_SERVER, DRIVERS, OPERATOR, node_plans
 from swarmabs_config.ports import metatraffic_port
 from swarmabs_core.realtime.topic_drive import TopicSettings
-from swarmabs_run.orchestration.dds_profile import FROM_ENVIRONMENT, REALTIME_LEASE
-from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, locator, render, unicast_locators
+from swarmabs_run.orchestration.dds_profile import Discovery, network_profile_xml
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
 
 DISCOVERY_GROUP = "239.255.0.1"
 """Where participants announce themselves by multicast: the group that the DDS standard names."""
-_SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
-"""GUID prefix of the discovery server: the one that Fast DDS gives to the discovery server of id 0."""
 
 
 def profile_roles(fleet: Fleet, host: str) -> tuple[str, ...]:
@@ -49,13 +46,7 @@ def fleet_profile(fleet: Fleet, host: str, role: str) -> str:
     role : str
         One of `profile_roles`; the participant id comes from the environment.
     """
-    discovery = Discovery(_protocol(fleet, role), _locators(fleet, host, role), REALTIME_LEASE, 1, liveliness=True)
-    return render(
-        transport="swarm",
-        address=fleet.address(host),
-        participant=f"<prefix>{_SERVER_PREFIX}</prefix>{FROM_ENVIRONMENT}" if role == "server" else FROM_ENVIRONMENT,
-        discovery=discovery,
-    )
+    return network_profile_xml(fleet.address(host), _discovery(fleet, host, role))
 
 
 def peers(fleet: Fleet, host: str, role: str) -> list[tuple[str, int]]:
@@ -73,37 +64,13 @@ def peers(fleet: Fleet, host: str, role: str) -> list[tuple[str, int]]:
     return [*coordinators, *operator, *drivers, *robots]
 
 
-def _protocol(fleet: Fleet, role: str) -> str:
-    if fleet.network.discovery != "server" or fleet.network.server is None:
-        return SIMPLE
-    if role == "server":
-        return f"<discoveryProtocol>SERVER</discoveryProtocol>\n            {_clients()}"
-    port = metatraffic_port(fleet.network.domain, DISCOVERY_SERVER)
-    server = locator(fleet.address(fleet.network.server), port)
-    return (
-        "<discoveryProtocol>CLIENT</discoveryProtocol>\n"
-        "            <discoveryServersList>\n"
-        f'              <RemoteServer prefix="{_SERVER_PREFIX}">\n'
-        f"                <metatrafficUnicastLocatorList>{server}</metatrafficUnicastLocatorList>\n"
-        "              </RemoteServer>\n"
-        "            </discoveryServersList>"
-    )
-
-
-def _clients() -> str:
-    """Return how often the server looks after its clients."""
-    return "<clientAnnouncementPeriod><sec>1</sec></clientAnnouncementPeriod>"
-
-
-def _locators(fleet: Fleet, host: str, role: str) -> str:
-    discovery = fleet.network.discovery
-    if discovery == "static":
-        return unicast_locators(fleet.address(host), fleet.network.domain, peers(fleet, host, role))
-    if role == "server":
-        port = metatraffic_port(fleet.network.domain, DISCOVERY_SERVER)
-        return (
-            "          <metatrafficUnicastLocatorList>\n"
-            f"            {locator(fleet.address(host), port)}\n"
-            "          </metatrafficUnicastLocatorList>\n"
-        )
-    return ""
+def _discovery(fleet: Fleet, host: str, role: str) -> Discovery:
+    """Return how the nodes of a role on a host find the others."""
+    network = fleet.network
+    if network.discovery == "static":
+        announced = peers(fleet, host, role)
+        return Discovery(peers=tuple((peer, metatraffic_port(network.domain, number)) for peer, number in announced))
+    if network.discovery != "server" or network.server is None:
+        return Discovery()
+    port = metatraffic_port(network.domain, DISCOVERY_SERVER)
+    return Discovery("SERVER" if role == "server" else "CLIENT", server=(fleet.address(network.server), port))

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_core.realtime.bags import WORLDS, Recorded, Stored, messages, record, world
+from tests.virtual_fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification import Difference
 from swarmabs_analysis.verification.realtime import RealtimeVerification
@@ -40,7 +41,6 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime import agent
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
-from swarmabs_run.virtual_fleet import EPOCH, VirtualFleet
 
 SIMULATED_BY_THE_WORLD = {"clocks": (2, 3, 4)}
 """Robots whose bodies follow the clock of their node; the virtual bodies follow that of the world."""

@@ -8,6 +8,7 @@ from random import Random
 from typing import NamedTuple
 
 from tests.swarmabs_core.helpers import builtin
+from tests.virtual_fleet import EPOCH, Network, VirtualFleet
 
 from swarmabs_bag.realtime_recording import RealtimeCollector, RealtimeFigures
 from swarmabs_config import configure as lockstep, realtime as configure
@@ -16,7 +17,6 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import Message, Mode, Topic
 from swarmabs_core.record import Record
-from swarmabs_run.virtual_fleet import EPOCH, Network, VirtualFleet
 
 LATENCY = 400_000
 """Time, ns, that a message takes to the recorder."""

@@ -12,53 +12,58 @@ messages that are not for it.
 from __future__ import annotations
 
 import socket
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal
 
-from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES
-from swarmabs_config.ports import multicast_port
-from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+from swarmabs_config import ports
+from swarmabs_config.graph import COORDINATORS
+from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, ROBOTS_GROUP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-PARTICIPANT_VARIABLE = "SWARMABS_PARTICIPANT"
-"""Environment variable that holds a process's participant id."""
+    from jinja2 import Template
 
-FROM_ENVIRONMENT = f"<participantID>${{{PARTICIPANT_VARIABLE}}}</participantID>"
+FROM_ENVIRONMENT = PARTICIPANT_VARIABLE
 """One file serves all processes of a run: each finds its participant id in its environment."""
 FIRST_FREE = ""
 """The process takes the first participant id that nobody has."""
-
-GROUP_VARIABLE = "SWARMABS_GROUP"
-"""Environment variable that holds the address of a process's multicast group."""
-_ROBOTS, _CONTROLLER, _GATHERERS = "239.255.83.1", "239.255.83.2", "239.255.83.3"
 
 REALTIME_LEASE = 5
 """Silence, s, after which a participant in real time is forgotten: it may have been restarted as another one."""
 
 _LOOPBACK = "127.0.0.1"
-
-# Unicast must be listed too: naming a group would otherwise replace it.
-_MULTICAST = """<defaultUnicastLocatorList>
-          <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
-        </defaultUnicastLocatorList>
-        <defaultMulticastLocatorList>
-          <locator><udpv4><address>${{{group}}}</address><port>{port}</port></udpv4></locator>
-        </defaultMulticastLocatorList>"""
+_SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
+"""GUID prefix of the discovery server: the one that Fast DDS gives to the discovery server of id 0."""
 
 
-def multicast_group(participant: int) -> str:
-    """Return the address of the group to which a participant listens."""
-    if participant >= COORDINATORS:
-        return _ROBOTS
-    # The parent controller is the one coordinator that does not hear the robots.
-    return _CONTROLLER if participant == NODES[CONTROLLER].participant else _GATHERERS
+@dataclass(frozen=True, slots=True)
+class Discovery:
+    """How participants find each other.
+
+    Parameters
+    ----------
+    protocol : str
+        Without help, as the discovery server, or as one of its clients.
+    peers : tuple, optional
+        Address and UDP port of those to whom a participant announces itself; it then hears of others on its own
+        address only. None: by multicast, or by the server.
+    server : tuple, optional
+        Address and UDP port of the server.
+    """
+
+    protocol: Literal["SIMPLE", "SERVER", "CLIENT"] = "SIMPLE"
+    peers: tuple[tuple[str, int], ...] | None = None
+    server: tuple[str, int] | None = None
 
 
 def multicast_works(timeout: float = 0.5) -> bool:
     """Try whether this machine carries multicast on loopback, by sending itself a datagram; `timeout` in s."""
-    loopback = socket.inet_aton("127.0.0.1")
-    group = _ROBOTS
+    loopback = socket.inet_aton(_LOOPBACK)
+    group = ROBOTS_GROUP
     try:
         with (
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as hear,
@@ -82,7 +87,7 @@ def profile_xml(
     multicast: bool = False,
     realtime: bool = False,
 ) -> str:
-    """Return the profile.
+    """Return the profile of a run on this machine.
 
     Parameters
     ----------
@@ -99,25 +104,41 @@ def profile_xml(
         Whether participants that fall silent are forgotten soon, and writers assert that they live. Nodes in real time
         need it: Fast DDS crashes when a writer without this protocol asserts anything.
     """
-    locators = unicast_locators(_LOOPBACK, domain, ((_LOOPBACK, peer) for peer in peers))
-    lease, announcement = (REALTIME_LEASE, 1) if realtime else (3600, 2)
-    return render(
+    announced = tuple((_LOOPBACK, ports.metatraffic_port(domain, peer)) for peer in peers)
+    return _template().render(
         transport="loopback",
         address=_LOOPBACK,
         participant=participant,
-        discovery=Discovery(SIMPLE, locators, lease, announcement, liveliness=realtime),
-        multicast=_MULTICAST.format(group=GROUP_VARIABLE, port=multicast_port(domain)) if multicast else "",
+        discovery=Discovery(peers=announced),
+        lease=REALTIME_LEASE if realtime else 3600,
+        announcement=1 if realtime else 2,
+        liveliness=realtime,
+        group={"variable": GROUP_VARIABLE, "port": ports.multicast_port(domain)} if multicast else None,
     )
 
 
-def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
-    """Return the environment variables that put a process into a run's domain."""
-    return {
-        "ROS_DOMAIN_ID": str(domain),
-        # LOCALHOST and SUBNET would make the middleware add transports of its own to those of the profile.
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": profile_path,
-        "FASTDDS_DEFAULT_PROFILES_FILE": profile_path,
-    }
+def network_profile_xml(address: str, discovery: Discovery) -> str:
+    """Return the profile of nodes in real time on one address of a network; ids come from their environment."""
+    return _template().render(
+        transport="swarm",
+        address=address,
+        participant=FROM_ENVIRONMENT,
+        discovery=discovery,
+        lease=REALTIME_LEASE,
+        announcement=1,
+        liveliness=True,
+        group=None,
+    )
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("swarmabs_run"),
+        autoescape=select_autoescape(enabled_extensions=("xml.j2",)),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template("fastdds.xml.j2", globals={"ports": vars(ports), "prefix": _SERVER_PREFIX})

@@ -24,7 +24,7 @@ from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
-from swarmabs_run.orchestration.dds_profile import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
+from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
 from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_run.parent_death import die_with_parent

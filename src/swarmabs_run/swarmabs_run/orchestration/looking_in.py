@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import psutil
 
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, dds_environment, profile_xml
+from swarmabs_run.orchestration.dds_environment import dds_environment
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, profile_xml
 from swarmabs_run.orchestration.progress_file import OVER, read_progress
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ import psutil
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.graph import RECORDER
 from swarmabs_config.ports import domains_spanned
-from swarmabs_run.orchestration.dds_profile import dds_environment, multicast_works, profile_xml
+from swarmabs_run.orchestration.dds_environment import dds_environment
+from swarmabs_run.orchestration.dds_profile import multicast_works, profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.looking_in import write_network, write_processes

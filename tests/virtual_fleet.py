@@ -62,7 +62,7 @@ class Network:
 
     def arrivals(self, sender: str, receiver: str, step: int, draw: Random) -> list[int]:
         """Return after which times (ns) a message of a step arrives; none if it is lost."""
-        faded = receiver.startswith(_ROBOT) and Random(f"{receiver}:{step}").random() < self.fading  # noqa: S311
+        faded = receiver.startswith(_ROBOT) and Random(f"{receiver}:{step}").random() < self.fading
         lost = draw.random() < self.loss or faded
         copies = 2 if draw.random() < self.duplication else 1
         times = [round((self.delay + self.jitter * draw.random()) * 1e9) for _ in range(copies)]
@@ -139,7 +139,7 @@ class VirtualFleet:
         configure.check_realtime(scenario)
         self.network = network or Network()
         self.published: list[tuple[int, str, Message]] = []
-        self._draw = Random(f"virtual fleet:{seed}")  # noqa: S311 - repeatable, not secret
+        self._draw = Random(f"virtual fleet:{seed}")
         self._clock = configure.schedule(scenario, EPOCH)
         self._now = 0
         self._sequence = 0
