@@ -23,6 +23,7 @@ from tests.hosts.namespaces import say
 from swarmabs_config.fleet.model import Fleet
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.graph import REALTIME
+from swarmabs_config.ports import metatraffic_port
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
     TOPIC_OF,
@@ -39,8 +40,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
 from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE
-from swarmabs_run.orchestration.dds_template import SIMPLE, Discovery, render, unicast_locators
+from swarmabs_run.orchestration.dds_profile import FIRST_FREE, Discovery, network_profile_xml
 
 _PACE = 0.004
 MASSES = (0.4, 0.4)
@@ -49,13 +49,11 @@ MASSES = (0.4, 0.4)
 
 def environment(folder: Path, fleet: Fleet, address: str) -> dict[str, str]:
     """Return the environment of one who announces himself to all nodes of a fleet, of which he knows all addresses."""
-    known = [(fleet.address(node.host), node.participant) for node in node_plans(fleet)]
-    locators = unicast_locators(address, fleet.network.domain, known)
-    discovery = Discovery(SIMPLE, locators, 5, 1, liveliness=True)
+    domain = fleet.network.domain
+    known = tuple((fleet.address(node.host), metatraffic_port(domain, node.participant)) for node in node_plans(fleet))
     profile = folder / "intruder.xml"
-    profile.write_text(
-        render(transport="swarm", address=address, participant=FIRST_FREE, discovery=discovery), encoding="utf-8"
-    )
+    text = network_profile_xml(address, Discovery(peers=known), participant=FIRST_FREE)
+    profile.write_text(text, encoding="utf-8")
     return {**dds_environment(fleet.network.domain, str(profile)), "ROS_LOG_DIR": "/run"}
 
 

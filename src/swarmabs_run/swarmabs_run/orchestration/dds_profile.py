@@ -117,12 +117,12 @@ def profile_xml(
     )
 
 
-def network_profile_xml(address: str, discovery: Discovery) -> str:
-    """Return the profile of nodes in real time on one address of a network; ids come from their environment."""
+def network_profile_xml(address: str, discovery: Discovery, participant: str = FROM_ENVIRONMENT) -> str:
+    """Return the profile of nodes in real time on one address of a network; for the others see `profile_xml`."""
     return _template().render(
         transport="swarm",
         address=address,
-        participant=FROM_ENVIRONMENT,
+        participant=participant,
         discovery=discovery,
         lease=REALTIME_LEASE,
         announcement=1,
