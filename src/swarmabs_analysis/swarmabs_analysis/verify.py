@@ -6,13 +6,14 @@ import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.verification import Difference, Ending, Verification
+from swarmabs_analysis.difference import Difference
+from swarmabs_analysis.verification import Ending, LockstepVerification, Verification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_provenance, attached_scenario
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.provenance import plugin_versions, versions
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import DRIVER, RealtimeWorld, realtime_world
+from swarmabs_bag.realtime import DRIVER, realtime_world
 from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_config import configure
 from swarmabs_config.scenario.errors import show
@@ -91,7 +92,7 @@ class Verdict:
         """Return everything as plain data for JSON."""
         return {
             "ok": self.ok,
-            "first_difference": self.difference and self.difference.to_dict(),
+            "first_difference": self.difference and self.difference.to_dict("recorded", "recomputed"),
             "problem": self.problem,
             "bag": self.bag,
             "scenario": self.scenario,
@@ -150,63 +151,21 @@ class BagToVerify:
         on_step : callable, optional
             Told the first step that is not verified yet, at every message.
         """
-        if self._realtime is not None:
-            return self._verify_realtime(self._realtime, tolerance, on_step)
-        bag, verification = self._bag, Verification(self.scenario, tolerance=tolerance)
-        problem = self._follow(verification, on_step)
-        cut, aborted = problem is not None, None
+        verification = self._verification(tolerance)
+        problem, aborted = self._follow(verification, on_step), None
+        cut = problem is not None
         if not cut:
             try:
-                aborted = bag.aborted()
-                bag.check()
+                aborted = self._bag.aborted()
+                self._bag.check()
             except DamagedBagError as error:
                 problem = str(error)
         verification.finish(Ending.CUT if cut else Ending.WHOLE if aborted is None else Ending.EARLY)
         difference, digest = verification.difference, None
         if difference is None and not cut:
             digest = verification.digest()
-            difference = _other_digest(bag, digest)
-        return Verdict(
-            bag=str(bag.path),
-            scenario=self.scenario.name,
-            difference=difference,
-            problem=problem,
-            steps=verification.step,
-            messages=verification.messages,
-            expected_steps=self.scenario.steps + 1,
-            ended_early=aborted,
-            digest=digest,
-            tolerance=tolerance,
-            notes=(*self._from_outside, *self._unsaid(), *(() if difference is None else self._elsewhere())),
-        )
-
-    def _verify_realtime(
-        self, world: RealtimeWorld, tolerance: float, on_step: Callable[[int], None] | None
-    ) -> Verdict:
-        """Verify a bag of a run in real time."""
-        verification = RealtimeVerification(
-            self.scenario,
-            world.schedule,
-            simulated=world.robots,
-            simulated_plane=world.plane,
-            own_limits=world.own_limits,
-            tolerance=tolerance,
-        )
-        problem, aborted = self._follow(verification, on_step), None
-        if problem is None:
-            try:
-                aborted = self._bag.aborted()
-                self._bag.check()
-            except DamagedBagError as error:
-                problem = str(error)
-        verification.finish()
-        difference = verification.difference
-        measured = sorted(set(configure.members(self.scenario)) - set(world.robots))
-        notes = [NOT_VERIFIED]
-        if measured:
-            notes.append(f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured")
-        if not world.plane:
-            notes.append("not checked: the motion of the plane, which was measured")
+            difference = None if digest is None else _other_digest(self._bag, digest)
+        notes = self._not_recomputed() if self._realtime else (*self._from_outside, *self._unsaid())
         return Verdict(
             bag=str(self._bag.path),
             scenario=self.scenario.name,
@@ -214,19 +173,42 @@ class BagToVerify:
             problem=problem,
             steps=verification.steps,
             messages=verification.messages,
-            expected_steps=None,
+            expected_steps=verification.expected_steps,
             ended_early=aborted,
+            digest=digest,
             tolerance=tolerance,
             notes=(*notes, *(() if difference is None else self._elsewhere())),
             not_checkable=dict(verification.not_checkable.most_common()),
         )
 
-    def _follow(
-        self, verification: Verification | RealtimeVerification, on_step: Callable[[int], None] | None
-    ) -> str | None:
+    def _verification(self, tolerance: float) -> Verification:
+        """Return what recomputes the messages of the bag, by the way in which its run kept time."""
+        world = self._realtime
+        if world is None:
+            return LockstepVerification(self.scenario, tolerance=tolerance)
+        return RealtimeVerification(
+            self.scenario,
+            world.schedule,
+            simulated=world.robots,
+            simulated_plane=world.plane,
+            own_limits=world.own_limits,
+            tolerance=tolerance,
+        )
+
+    def _not_recomputed(self) -> tuple[str, ...]:
+        """Return what of a run in real time is not verified."""
+        assert self._realtime is not None  # noqa: S101 - asked only of such a run
+        notes = [NOT_VERIFIED]
+        if measured := sorted(set(configure.members(self.scenario)) - set(self._realtime.robots)):
+            notes.append(f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured")
+        if not self._realtime.plane:
+            notes.append("not checked: the motion of the plane, which was measured")
+        return tuple(notes)
+
+    def _follow(self, verification: Verification, on_step: Callable[[int], None] | None) -> str | None:
         """Hand the bag's messages over, as long as they matter; return what is wrong with the file."""
         try:
-            topics = RECORDED if isinstance(verification, RealtimeVerification) else (*MAIN_TOPICS, EVENTS)
+            topics = RECORDED if self._realtime else (*MAIN_TOPICS, EVENTS)
             for topic, time, published, payload in self._bag.published(topics):
                 verification.add(topic, time, payload, published)
                 if verification.decided:

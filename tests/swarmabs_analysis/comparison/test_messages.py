@@ -32,6 +32,11 @@ def compare(a: Iterable[Message], b: Iterable[Message]) -> MessageComparison:
     return compare_steps(recorded_steps(of_bag(a), "A"), recorded_steps(of_bag(b), "B"))
 
 
+def shown(found: MessageComparison) -> str:
+    assert found.first is not None
+    return found.first.side_by_side()
+
+
 def topic(found: MessageComparison, name: str) -> TopicComparison:
     return next(one for one in found.topics if one.topic == name)
 
@@ -63,9 +68,7 @@ def test_one_bit_is_found_and_named() -> None:
     other = math.nextafter(state.command, math.inf)
     found = compare(run, changed(run, state, command=other))
     assert found.first == Difference("swarm/agent_state", 11, 2, "command", state.command, other)
-    assert str(found.first) == (
-        f"/swarm/agent_state step 11 agent 2: command is {state.command!r} in A, {other!r} in B"
-    )
+    assert shown(found) == (f"/swarm/agent_state step 11 agent 2: command is {state.command!r} in A, {other!r} in B")
     assert topic(found, "swarm/agent_state").differing == 1
     assert sum(one.differing for one in found.topics) == 1
 
@@ -73,10 +76,10 @@ def test_one_bit_is_found_and_named() -> None:
 def test_the_first_difference_is_first_by_step_topic_robot_and_field() -> None:
     run = make_run()
     other = changed(run, plane_state(run, 5), angle=9.0)
-    assert str(compare(run, other).first).startswith("/plane/state step 5: angle")
+    assert shown(compare(run, other)).startswith("/plane/state step 5: angle")
     for agent in (7, 2):
         other = changed(other, agent_state(other, 5, agent), velocity=9.0, position=8.0)
-        assert str(compare(run, other).first).startswith(f"/swarm/agent_state step 5 agent {agent}: position")
+        assert shown(compare(run, other)).startswith(f"/swarm/agent_state step 5 agent {agent}: position")
 
 
 def test_deviations_are_those_of_numpy() -> None:
@@ -104,7 +107,7 @@ def test_nan_equals_itself_and_differs_from_numbers_without_a_deviation() -> Non
         FieldDeviation("angle", 2, 0.5, 6, 0, pytest.approx(math.sqrt(0.25 / 20)), 1),
     )
     assert found.first is not None
-    assert found.first[:4] == ("plane/state", 4, 0, "angle")
+    assert found.first[:4] == ("plane/state", 4, None, "angle")
 
 
 def test_zeros_of_other_sign_and_infinities_differ() -> None:
@@ -131,16 +134,16 @@ def test_what_one_run_lacks_is_said_of_both_sides() -> None:
     assert (agents.compared, agents.missing_in_a, agents.missing_in_b) == (32, 10, 16)
     planes = topic(found, "plane/state")
     assert (planes.compared, planes.missing_in_a, planes.missing_in_b) == (16, 5, 0)
-    assert found.first == Difference("swarm/agent_state", 0, 7, missing="B")
-    assert str(found.first) == "/swarm/agent_state step 0 agent 7: missing in B"
-    assert str(compare(make_run(20), make_run(15)).first) == "/swarm/agent_state step 16 agent 1: missing in B"
+    assert found.first == Difference("swarm/agent_state", 0, 7, "message", "message", None)
+    assert shown(found) == "/swarm/agent_state step 0 agent 7: missing in B"
+    assert shown(compare(make_run(20), make_run(15))) == "/swarm/agent_state step 16 agent 1: missing in B"
 
 
 def test_a_missing_message_in_the_middle_is_named() -> None:
     run = make_run()
     lost = plane_state(run, 9)
     found = compare([m for m in run if m != lost], run)
-    assert found.first == Difference("plane/state", 9, 0, missing="A")
+    assert found.first == Difference("plane/state", 9, None, "message", None, "message")
 
 
 def test_events_are_brought_together_wherever_they_stand() -> None:
@@ -152,13 +155,13 @@ def test_events_are_brought_together_wherever_they_stand() -> None:
     assert found.first == Difference("swarm/events", 3, 7, "value", 1 / 3, 0.5)
     second = SwarmEvent(50_000_000, 5, 1, EventKind.JOINED, 0.0, "")
     found = compare(run, [*run, second])
-    assert found.first == Difference("swarm/events", 5, 1, missing="A")
+    assert found.first == Difference("swarm/events", 5, 1, "message", None, "message")
 
 
 def test_another_period_is_a_difference_in_the_stamps_alone() -> None:
     found = compare(make_run(), make_run(period=20_000_000))
     assert {field.field for one in found.topics for field in one.fields} == {"stamp"}
-    assert str(found.first) == "/swarm/agent_state step 1 agent 1: stamp is 10000000 in A, 20000000 in B"
+    assert shown(found) == "/swarm/agent_state step 1 agent 1: stamp is 10000000 in A, 20000000 in B"
 
 
 def test_topics_may_overlap_but_only_so_far() -> None:

@@ -14,7 +14,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_core.realtime.bags import WORLDS, Recorded, Stored, messages, record, world
 from tests.virtual_fleet import EPOCH, VirtualFleet
 
-from swarmabs_analysis.verification import Difference
+from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_config import realtime as configure
 from swarmabs_config.graph import CONTROLLER

@@ -2,7 +2,6 @@
 
 from swarmabs_analysis.comparison.bags import BagSummary, Comparison, compare_bags
 from swarmabs_analysis.comparison.messages import (
-    Difference,
     FieldDeviation,
     MessageComparison,
     TopicComparison,
@@ -10,6 +9,7 @@ from swarmabs_analysis.comparison.messages import (
 )
 from swarmabs_analysis.comparison.settings import SettingDifference, setting_differences
 from swarmabs_analysis.comparison.steps import recorded_steps
+from swarmabs_analysis.difference import Difference
 
 __all__ = [
     "BagSummary",

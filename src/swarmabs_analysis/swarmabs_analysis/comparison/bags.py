@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.comparison.settings import SettingDifference, setting_differences
 from swarmabs_analysis.comparison.steps import recorded_steps
+from swarmabs_analysis.difference import plain
 from swarmabs_bag.attached import attached_provenance, attached_scenario
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from swarmabs_analysis.difference import Difference
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep, Reference
     from swarmabs_config.scenario import Scenario
@@ -116,15 +118,15 @@ class Comparison:
             "damaged": self.damaged,
             "a": asdict(self.a),
             "b": asdict(self.b),
-            "first_difference": first._asdict() if first is not None else None,
+            "first_difference": None if first is None else _told(first),
             "topics": [asdict(topic) for topic in self.messages.topics],
             "robots_only_in_a": self.robots_only_in_a,
             "robots_only_in_b": self.robots_only_in_b,
             "scenario": [difference._asdict() for difference in self.scenario],
             "provenance": [difference._asdict() for difference in self.provenance],
         }
-        plain: dict[str, Any] = _plain(document)
-        return plain
+        found: dict[str, Any] = plain(document)
+        return found
 
 
 def compare_bags(
@@ -246,11 +248,9 @@ def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[Setti
     return setting_differences(ours, theirs)
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return repr(value)
-    return value
+def _told(first: Difference) -> dict[str, Any]:
+    """Return the first difference as data; what stands there of a message that one of them lacks is not told."""
+    place = {"topic": first.topic, "step": first.step, "agent": first.agent or 0}
+    if first.missing is not None:
+        return {**place, "field": None, "a": None, "b": None, "missing": first.missing}
+    return {**place, "field": first.field, "a": first.a, "b": first.b, "missing": None}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.steps import ORDER
+from swarmabs_analysis.difference import MESSAGE, Difference, Side, differing_fields, place_of
 from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
@@ -16,48 +16,10 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
     from swarmabs_core.record import Record
 
-Side = Literal["A", "B"]
-
 _KEYS = {"step", "agent_id"}
 """Fields by which messages are brought together."""
 _MOST_EVENTS = 100_000
 """Most events of one run that wait for their like in the other."""
-
-
-class Difference(NamedTuple):
-    """A place in which two runs differ.
-
-    Attributes
-    ----------
-    topic : str
-        Topic without namespace.
-    step : int
-        Step of the message.
-    agent : int
-        Robot, 0 for none.
-    field : str or None
-        Field of the message, None if one of the runs lacks the message.
-    a, b : int, float, str or None
-        Both values.
-    missing : {"A", "B"} or None
-        Which run lacks the message.
-    """
-
-    topic: str
-    step: int
-    agent: int
-    field: str | None = None
-    a: float | str | None = None
-    b: float | str | None = None
-    missing: Side | None = None
-
-    def __str__(self) -> str:
-        """Return the place and both values in a line."""
-        agent = f" agent {self.agent}" if self.agent else ""
-        where = f"/{self.topic} step {self.step}{agent}"
-        if self.missing is not None:
-            return f"{where}: missing in {self.missing}"
-        return f"{where}: {self.field} is {self.a!r} in A, {self.b!r} in B"
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +204,8 @@ class _Found:
 
     def missing(self, record: Record, side: Side) -> None:
         self._of(record.topic).missing[side] += 1
-        self._note(record, Difference(record.topic.name, record.message.step, record.agent_id, missing=side))
+        there, missing = (MESSAGE, None) if side == "B" else (None, MESSAGE)
+        self._note(record, Difference(*place_of(record), MESSAGE, there, missing))
 
     def pair(self, one: Record, other: Record) -> None:
         topic = self._of(one.topic)
@@ -251,14 +214,13 @@ class _Found:
             return
         topic.differing += 1
         step, agent = one.message.step, one.agent_id
-        values: Iterable[tuple[str, Any, Any]] = zip(one.message._fields, one.message, other.message, strict=True)
-        for name, x, y in values:
-            if name in _KEYS or _same(x, y):
+        for name, x, y in differing_fields(one.message, other.message):
+            if name in _KEYS:
                 continue
             deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
             field = topic.fields.setdefault(name, _Field())
             field.add(deviation, step, agent)
-            self._note(one, Difference(one.topic.name, step, agent, name, x, y))
+            self._note(one, Difference(*place_of(one), name, x, y))
 
     def result(self) -> MessageComparison:
         return MessageComparison(
@@ -270,7 +232,7 @@ class _Found:
         return self._topics.setdefault(topic, _Topic())
 
     def _note(self, record: Record, difference: Difference) -> None:
-        place = (difference.step, ORDER[record.topic], difference.agent)
+        place = (record.message.step, ORDER[record.topic], record.agent_id)
         if self._first is None or place < self._first[0]:
             self._first = (place, difference)
 
@@ -299,7 +261,7 @@ class _Events:
 
     def finish(self) -> None:
         """Pair what is left by step, robot and kind; what then remains is missing in the other run."""
-        left, right = (_by_place(self._waiting[side]) for side in ("A", "B"))
+        left, right = (_byplace_of(self._waiting[side]) for side in ("A", "B"))
         for place in sorted(left.keys() | right.keys()):
             ours, theirs = left.get(place, []), right.get(place, [])
             both = min(len(ours), len(theirs))
@@ -313,17 +275,10 @@ class _Events:
         self._count = 0
 
 
-def _by_place(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
+def _byplace_of(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
     found: dict[tuple[int, int, int], list[Record]] = {}
     for payload in sorted(waiting):
         for record in waiting[payload]:
             event: Any = record.message
             found.setdefault((event.step, event.agent_id, event.kind), []).append(record)
     return found
-
-
-def _same(x: Any, y: Any) -> bool:
-    """Say whether two values of a field have the same bits: NaN equals itself, and 0.0 is not -0.0."""
-    if isinstance(x, float) and isinstance(y, float):
-        return struct.pack("<d", x) == struct.pack("<d", y)
-    return bool(x == y)

@@ -46,7 +46,7 @@ def render(comparison: Comparison) -> RenderableType:
 def _verdict(comparison: Comparison) -> str:
     first = comparison.messages.first
     if first is not None:
-        return f"[bold]different[/]: first {_shown(str(first))}"
+        return f"[bold]different[/]: first {_shown(first.side_by_side())}"
     return "[bold]equal[/] as far as they can be read" if comparison.damaged else "[bold]equal[/], bit for bit"
 
 

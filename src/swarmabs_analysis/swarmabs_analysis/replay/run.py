@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison import compare_steps
 from swarmabs_analysis.replay.in_process import Replay
 from swarmabs_analysis.replay.source import recorded_steps
-from swarmabs_analysis.verification.comparison import MESSAGE
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
@@ -20,7 +18,7 @@ from swarmabs_run.simulated_run import record_steps
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from swarmabs_analysis.comparison import Difference
+    from swarmabs_analysis.difference import Difference
     from swarmabs_analysis.replay.source import Source
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
@@ -110,11 +108,12 @@ class ReplayRun:
         recorded = Digest()
         replayed = recorded_steps(open_bag(folder.path), self.scenario, self._ends)
         found = compare_steps(self._answers(self._recorded(recorded)), self._answers(replayed))
+        first = found.first
         return {
             **self.provenance(),
             "same": digest == recorded.hexdigest(),
             "compared": sum(topic.compared for topic in found.topics),
-            "first_difference": None if found.first is None else _difference(found.first),
+            "first_difference": None if first is None else _told(first),
             "deviations": [{"topic": topic.topic, **asdict(field)} for topic in found.topics for field in topic.fields],
         }
 
@@ -138,18 +137,8 @@ class ReplayRun:
             yield step
 
 
-def _difference(first: Difference) -> dict[str, object]:
-    """Return the first difference as plain data; a number that is not finite becomes a text."""
-    place = {"step": first.step, "topic": first.topic, "agent": first.agent}
-    if first.missing is not None:  # the same words as of `verify`
-        return {**place, "field": MESSAGE, **dict(zip(("recorded", "replayed"), _there(first.missing), strict=True))}
-    return {**place, "field": first.field, "recorded": _plain(first.a), "replayed": _plain(first.b)}
-
-
-def _there(missing: str) -> tuple[str | None, str | None]:
-    """Return what stands for a whole message in the recording and in the replay, None where it is missing."""
-    return (None, MESSAGE) if missing == "A" else (MESSAGE, None)
-
-
-def _plain(value: float | str | None) -> float | str | None:
-    return repr(value) if isinstance(value, float) and not isfinite(value) else value
+def _told(first: Difference) -> dict[str, Any]:
+    """Return the first difference as data; a replay has no reasons."""
+    found = first.to_dict("recorded", "replayed")
+    del found["reason"]
+    return {**found, "agent": first.agent or 0}

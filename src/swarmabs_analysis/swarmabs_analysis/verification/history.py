@@ -21,8 +21,8 @@ from swarmabs_core.messages import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_analysis.verification.comparison import Stored
     from swarmabs_core.messages import Topic
+    from swarmabs_core.record import Record
 
 WAIT = 300
 """Steps that a message may be received behind those of later steps, and is still judged in its place."""
@@ -33,15 +33,15 @@ class History:
     """Messages by topic, step and what else tells them apart, of as many steps as may matter."""
 
     def __init__(self) -> None:
-        self._by_step: dict[Topic, dict[int, dict[int, Stored]]] = defaultdict(dict)
-        self._robots: dict[int, dict[int, Stored]] = defaultdict(dict)
-        self._pinned: dict[int, dict[tuple[int, int], Stored]] = {}
+        self._by_step: dict[Topic, dict[int, dict[int, Record]]] = defaultdict(dict)
+        self._robots: dict[int, dict[int, Record]] = defaultdict(dict)
+        self._pinned: dict[int, dict[tuple[int, int], Record]] = {}
         self._ambiguous: set[tuple[str, int, int]] = set()
         self._newest: dict[tuple[str, int], int] = {}
         self.steps: set[int] = set()
         self._oldest = 0
 
-    def add(self, stored: Stored) -> bool:
+    def add(self, stored: Record) -> bool:
         """Keep a message; return whether there is none in its place yet."""
         message, topic = stored.message, stored.topic
         if isinstance(message, SwarmEvent):
@@ -89,7 +89,7 @@ class History:
                 self.steps.discard(old)
         self._oldest = max(first, oldest)
 
-    def get(self, topic: Topic, step: int, key: int = 0) -> Stored | None:
+    def get(self, topic: Topic, step: int, key: int = 0) -> Record | None:
         """Return the message of a coordinator."""
         return self._by_step[topic].get(step, {}).get(key)
 
@@ -99,7 +99,7 @@ class History:
         message = None if stored is None else stored.message
         return message if isinstance(message, Basis) else None
 
-    def desired(self, step: int) -> list[Stored]:
+    def desired(self, step: int) -> list[Record]:
         """Return the desired states of a step: one of each mode, RUN first."""
         found = self._by_step[DESIRED_ABSTRACT_STATE].get(step, {})
         return [found[mode] for mode in sorted(found)]
@@ -113,7 +113,7 @@ class History:
         """Return the ids of all robots that have been heard."""
         return sorted(self._robots)
 
-    def state(self, agent_id: int, step: int) -> Stored | None:
+    def state(self, agent_id: int, step: int) -> Record | None:
         """Return the state of a robot."""
         found = self._robots[agent_id].get(step) if agent_id in self._robots else None
         if found is not None:

@@ -7,41 +7,37 @@ compute it again. What was lost on its way to the recorder cannot be used; what 
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING
 
-from swarmabs_analysis.verification.comparison import (
-    PADDING,
-    PAYLOAD,
+from swarmabs_analysis.difference import (
     PUBLISH_TIME,
     Difference,
-    Stored,
-    in_hex,
+    place_of,
     surplus,
+    wrong_padding,
 )
+from swarmabs_analysis.verification.base import Ending, Verification
 from swarmabs_analysis.verification.history import WAIT, History
 from swarmabs_analysis.verification.realtime_coordinators import ControllerCheck, ObserverCheck, PlaneCheck
 from swarmabs_analysis.verification.realtime_robot import RobotCheck
 from swarmabs_bag.realtime_recording import MEMORY
 from swarmabs_config import configure as lockstep, realtime as configure
-from swarmabs_core.cdr import agent_id_of, decode, encode
-from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import EVENTS, PLANE_STATE, Basis, DesiredAbstractState
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from swarmabs_analysis.verification.realtime_coordinators import Finding
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import Message, Topic
     from swarmabs_core.realtime.base import Schedule
 
 LATE = "it was received too late to be judged"
 MEASURED = "it was measured"
 
 
-class RealtimeVerification:
-    """Follows a recorded run in real time message by message.
+class RealtimeVerification(Verification):
+    """Verifies a run in real time: each message says from what it was computed.
 
     Parameters
     ----------
@@ -56,18 +52,7 @@ class RealtimeVerification:
     own_limits : iterable of int
         Robots whose limits were not those of the scenario.
     tolerance : float
-        A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
-
-    Attributes
-    ----------
-    difference : Difference or None
-        The first difference by step; within a step robots by id, plane, abstract, auxiliary and desired state.
-    steps : int
-        Steps of which a message was judged.
-    messages : int
-        How many messages of the main topics were found right.
-    not_checkable : Counter of str
-        How many could not be checked, by the reason.
+        As of `Verification`.
     """
 
     def __init__(
@@ -80,9 +65,7 @@ class RealtimeVerification:
         own_limits: Iterable[int] = (),
         tolerance: float = 0.0,
     ) -> None:
-        self.difference: Difference | None = None
-        self.steps = self.messages = 0
-        self.not_checkable: Counter[str] = Counter()
+        super().__init__(tolerance)
         self._schedule = schedule
         self._history = history = History()
         self._judged: int | None = None
@@ -112,60 +95,58 @@ class RealtimeVerification:
         """Whether no further message can change what is found."""
         return self.difference is not None
 
-    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
-        """Take the next message of the bag: topic, log time (ns), bytes, and, if known, when it was published (ns)."""
-        if self.decided:
+    def digest(self) -> None:
+        """Return that there is none: what a recorder hears differs from run to run."""
+        return
+
+    def _step_of_no_message(self, time: int) -> None:
+        """Return that its log time does not tell the step."""
+
+    def _take(self, found: Record | Difference) -> None:
+        if isinstance(found, Difference):
+            self.difference = found
             return
-        try:
-            message = decode(topic.message, payload)
-        except MalformedMessageError as error:
-            self.difference = Difference(topic.name, None, None, PAYLOAD, in_hex(payload), None, str(error))
-            return
-        now = self._schedule.step(time)
+        now = self._schedule.step(found.time or 0)
         self._newest = max(self._newest, now)
-        stamp = max(0, message.stamp)  # a bag has no time before 1970
-        if published not in {None, stamp}:
-            agent = agent_id_of(message) or None
-            self.difference = Difference(topic.name, message.step, agent, PUBLISH_TIME, published, stamp)
+        stamp = max(0, found.message.stamp)  # a bag has no time before 1970
+        if found.published not in {None, stamp}:
+            self.difference = Difference(*place_of(found), PUBLISH_TIME, found.published, stamp)
             return
-        self.difference = self._keep(Stored(topic, time, message, payload), now)
+        self.difference = self._keep(found, now)
         if self._judged is None:
             self._judged = now - MEMORY
         self._judge_until(self._newest - WAIT)
 
-    def finish(self) -> None:
+    def finish(self, ending: Ending = Ending.WHOLE) -> None:  # noqa: ARG002 - a bag in real time may end anywhere
         """Judge what is left at the end of the bag."""
         self._judge_until(max(self._history.steps, default=-1) + 1)
 
-    def _keep(self, stored: Stored, now: int) -> Difference | None:
-        message = stored.message
-        agent = agent_id_of(message) or None
-        if encode(message) != stored.payload:
-            return Difference(
-                stored.topic.name, message.step, agent, PADDING, in_hex(stored.payload), in_hex(encode(message))
-            )
+    def _keep(self, stored: Record, now: int) -> Difference | None:
+        message, place = stored.message, place_of(stored)
+        if wrong := wrong_padding(stored, place):
+            return wrong
         if stored.topic is not EVENTS:
             if abs(message.step - now) > MEMORY:
-                return Difference(stored.topic.name, message.step, agent, "step", message.step, now, "when received")
-            wrong = self._wrong_stamp(message)
+                return Difference(*place, "step", message.step, now, "when received")
+            wrong = self._wrong_stamp(stored)
             if wrong is not None:
                 return wrong
         if self._judged is not None and message.step < self._judged and stored.topic is not EVENTS:
             self.not_checkable[LATE] += 1
             return None
         if not self._history.add(stored):
-            return surplus(stored, message.step, agent, "the recorder keeps one of its step")
+            return surplus(stored, message.step, place[-1], "the recorder keeps one of its step")
         return None
 
-    def _wrong_stamp(self, message: Message) -> Difference | None:
+    def _wrong_stamp(self, stored: Record) -> Difference | None:
         """Return that a desired state or a basis was made in a step far from its own."""
+        message = stored.message
         if not isinstance(message, (DesiredAbstractState, Basis)):
             return None
         made = self._schedule.step(message.stamp)
         if abs(made - message.step) <= MEMORY:
             return None
-        topic = "swarm/desired_abstract_state" if isinstance(message, DesiredAbstractState) else "recording/basis"
-        return Difference(topic, message.step, None, "stamp", message.stamp, None, f"that is in step {made}")
+        return Difference(*place_of(stored), "stamp", message.stamp, None, f"that is in step {made}")
 
     def _judge_until(self, end: int) -> None:
         """Judge all steps before one; that takes no longer where the clock was set far forward."""

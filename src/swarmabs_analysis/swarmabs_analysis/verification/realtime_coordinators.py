@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
-from swarmabs_analysis.verification.comparison import Difference, Stored, compare
+from swarmabs_analysis.difference import Difference, judge
 from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES
 from swarmabs_core.controllers.feedback import StateFeedback
 from swarmabs_core.desired_state import DesiredStateGenerator
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.controller import RealtimeControllerConfig
     from swarmabs_core.realtime.observer import RealtimeObserverConfig
     from swarmabs_core.realtime.plane import RealtimePlaneConfig
+    from swarmabs_core.record import Record
 
 Finding: TypeAlias = "Difference | str | None"
 """None if a message is right, else what is wrong, or why it cannot be checked."""
@@ -53,7 +54,7 @@ class ObserverCheck:
     history : History
         What the bag holds.
     tolerance : float
-        As of `compare`.
+        As of `judge`.
     """
 
     def __init__(self, config: RealtimeObserverConfig, history: History, tolerance: float) -> None:
@@ -80,7 +81,7 @@ class ObserverCheck:
         for stored in answers:
             expected = abstract if stored.topic is ABSTRACT_STATE else sums
             found = AMBIGUOUS if self._history.is_ambiguous(stored.topic, step) else wrong
-            yield found or compare(stored, expected, stored.time, None, self._tolerance)
+            yield found or judge(stored, expected, None, self._tolerance)
 
     def _wrong_standing(self, basis: Basis, states: Mapping[int, AgentState]) -> Difference | None:
         """Return that a robot of which nothing new was known was not taken to stand."""
@@ -140,7 +141,7 @@ class PlaneCheck:
         if self._history.is_ambiguous(PLANE_STATE, step):
             yield AMBIGUOUS
             return
-        wrong = [compare(stored, self._state(basis, place), stored.time, None, self._tolerance) for place in places]
+        wrong = [judge(stored, self._state(basis, place), None, self._tolerance) for place in places]
         if None in wrong:
             self._truth = (step, *places[wrong.index(None)])
         yield None if None in wrong else wrong[0]
@@ -230,7 +231,7 @@ class ControllerCheck:
             elif message.mode != Mode.RUN:
                 yield self._still(stored, message)
             elif isinstance(expected, DesiredAbstractState):
-                yield compare(stored, expected, stored.time, None, self._tolerance)
+                yield judge(stored, expected, None, self._tolerance)
             else:
                 yield expected
 
@@ -278,11 +279,11 @@ class ControllerCheck:
     def _new_generator(self) -> DesiredStateGenerator:
         return DesiredStateGenerator(self._config.schedule.period_ns, self._config.manifold, self._make_law())
 
-    def _still(self, stored: Stored, asked: DesiredAbstractState) -> Difference | None:
+    def _still(self, stored: Record, asked: DesiredAbstractState) -> Difference | None:
         """Check what is published while the swarm keeps still: some point of the manifold, without any rate."""
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
-        return compare(stored, still, stored.time, None, self._tolerance)
+        return judge(stored, still, None, self._tolerance)
 
 
 def _standing(basis: Basis) -> set[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_analysis.verification.comparison import Difference, Stored, compare
+from swarmabs_analysis.difference import Difference, judge
 from swarmabs_analysis.verification.history import AMBIGUOUS
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.messages import (
@@ -27,6 +27,7 @@ from swarmabs_core.realtime.drives import MOST_STEPS
 if TYPE_CHECKING:
     from swarmabs_analysis.verification.history import History
     from swarmabs_core.realtime.agent import RealtimeAgentConfig
+    from swarmabs_core.record import Record
 
 NO_STATE_BEFORE = "the robot's state of the step before is not in the bag"
 OWN_LIMITS = "the robot has limits of its own"
@@ -46,7 +47,7 @@ class RobotCheck:
         Position (m) and velocity (m/s) at which a simulated body begins; None if the body is not simulated, and its
         motion is not checked.
     tolerance : float
-        As of `compare`.
+        As of `judge`.
     own_limits : bool
         Whether the robot's limits are not those of the configuration, so that its commands cannot be checked.
     """
@@ -70,13 +71,13 @@ class RobotCheck:
         self._ahead = config.schedule.ahead(config.clock_tolerance)
         self._before: AgentState | None = None
 
-    def check(self, stored: Stored) -> Difference | str | None:
+    def check(self, stored: Record) -> Difference | str | None:
         """Check the next state: None if it is right, else what is wrong, or why it cannot be checked."""
         state, before = stored.message, self._before
         assert isinstance(state, AgentState)  # noqa: S101 - the history keeps them apart
         self._before = state
         known = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
-        wrong = compare(stored, known, stored.time, state.agent_id, self._tolerance) or self._wrong_time(state)
+        wrong = judge(stored, known, state.agent_id, self._tolerance) or self._wrong_time(state)
         if wrong is not None:
             return wrong
         if self._history.is_ambiguous(AGENT_STATE, state.step, state.agent_id):
@@ -89,7 +90,7 @@ class RobotCheck:
             return NO_STATE_BEFORE
         expected = self._follow(state, before)
         found = (
-            compare(stored, self._move(expected, before), stored.time, state.agent_id, self._tolerance)
+            judge(stored, self._move(expected, before), state.agent_id, self._tolerance)
             if isinstance(expected, AgentState)
             else expected
         )

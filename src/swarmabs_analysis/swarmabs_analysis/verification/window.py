@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_analysis.verification.comparison import PAYLOAD, Difference, Stored, in_hex
-from swarmabs_core.cdr import decode
-from swarmabs_core.errors import MalformedMessageError
+from swarmabs_analysis.difference import Difference
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS
 
 if TYPE_CHECKING:
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Topic
+    from swarmabs_core.record import Record
 
 WINDOW = 100
 """How many steps the messages of a bag may be out of order."""
@@ -24,16 +23,16 @@ class Slot:
     __slots__ = ("agents", "coordinated", "events", "malformed")
 
     def __init__(self) -> None:
-        self.agents: list[Stored] = []
-        self.coordinated: dict[Topic, list[Stored]] = {}
-        self.events: list[Stored] = []
+        self.agents: list[Record] = []
+        self.coordinated: dict[Topic, list[Record]] = {}
+        self.events: list[Record] = []
         self.malformed: list[Difference] = []
 
     def __len__(self) -> int:
         others = sum(len(found) for found in self.coordinated.values())
         return len(self.agents) + others + len(self.events) + len(self.malformed)
 
-    def add(self, stored: Stored) -> None:
+    def add(self, stored: Record) -> None:
         """Put a message into its place."""
         if stored.topic is AGENT_STATE:
             self.agents.append(stored)
@@ -72,18 +71,21 @@ class Window:
         """Whether there is more than any run has in so many steps."""
         return self._count > self._capacity
 
-    def read(
-        self, topic: Topic, time: int, payload: bytes, published: int | None = None
-    ) -> tuple[int, Stored | Difference]:
-        """Return the step to which bytes belong, and the message that they are, or that they are none."""
-        try:
-            message = decode(topic.message, payload)
-        except MalformedMessageError as error:
-            step = time // self._period_ns
-            return step, Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
-        return self._place(time, message), Stored(topic, time, message, payload, published)
+    def step_of(self, found: Record | Difference) -> int:
+        """Return the step to which a message belongs, or what is none: that on which two of its three times agree.
 
-    def add(self, step: int, found: Stored | Difference) -> None:
+        They are log time, stamp and step; if all differ, the step that it says.
+        """
+        if isinstance(found, Difference):
+            return found.step or 0
+        message, time = found.message, found.time
+        stamp, step = message.stamp, message.step
+        said = step * self._period_ns
+        if said not in {stamp, time} and stamp == time and stamp % self._period_ns == 0:
+            return stamp // self._period_ns
+        return step
+
+    def add(self, step: int, found: Record | Difference) -> None:
         """Put a message, or what is none, into the slot of a step."""
         self._count += 1
         slot = self._slots.get(step)
@@ -104,11 +106,3 @@ class Window:
         slot = self._slots.pop(step, _EMPTY)
         self._count -= len(slot)
         return slot
-
-    def _place(self, time: int, message: Message) -> int:
-        """Return the step on which two of log time, stamp and step agree; if none do, the step that it says."""
-        stamp, step = message.stamp, message.step
-        said = step * self._period_ns
-        if said not in {stamp, time} and stamp == time and stamp % self._period_ns == 0:
-            return stamp // self._period_ns
-        return step

@@ -9,16 +9,16 @@ it names, and with nobody before it.
 
 from __future__ import annotations
 
-from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING
 
-from swarmabs_analysis.verification.comparison import MESSAGE, Difference, Stored, compare, missing, surplus
+from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
+from swarmabs_analysis.verification.base import Ending, Verification
 from swarmabs_analysis.verification.window import WINDOW, Window
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
 from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
-from swarmabs_core.cdr import agent_id_of, encode
+from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import (
@@ -45,46 +45,27 @@ if TYPE_CHECKING:
 COORDINATED = (PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
 
 
-class Ending(Enum):
-    """How a bag ends."""
-
-    WHOLE = "whole"
-    """With the last step of the scenario."""
-    EARLY = "early"
-    """Before, and it says so: its run failed or was interrupted, or its recorder came to an end within a step."""
-    CUT = "cut"
-    """Anywhere: the rest was lost."""
-
-
-class Verification:
-    """Follows a recorded run message by message.
+class LockstepVerification(Verification):
+    """Verifies a run in lockstep: what a message follows from is known by its step, since all hear all of a step.
 
     Parameters
     ----------
     scenario : Scenario
         The scenario of the run.
     tolerance : float
-        A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
+        As of `Verification`.
 
     Attributes
     ----------
-    difference : Difference or None
-        The first difference by step; within a step robots by id, plane, abstract, auxiliary, desired state, events.
-    step : int
-        The first step that is not verified.
-    messages : int
-        How many messages were found right.
     failure : str or None
         Why the run could not go on, if it is part of the bag.
     """
 
     def __init__(self, scenario: Scenario, *, tolerance: float = 0.0) -> None:
-        self.difference: Difference | None = None
-        self.step = 0
-        self.messages = 0
+        super().__init__(tolerance)
+        self.expected_steps = scenario.steps + 1
         self.failure: str | None = None
         self._scenario = scenario
-        self._tolerance = tolerance
         self._window = Window(scenario.step_ns, len(scenario.agents))
         self._digest = Digest()
         model = configure.parent_model(scenario)
@@ -98,10 +79,15 @@ class Verification:
         self._states: dict[int, AgentState] = {}
         self._told: dict[int, dict[bytes, SwarmEvent]] = {}
         self._late: dict[bytes, SwarmEvent] = {}
-        self._beyond: tuple[int, Stored | Difference] | None = None
+        self._beyond: tuple[int, Record | Difference] | None = None
         self._ended = False
         for agent in self._agents.values():
             self._expect(agent.start())
+
+    @property
+    def step(self) -> int:
+        """The first step that is not verified."""
+        return self.steps
 
     @property
     def decided(self) -> bool:
@@ -112,23 +98,13 @@ class Verification:
         """Return the digest of the verified steps."""
         return self._digest.hexdigest()
 
-    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
-        """Take the next message of the bag.
+    def _step_of_no_message(self, time: int) -> int:
+        return time // self._scenario.step_ns
 
-        Parameters
-        ----------
-        topic : Topic
-            A main topic, or that of the events.
-        time : int
-            Its log time, ns.
-        payload : bytes
-            Its bytes.
-        published : int, optional
-            When it was published, ns, if that is to be verified.
-        """
-        step, found = self._window.read(topic, time, payload, published)
+    def _take(self, found: Record | Difference) -> None:
+        step = self._window.step_of(found)
         if self.difference is not None:
-            if isinstance(found, Stored):
+            if isinstance(found, Record):
                 self._late.pop(found.payload, None)
         elif step < self.step:
             self._is_late(found, step)
@@ -172,18 +148,18 @@ class Verification:
         self.difference = next(self._differences(slot, last=last), None)
         if self.difference is None and not self._ended:
             self._add_to_digest(slot)
-            self.step += 1
+            self.steps += 1
 
-    def _is_late(self, found: Stored | Difference, step: int) -> None:
+    def _is_late(self, found: Record | Difference, step: int) -> None:
         """Take a message of a step that was judged: only an event may be that late."""
-        if isinstance(found, Stored) and found.payload in self._late and self._right(found, self._late[found.payload]):
+        if isinstance(found, Record) and found.payload in self._late and self._right(found, self._late[found.payload]):
             del self._late[found.payload]
             self.messages += 1
         else:
             self.difference = _unasked(found, step, "it stands there again, or in the wrong place")
 
-    def _right(self, stored: Stored, expected: Message) -> bool:
-        return compare(stored, expected, self._time(expected), None, self._tolerance) is None
+    def _right(self, stored: Record, expected: Message) -> bool:
+        return judge(stored, expected, None, self._tolerance, self._time(expected)) is None
 
     def _time(self, message: Message) -> int:
         """Return the log time of a message, ns: that of its step, whatever its robot's clock says."""
@@ -219,7 +195,7 @@ class Verification:
         """Return the robots that the observer has declared dead in this step, since they did not answer."""
         if self._scenario.lockstep.on_stall != "drop" or not slot.events:
             return ()
-        present = {agent_id_of(stored.message) for stored in slot.agents}
+        present = {stored.agent_id for stored in slot.agents}
         dead = {
             event.agent_id
             for event in (stored.message for stored in slot.events)
@@ -251,18 +227,18 @@ class Verification:
             else:
                 yield missing(AGENT_STATE, expected, agent_id)
         for stored in others:
-            yield surplus(stored, self.step, agent_id_of(stored.message), "the robot publishes no such state")
+            yield surplus(stored, self.step, stored.agent_id, "the robot publishes no such state")
         return whole
 
-    def _sorted(self, slot: Slot) -> tuple[dict[int, Stored], list[Stored]]:
+    def _sorted(self, slot: Slot) -> tuple[dict[int, Record], list[Record]]:
         """Return the states of a step by robot, of several that name one the most similar, and all others."""
-        found = {agent_id_of(stored.message): stored for stored in slot.agents}
+        found = {stored.agent_id: stored for stored in slot.agents}
         if len(found) == len(slot.agents) and found.keys() <= self._states.keys():
             return found, []
-        named: dict[int, list[Stored]] = {}
-        others: list[Stored] = []
+        named: dict[int, list[Record]] = {}
+        others: list[Record] = []
         for stored in slot.agents:
-            agent_id = agent_id_of(stored.message)
+            agent_id = stored.agent_id
             (named.setdefault(agent_id, []) if agent_id in self._states else others).append(stored)
         found = {}
         for agent_id, several in named.items():
@@ -319,8 +295,8 @@ class Verification:
             yield surplus(stored, self.step, None, "it stands there twice")
         return True
 
-    def _compare(self, stored: Stored, expected: Message, agent: int | None) -> Iterator[Difference]:
-        difference = compare(stored, expected, self._time(expected), agent, self._tolerance)
+    def _compare(self, stored: Record, expected: Message, agent: int | None) -> Iterator[Difference]:
+        difference = judge(stored, expected, agent, self._tolerance, self._time(expected))
         if difference is not None:
             yield difference
         self.messages += 1
@@ -340,10 +316,10 @@ class Verification:
             yield from self._other_event(stored, expected)
         self._late.update(expected)
 
-    def _other_event(self, stored: Stored, expected: dict[bytes, SwarmEvent]) -> Iterator[Difference]:
+    def _other_event(self, stored: Record, expected: dict[bytes, SwarmEvent]) -> Iterator[Difference]:
         """Compare an event with the most similar one that is missing."""
         if not expected:
-            yield surplus(stored, self.step, agent_id_of(stored.message) or None, "nothing leads to this event")
+            yield surplus(stored, self.step, stored.agent_id or None, "nothing leads to this event")
             return
         payload = max(expected, key=lambda p: _likeness(stored, expected[p]))
         event = expected.pop(payload)
@@ -362,11 +338,10 @@ class Verification:
 
     def _add_to_digest(self, slot: Slot) -> None:
         stored = (*slot.agents, *(messages[0] for messages in slot.coordinated.values()))
-        records = (Record(s.topic, agent_id_of(s.message), s.message, s.payload) for s in stored)
-        self._digest.update(RecordedStep(self.step, tuple(records)))
+        self._digest.update(RecordedStep(self.step, stored))
 
 
-def _taken(several: list[Stored], expected: Message) -> Stored | None:
+def _taken(several: list[Record], expected: Message) -> Record | None:
     """Take the most similar one of several messages, None if there is none."""
     if not several:
         return None
@@ -374,7 +349,7 @@ def _taken(several: list[Stored], expected: Message) -> Stored | None:
     return several.pop(place)
 
 
-def _likeness(stored: Stored, expected: Message) -> int:
+def _likeness(stored: Record, expected: Message) -> int:
     """Return in how many fields a recorded message is as expected."""
     return sum(a == b for a, b in zip(stored.message, expected, strict=True))
 
@@ -383,7 +358,7 @@ def _cut_short(step: int) -> Difference:
     return Difference(AGENT_STATE.name, step, None, MESSAGE, None, None, "the bag ends here and does not say why")
 
 
-def _unasked(found: Stored | Difference, step: int, reason: str) -> Difference:
+def _unasked(found: Record | Difference, step: int, reason: str) -> Difference:
     if isinstance(found, Difference):
         return found
-    return surplus(found, step, agent_id_of(found.message) or None, reason)
+    return surplus(found, step, found.agent_id or None, reason)
