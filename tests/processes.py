@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import configparser
 import os
 import time
 from collections.abc import Callable
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,3 +44,11 @@ def until(condition: Callable[[], object], what: str, seconds: float = 15.0) -> 
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds:g} s: {what}"
         time.sleep(0.01)
+
+
+def programs(package: str) -> list[EntryPoint]:
+    """Return the programs that a package installs, from its setup.cfg."""
+    metadata = configparser.ConfigParser()
+    metadata.read(ROOT / "src" / package / "setup.cfg", encoding="utf-8")
+    lines = metadata.get("options.entry_points", "console_scripts", fallback="").strip().splitlines()
+    return [EntryPoint(*line.split(" = "), "console_scripts") for line in lines]

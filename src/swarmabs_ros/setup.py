@@ -1,20 +1,3 @@
-from setuptools import find_packages, setup
+from setuptools import setup
 
-PACKAGE = "swarmabs_ros"
-
-setup(
-    name=PACKAGE,
-    version="0.1.0",
-    description="What the ROS nodes of swarmabs share",
-    maintainer="swarmabs maintainers",
-    maintainer_email="maintainers@swarmabs.example",
-    license="Apache-2.0",
-    packages=find_packages(),
-    package_data={PACKAGE: ["py.typed"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
-        (f"share/{PACKAGE}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    zip_safe=False,
-)
+setup()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.docs.pages import ROOT, read, rows, section
+from tests.processes import programs
 
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_run_folder
@@ -99,8 +100,7 @@ def test_nodes_are_those_of_a_run(launch_file: Any, tmp_path: Path) -> None:
 def test_executables_are_installed(launch_file: Any, tmp_path: Path) -> None:
     for node in of_kind(actions(launch_file, out=str(tmp_path / "run")), "Node"):
         package, name = node.named["package"], node.named["executable"]
-        setup = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
-        assert f'"{name} = {package}' in setup
+        assert any(program.name == name and program.module.startswith(f"{package}.") for program in programs(package))
 
 
 def test_the_end_of_any_node_ends_the_launch(launch_file: Any, tmp_path: Path) -> None:

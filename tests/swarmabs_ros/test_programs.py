@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from importlib.metadata import EntryPoint
 
 import pytest
-from tests.processes import ROOT
+from tests.processes import ROOT, programs
 
-PROGRAMS = [
-    EntryPoint(name, target, "console_scripts")
-    for path in sorted((ROOT / "src").glob("*/setup.py"))
-    for name, target in re.findall(r'"(\w+) = ([\w.]+:\w+)"', path.read_text(encoding="utf-8"))
-]
+PROGRAMS = [program for path in sorted((ROOT / "src").glob("*/setup.cfg")) for program in programs(path.parent.name)]
 
 
 def test_every_node_has_a_program_for_lockstep_and_one_for_real_time() -> None:

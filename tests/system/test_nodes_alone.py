@@ -6,11 +6,10 @@ import os
 import signal
 import subprocess
 import sys
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from tests.processes import ROOT, until
+from tests.processes import programs, until
 from tests.system.helpers import LONGEST
 
 from swarmabs_ros.status import REPORT_FD, START_FD
@@ -26,10 +25,8 @@ NODES = {
 
 
 def console_script(package: str) -> str:
-    """Return the program that the package's console script runs, from its setup.py."""
-    text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
-    (line,) = (line.strip(' ",\n') for line in text.splitlines() if f'"{package} = ' in line)
-    entry = EntryPoint(package, line.partition(" = ")[2], "console_scripts")
+    """Return the program that the package's console script runs, from its setup.cfg."""
+    (entry,) = (program for program in programs(package) if program.name == package)
     return f"import sys; from {entry.module} import {entry.attr}; sys.exit({entry.attr}())"
 
 
