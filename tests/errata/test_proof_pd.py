@@ -25,6 +25,7 @@ from tests.errata.paper import (
 )
 
 from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.theory import check_scenario, setting
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.behaviours import Controller, ControllerConfig
 from swarmabs_core.controllers.feedback import StateFeedback
@@ -33,7 +34,6 @@ from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
 from swarmabs_core.theory.attraction import estimate, radius_squared
-from swarmabs_core.theory.check import check_scenario
 from swarmabs_core.theory.constraint_sets import StateClass, classify
 from swarmabs_core.theory.level_set import matrix_eigenvalues, potential
 
@@ -150,7 +150,7 @@ def test_eta_of_the_theorem() -> None:
     half_inertia = (INERTIA + CURVE.inertia(TORQUE_MAX)) / 2.0
     printed, right = region(max(1.0, half_inertia)), region(max(0.5, half_inertia))
     assert (printed, right) == pytest.approx((0.02, 0.04))
-    own = estimate(find_scenario("pd_si_4"))
+    own = estimate(setting(find_scenario("pd_si_4")))
     assert own is not None
     assert (own.printed, own.corrected) == pytest.approx((printed, right))
     assert largest_v(printed) < 0.51 * level  # not the largest ball
@@ -165,7 +165,7 @@ def test_printed_region_needs_another_torque_limit() -> None:
     for eta in (max(1.0, half_inertia), max(0.5, half_inertia)):
         assert abs(region(eta) - printed) > 0.007
     assert region(max(0.5, half_inertia)) == pytest.approx(0.04)
-    own = estimate(find_scenario("pd_si_4"))
+    own = estimate(setting(find_scenario("pd_si_4")))
     assert own is not None
     assert own.corrected == pytest.approx(0.04)
     with_more = (INERTIA + CURVE.inertia(7.5)) / 2.0
@@ -224,7 +224,7 @@ def test_initial_abstract_error() -> None:
     assert isinstance(desired, DesiredAbstractState)
     total = abstraction([Weight(float(m), float(p), 0.0) for m, p in zip(MASS, POSITION, strict=True)], GRAVITY)
     assert (desired.torque - total.torque, desired.inertia - total.inertia) == pytest.approx(truth, abs=1e-12)
-    own = estimate(find_scenario("pd_si_4"))
+    own = estimate(setting(find_scenario("pd_si_4")))
     assert own is not None
     assert own.error_squared(0.1, 0.0) == pytest.approx(0.01 + truth[0] ** 2 + truth[1] ** 2)
 

@@ -36,7 +36,7 @@ def check(
 
     from swarmabs_analysis.theory_table import render  # noqa: PLC0415
     from swarmabs_config.scenarios import find_scenario  # noqa: PLC0415
-    from swarmabs_core.theory.check import check_scenario  # noqa: PLC0415
+    from swarmabs_config.theory import check_scenario  # noqa: PLC0415
 
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")

@@ -244,7 +244,7 @@ def _carry_out(
     from swarmabs_bag.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415 - slow, not for --help
     from swarmabs_bag.splitting import Split  # noqa: PLC0415
     from swarmabs_config.scenarios import find_scenario, names_bag  # noqa: PLC0415
-    from swarmabs_core.theory.check import check_scenario  # noqa: PLC0415
+    from swarmabs_config.theory import check_scenario  # noqa: PLC0415
     from swarmabs_core.theory.warnings import theory_warnings  # noqa: PLC0415
     from swarmabs_run.summary import Times, summarise, summary_table  # noqa: PLC0415
 

@@ -11,9 +11,9 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_config.scenario import Scenario, parse_scenario
+from swarmabs_config.theory import check_scenario
 from swarmabs_core.friction import Friction
 from swarmabs_core.theory.arise_conditions import error_gradient
-from swarmabs_core.theory.check import check_scenario
 from swarmabs_core.theory.report import Condition, Report, Theorem, Verdict
 from swarmabs_core.theory.warnings import theory_warnings
 

@@ -11,8 +11,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from swarmabs_analysis.report.formatting import counted, printable_lines, sentence, shown
 from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_config.scenario import dump_scenario
+from swarmabs_config.theory import check_scenario
 from swarmabs_core.messages import EventKind, Kind, SwarmEvent, said
-from swarmabs_core.theory.check import check_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

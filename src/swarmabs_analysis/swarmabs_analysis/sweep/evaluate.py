@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_bag.recording import Digest, Metrics
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.theory import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.theory.attraction import estimate
 from swarmabs_run.simulation import simulated_steps
@@ -96,7 +97,7 @@ def _run(scenario: Scenario) -> dict[str, Any]:
 
 def _estimates(scenario: Scenario, angle_max: float) -> dict[str, Any]:
     """Say whether the initial state is in the estimates of the region of attraction."""
-    found = estimate(scenario, angle_max)
+    found = estimate(setting(scenario, angle_max))
     if found is None:
         return {}
     squared = found.error_squared(scenario.plane.angle, scenario.plane.angular_velocity)

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.theory import setting
 from swarmabs_core.theory.attraction import Estimate, estimate
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def _draw(study: Study, rows: Mapping[int, Mapping[str, Any]], x: str, y: str) -
     show = _fields if fields else _markers
     estimated = None
     if {x, y} == set(sweep.parameters) == {ANGLE, ANGULAR_VELOCITY}:
-        estimated = estimate(parse_scenario(study.scenario), sweep.attraction.angle_max)
+        estimated = estimate(setting(parse_scenario(study.scenario), sweep.attraction.angle_max))
     figure = Figure(figsize=(7.6, 5.6) if estimated is None else (10.4, 5.6), dpi=150, layout="constrained")
     ratios = [1.0] if estimated is None else [1.9, 1.0]
     panels: list[Axes] = list(figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0])

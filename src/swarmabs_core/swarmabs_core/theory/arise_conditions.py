@@ -93,15 +93,15 @@ class Reference:
 
 def reference_bounds(setting: Setting, law: Arise) -> Reference:
     """Return the bounds along the reference from the start to the end of the scenario."""
-    times = np.linspace(0.0, setting.scenario.duration, SAMPLES)
+    times = np.linspace(0.0, setting.duration, SAMPLES)
     angle, w, dw, ddw = (
         np.array(values) for values in list(zip(*map(law.trajectory.derivatives, times.tolist()), strict=True))[:4]
     )
-    disturbance = np.array([setting.disturbance(t) for t in times.tolist()])
+    disturbance = np.array(setting.plane.disturbance.torques(times.tolist()))
     friction = np.array([setting.friction.torque(rate) for rate in w.tolist()])
     inertia = np.full_like(times, setting.manifold.offset)
     for _ in range(5):  # the torque depends weakly on the inertia that belongs to it
-        torque = -((setting.scenario.plane.inertia + inertia) * dw + friction + disturbance) / np.cos(angle)
+        torque = -((setting.plane.inertia + inertia) * dw + friction + disturbance) / np.cos(angle)
         inertia = setting.manifold.curvature * torque**2 + setting.manifold.offset
 
     def rate(values: Array) -> Array:
@@ -170,7 +170,7 @@ def check_arise(setting: Setting) -> AriseCheck | None:
     law = setting.law
     if not isinstance(law, Arise):
         return None
-    g, manifold, inertia = law.gains, setting.manifold, setting.scenario.plane.inertia
+    g, manifold, inertia = law.gains, setting.manifold, setting.plane.inertia
     bounds = reference_bounds(setting, law)
     slope = setting.friction.slope_at_rest()
     eta3 = min(2.0 * g.alpha1 - 1.0, g.alpha2 - 1.0, 1.0)
@@ -269,7 +269,7 @@ class _Ball:
 
     def initial_state(self) -> tuple[float, ...]:
         """Return e1, e2, r, the errors of the abstract state (with rates for double integrators), lambda~, sqrt P."""
-        g, plane, f = self.law.gains, self.setting.scenario.plane, self.setting.friction
+        g, plane, f = self.law.gains, self.setting.plane, self.setting.friction
         angle, rate, acceleration, _, _ = self.law.trajectory.derivatives(0.0)
         e1, de1 = angle - plane.angle, rate - plane.angular_velocity
         e2 = de1 + g.alpha1 * e1
@@ -283,7 +283,7 @@ class _Ball:
 
     def _coefficients(self) -> tuple[float, float]:
         """Return eta1 and eta2."""
-        inertia, manifold = self.setting.scenario.plane.inertia, self.setting.manifold
+        inertia, manifold = self.setting.plane.inertia, self.setting.manifold
         gamma = self.law.gains.gamma
         largest = 1.0 / min(gamma) if min(gamma) > 0.0 else inf
         return (
@@ -293,7 +293,7 @@ class _Ball:
 
     def printed(self) -> float:
         """Return the largest square of the norm as printed, with c_max the slope of the friction."""
-        g, k = self.law.gains, self.setting.scenario.swarm.gains.k
+        g, k = self.law.gains, self.setting.gains.k
         if g.ks <= 0.0:
             return 0.0
         argument = 2.0 * self.eta3 - self.slope / (2.0 * g.ks) + 2.0 * min(k)
@@ -319,7 +319,7 @@ class _Ball:
 
     def _swarm(self) -> tuple[float, float, float, float]:
         """Return least and largest coefficient of V_a, decay of V_a and the gain of e_tau' in E, of the slower part."""
-        gains, epsilon = self.setting.scenario.swarm.gains, self.setting.epsilon
+        gains, epsilon = self.setting.gains, self.setting.epsilon
         parts = []
         if self.setting.has_single:
             parts.append((0.5, 0.5, min(gains.k), gains.k[0]))

@@ -13,13 +13,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_config import configure
-from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.controllers.feedback import StateFeedback
+from swarmabs_core.messages import PlaneState
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import Scenario
-    from swarmabs_core.manifold import Manifold
+    from swarmabs_core.theory.setting import Setting
 
 ANGLE_MAX = 0.2
 """The paper's bound theta_max of the angle, rad."""
@@ -49,25 +47,17 @@ def radius_squared(angle_max: float, eta: float) -> float:
 
 
 class Estimate(NamedTuple):
-    """The estimates for one scenario, as functions of the plane's initial state.
+    """The estimates for one setting, as functions of the plane's initial state.
 
     Parameters
     ----------
-    k1, k2 : float
-        Gains of the parent controller, N m/rad and N m s/rad.
-    torque, inertia : float
-        The swarm's initial abstract state, N m and kg m^2.
-    manifold : Manifold
-        Where the desired abstract state lies.
+    setting : Setting
+        The setting; the swarm's initial abstract state is its own.
     printed, corrected : float
         Largest |z|^2 of the printed and of the corrected estimate.
     """
 
-    k1: float
-    k2: float
-    torque: float
-    inertia: float
-    manifold: Manifold
+    setting: Setting
     printed: float
     corrected: float
 
@@ -76,35 +66,21 @@ class Estimate(NamedTuple):
 
         The desired abstract state starts, unfiltered, at the limited torque that the controller asks for.
         """
-        wanted = self.manifold.clip(self.k1 * angle + self.k2 * angular_velocity)
-        e_torque = wanted - self.torque
-        e_inertia = self.manifold.inertia(wanted) - self.inertia
+        manifold, swarm = self.setting.manifold, self.setting.initial
+        wanted = manifold.clip(self.setting.law.torque(0.0, PlaneState(0, 0, angle, angular_velocity)))
+        e_torque = wanted - swarm.torque
+        e_inertia = manifold.inertia(wanted) - swarm.inertia
         return angle * angle + angular_velocity * angular_velocity + e_torque * e_torque + e_inertia * e_inertia
 
 
-def estimate(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Estimate | None:
-    """Return the estimates for a scenario; None if its parent controller is no state feedback.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; robots that join later are not in its initial state.
-    angle_max : float
-        Bound theta_max of the angle, rad.
-    """
-    law = configure.parent_controller(scenario)
-    if not isinstance(law, StateFeedback):
+def estimate(setting: Setting) -> Estimate | None:
+    """Return the estimates for a setting; None if its parent controller is no state feedback."""
+    if not isinstance(setting.law, StateFeedback):
         return None
-    manifold = configure.manifold(scenario)
-    robots = [Weight(agent.mass, agent.position, agent.velocity) for agent in scenario.initial_agents]
-    swarm = abstraction(robots, scenario.plane.gravity)
-    inertias = (scenario.plane.inertia, manifold.inertia(manifold.torque_max))
+    manifold = setting.manifold
+    inertias = (setting.plane.inertia, manifold.inertia(manifold.torque_max))
     return Estimate(
-        law.k1,
-        law.k2,
-        swarm.torque,
-        swarm.inertia,
-        manifold,
-        radius_squared(angle_max, printed_eta(*inertias)),
-        radius_squared(angle_max, corrected_eta(*inertias)),
+        setting,
+        radius_squared(setting.angle_max, printed_eta(*inertias)),
+        radius_squared(setting.angle_max, corrected_eta(*inertias)),
     )

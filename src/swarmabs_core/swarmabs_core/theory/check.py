@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmabs_core.robot_controller import Limits
 from swarmabs_core.theory.arise_conditions import AriseCheck, check_arise
-from swarmabs_core.theory.attraction import ANGLE_MAX
 from swarmabs_core.theory.feedback_conditions import FeedbackCheck, check_feedback
 from swarmabs_core.theory.general_conditions import abstract_states, constrained_conditions, constraints
 from swarmabs_core.theory.report import Condition, Form, Report, Theorem
 from swarmabs_core.theory.sampled_conditions import sampled_conditions
-from swarmabs_core.theory.setting import Setting
 from swarmabs_core.theory.swarm_conditions import inertia_swing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from swarmabs_config.scenario import Scenario
     from swarmabs_core.theory.general_conditions import Constraints
     from swarmabs_core.theory.report import Document
-    from swarmabs_core.theory.setting import SwarmKind
+    from swarmabs_core.theory.setting import Setting, SwarmKind
 
 _SWARMS: dict[SwarmKind, str] = {
     "SI": "single integrators",
@@ -28,27 +26,18 @@ _SWARMS: dict[SwarmKind, str] = {
 }
 
 
-def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
-    """Evaluate the paper's theorems, and what a run in sampled time needs beyond them, for a scenario.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; only its initial state, its gains and its faults' kinds matter, nothing is simulated.
-    angle_max : float
-        The bound theta_max of the angle in the theorems of state feedback, rad, below pi/2.
-    """
-    setting = Setting(scenario, angle_max)
+def check(setting: Setting) -> Report:
+    """Evaluate the paper's theorems, and what a run in sampled time needs beyond them; nothing is simulated."""
     feedback, arise = check_feedback(setting), check_arise(setting)
     found = constraints(setting, feedback.torque if feedback else setting.manifold.torque_max)
     parent: FeedbackCheck | AriseCheck | None = feedback or arise
     swing = inertia_swing(setting)
     attraction: dict[str, Document] = dict(parent.attraction) if parent else {}
     return Report(
-        scenario.name,
-        scenario.controller.type,
+        setting.scenario,
+        setting.controller,
         _SWARMS[setting.kind],
-        angle_max,
+        setting.angle_max,
         (*_six(setting, feedback, arise), *_general(setting, found, feedback, arise)),
         Theorem(
             "sampled_time",
@@ -63,7 +52,7 @@ def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
 
 def _six(setting: Setting, feedback: FeedbackCheck | None, arise: AriseCheck | None) -> Iterator[Theorem]:
     """Yield the theorems of controllers and swarms in the paper's order."""
-    controller = setting.scenario.controller.type
+    controller = setting.controller
     order: tuple[tuple[str, SwarmKind], ...] = (
         ("LQR", "SI"),
         ("ARISE", "SI"),
@@ -97,7 +86,7 @@ def _general(
     parent = feedback or arise
     if parent is None:
         for label, title in names:
-            yield Theorem(label, title, note=f"no Lyapunov function is known for {setting.scenario.controller.type}")
+            yield Theorem(label, title, note=f"no Lyapunov function is known for {setting.controller}")
         return
     (initial,) = [condition for condition in parent.conditions if condition.name == "initial state"]
     yield Theorem(*names[0], (_definite(feedback, arise), initial))
@@ -134,14 +123,14 @@ def _definite(feedback: FeedbackCheck | None, arise: AriseCheck | None) -> Condi
 
 def _notes(setting: Setting) -> Iterator[str]:
     """Say what the theory leaves out of this scenario."""
-    scenario = setting.scenario
+    robot = setting.robots[0]
     yield (
         "all theorems are about continuous time without the command filter; the limits of sampled time are those of "
         "loops linearised at 0"
     )
-    if scenario.limits.velocity is not None or scenario.limits.force is not None:
+    if robot.limits != Limits():
         yield "no theorem knows the limits of the drives"
-    if scenario.plane.robot_gravity and setting.has_double:
+    if robot.feels_gravity and setting.has_double:
         yield "plane.robot_gravity: the theorems leave out gravity along the plane, which destabilises"
-    if scenario.faults:
+    if setting.faulty:
         yield "no theorem knows faults, losses or changing members; only the initial swarm and a delay are checked"

@@ -64,13 +64,13 @@ def check_feedback(setting: Setting) -> FeedbackCheck | None:
     law = setting.law
     if not isinstance(law, StateFeedback):
         return None
-    plane, manifold = setting.scenario.plane, setting.manifold
+    plane, manifold = setting.plane, setting.manifold
     loop = Loop(law.k1, law.k2, plane.inertia, setting.friction, manifold, setting.errors)
     region = level_set(loop, setting.angle_max)
     largest = manifold.inertia(manifold.torque_max)
     printed_square = radius_squared(setting.angle_max, printed_eta(plane.inertia, largest))
     corrected_square = radius_squared(setting.angle_max, corrected_eta(plane.inertia, largest))
-    inertia_rate = printed_inertia_rate(loop, setting.scenario.swarm.gains.k[1], sqrt(printed_square))
+    inertia_rate = printed_inertia_rate(loop, setting.gains.k[1], sqrt(printed_square))
     error = setting.initial_error
     square = plane.angle**2 + plane.angular_velocity**2 + error[0] ** 2 + error[1] ** 2
     if setting.has_double:

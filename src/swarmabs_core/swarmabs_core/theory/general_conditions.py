@@ -46,8 +46,8 @@ def constraints(setting: Setting, torque: float) -> Constraints:
     value, and all positions with such a torque and inertia are looked at.
     """
     bounds = _largest_error(setting, 0), _largest_error(setting, 1)
-    masses = [agent.mass for agent in setting.scenario.initial_agents]
-    gravity, manifold = setting.scenario.plane.gravity, setting.manifold
+    masses = setting.masses
+    gravity, manifold = setting.plane.gravity, setting.manifold
     positions = []
     for index in range(GRID + 1):
         swarm = (torque + bounds[0]) * index / GRID
@@ -57,7 +57,7 @@ def constraints(setting: Setting, torque: float) -> Constraints:
 
 
 def _largest_error(setting: Setting, axis: int) -> float:
-    gains = setting.scenario.swarm.gains
+    gains = setting.gains
     error, rate = setting.initial_error[axis], setting.initial_error_rate[axis]
     if not setting.has_double:
         return abs(error)
@@ -89,8 +89,8 @@ def constrained_conditions(
     growths : tuple of float
         g_p and g_a of ``V_p >= g_p abs(z_p)^2`` and ``V_a >= g_a abs(e_a)^2``.
     """
-    plane, manifold = setting.scenario.plane, setting.manifold
-    masses = [agent.mass for agent in setting.scenario.initial_agents]
+    plane, manifold = setting.plane, setting.manifold
+    masses = setting.masses
     room = manifold_clearance(
         manifold.curvature, manifold.offset, manifold.torque_max, masses, plane.length, plane.gravity
     )
@@ -124,8 +124,8 @@ def constrained_conditions(
 
 def abstract_states(setting: Setting, found: Constraints) -> dict[str, Document]:
     """Return how initial, desired and reached abstract states lie in the constraint sets."""
-    plane, manifold, initial = setting.scenario.plane, setting.manifold, setting.initial
-    masses = [agent.mass for agent in setting.scenario.initial_agents]
+    plane, manifold, initial = setting.plane, setting.manifold, setting.initial
+    masses = setting.masses
     desired = setting.desired_torque
 
     def state(torque: float, inertia: float) -> dict[str, Document]:
@@ -148,7 +148,7 @@ def abstract_states(setting: Setting, found: Constraints) -> dict[str, Document]
         "manifold_in_A_A": reach.admissible >= torque_max,
         "manifold_in_A_A_or_A_P": reach.reachable.lower >= torque_max,
         "half_length": plane.length / 2.0,
-        "lane_end_margin": plane.length / 2.0 - max(abs(agent.position) for agent in setting.scenario.initial_agents),
+        "lane_end_margin": plane.length / 2.0 - max(abs(robot.position) for robot in setting.initial_robots),
         "assumed_torque": found.torque,
         "largest_position": finite(found.position),
         "margin": finite(plane.length / 2.0 - found.position) if found.position < inf else None,

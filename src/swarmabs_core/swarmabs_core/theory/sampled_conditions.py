@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.controllers.arise import Arise
 from swarmabs_core.controllers.feedback import StateFeedback
+from swarmabs_core.messages import Kind
 from swarmabs_core.theory import sampled_data
 from swarmabs_core.theory.report import Condition, Form
 
@@ -19,27 +20,26 @@ Pair = tuple[float, float]
 
 def sampled_conditions(setting: Setting) -> Iterator[Condition]:
     """Yield for each loop the limits of period and delay, and whether the scenario keeps them."""
-    scenario = setting.scenario
-    delay = max((fault.steps for fault in scenario.faults if fault.kind == "delay"), default=0)
+    delay, step = setting.delay, setting.period
     for name, loop, note in _loops(setting):
         # Beyond the longest one no delay is within its limit, and the matrix of the loop may be too large.
         considered = min(delay, sampled_data.LONGEST_DELAY)
         period = sampled_data.largest_period(loop, considered)
-        steps = sampled_data.largest_delay(loop, scenario.period)
+        steps = sampled_data.largest_delay(loop, step)
         bound = sampled_data.LONGEST_PERIOD if period is None else period
         yield Condition(
             f"period, {name}",
             None,
-            Form(f"step < limit with a delay of {considered}", scenario.period, bound, "<"),
-            {"period": scenario.period, "largest_period": bound, "delay": considered},
+            Form(f"step < limit with a delay of {considered}", step, bound, "<"),
+            {"period": step, "largest_period": bound, "delay": considered},
             note if period is not None else f"stable up to {bound:g} s; {note}",
         )
         longest = sampled_data.LONGEST_DELAY if steps is None else steps
         yield Condition(
             f"delay, {name}",
             None,
-            Form(f"delay <= limit at {scenario.period:g} s, in steps", delay, longest, "<="),
-            {"delay": delay, "largest_delay": longest, "period": scenario.period},
+            Form(f"delay <= limit at {step:g} s, in steps", delay, longest, "<="),
+            {"delay": delay, "largest_delay": longest, "period": step},
             note if steps is not None else f"stable up to {longest} steps; {note}",
         )
     if setting.has_double:
@@ -47,8 +47,8 @@ def sampled_conditions(setting: Setting) -> Iterator[Condition]:
 
 
 def _loops(setting: Setting) -> Iterator[tuple[str, sampled_data.Loop, str]]:
-    gains = setting.scenario.swarm.gains
-    inertia = setting.scenario.plane.inertia + setting.manifold.offset
+    gains = setting.gains
+    inertia = setting.plane.inertia + setting.manifold.offset
     kinds: list[tuple[str, float, float | None]] = []
     if setting.has_single:
         yield "SI errors", sampled_data.single_integrator_loop(max(gains.k)), "e[k+1] = e[k] - K h e[k-n], largest K"
@@ -85,17 +85,17 @@ def _linear_law(setting: Setting) -> tuple[Pair, Pair, str] | None:
 
 def _added_damping(setting: Setting) -> Condition:
     """Return the condition on the robots' own damping k_sd, which acts on the velocity of the step."""
-    period, ksd = setting.scenario.period, setting.scenario.swarm.gains.ksd
+    period, ksd = setting.period, setting.gains.ksd
     limits = []
-    for agent in setting.scenario.agents:
-        if agent.kind == "double_integrator":
-            limit = sampled_data.largest_period(sampled_data.added_damping_loop(agent.mass, agent.damping, ksd))
-            limits.append((sampled_data.LONGEST_PERIOD if limit is None else limit, agent.id))
-    least, robot = min(limits)
+    for robot in setting.robots:
+        if robot.kind is Kind.DOUBLE_INTEGRATOR:
+            limit = sampled_data.largest_period(sampled_data.added_damping_loop(robot.mass, robot.damping, ksd))
+            limits.append((sampled_data.LONGEST_PERIOD if limit is None else limit, robot.agent_id))
+    least, slowest = min(limits)
     return Condition(
         "period, added damping",
         None,
         Form("step < limit of the robot with the least", period, least, "<"),
-        {"period": period, "largest_period": least, "ksd": ksd, "robot": robot},
+        {"period": period, "largest_period": least, "ksd": ksd, "robot": slowest},
         "m v' = -c v - k_sd v[k]: motion that torque and inertia do not see",
     )

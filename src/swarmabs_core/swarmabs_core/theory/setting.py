@@ -1,15 +1,14 @@
-"""What the conditions of all theorems are evaluated for: a scenario and its initial state."""
+"""What the conditions of all theorems are evaluated for: how the nodes are configured, and the initial state."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, sin
+from math import cos
 from typing import TYPE_CHECKING, Literal
 
-from swarmabs_config import configure
 from swarmabs_core.abstraction import Abstraction, Weight, abstraction
-from swarmabs_core.messages import PlaneState
+from swarmabs_core.messages import Kind, PlaneState
 from swarmabs_core.theory.error_dynamics import (
     ErrorDynamics,
     epsilon_bound,
@@ -20,10 +19,13 @@ from swarmabs_core.theory.error_dynamics import (
 )
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import Scenario
+    from collections.abc import Callable
+
+    from swarmabs_core.behaviours import AgentConfig, PlaneConfig
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.friction import Friction
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.swarm_law import SwarmGains
 
 SwarmKind = Literal["SI", "DI", "noHomo"]
 """Single integrators, double integrators or both, as in the labels of the theorems."""
@@ -37,37 +39,74 @@ class Setting:
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario. Robots that join later are not in its initial state.
+    scenario, controller : str
+        Names of the scenario and of its parent controller.
+    make_law : callable
+        Makes the parent controller.
+    manifold : Manifold
+        Of the desired abstract state.
+    plane : PlaneConfig
+        The plane.
+    robots : tuple of AgentConfig
+        The robots. Those that join later are not in the initial state.
+    duration : float
+        Of the run, s.
+    delay : int
+        Of the broadcasts, in steps.
+    faulty : bool
+        Whether there are faults.
     angle_max : float
         theta_max, rad.
     """
 
-    scenario: Scenario
+    scenario: str
+    controller: str
+    make_law: Callable[[], ParentController]
+    manifold: Manifold
+    plane: PlaneConfig
+    robots: tuple[AgentConfig, ...]
+    duration: float
+    delay: int
+    faulty: bool
     angle_max: float
 
     @cached_property
     def law(self) -> ParentController:
         """The parent controller."""
-        return configure.parent_controller(self.scenario)
+        return self.make_law()
 
-    @cached_property
-    def manifold(self) -> Manifold:
-        """The manifold of the desired abstract state."""
-        return configure.manifold(self.scenario)
-
-    @cached_property
+    @property
     def friction(self) -> Friction:
         """The friction of the bearing."""
-        return configure.friction(self.scenario)
+        return self.plane.friction
+
+    @property
+    def gains(self) -> SwarmGains:
+        """The gains of the swarm."""
+        return self.robots[0].gains
+
+    @property
+    def period(self) -> float:
+        """The control period, s."""
+        return self.plane.period_ns / 1e9
+
+    @cached_property
+    def initial_robots(self) -> tuple[AgentConfig, ...]:
+        """The robots that are there at the start."""
+        return tuple(robot for robot in self.robots if robot.life.first_step == 0)
+
+    @cached_property
+    def masses(self) -> list[float]:
+        """Their masses, kg."""
+        return [robot.mass for robot in self.initial_robots]
 
     @cached_property
     def kind(self) -> SwarmKind:
         """The kind of the swarm, with the robots that join later."""
-        kinds = {agent.kind for agent in self.scenario.agents}
+        kinds = {robot.kind for robot in self.robots}
         if len(kinds) > 1:
             return "noHomo"
-        return "SI" if "single_integrator" in kinds else "DI"
+        return "SI" if Kind.SINGLE_INTEGRATOR in kinds else "DI"
 
     @property
     def has_single(self) -> bool:
@@ -82,8 +121,8 @@ class Setting:
     @cached_property
     def initial(self) -> Abstraction:
         """The initial abstract state."""
-        robots = [Weight(agent.mass, agent.position, agent.velocity) for agent in self.scenario.initial_agents]
-        return abstraction(robots, self.scenario.plane.gravity)
+        robots = [Weight(robot.mass, robot.position, robot.velocity) for robot in self.initial_robots]
+        return abstraction(robots, self.plane.gravity)
 
     @cached_property
     def initial_error(self) -> Pair:
@@ -100,14 +139,13 @@ class Setting:
     @cached_property
     def desired_torque(self) -> float:
         """The torque (N m) that a fresh controller asks for at the start, limited."""
-        plane = self.scenario.plane
-        law = configure.parent_controller(self.scenario)
-        return self.manifold.clip(law.torque(0.0, PlaneState(0, 0, plane.angle, plane.angular_velocity)))
+        plane = PlaneState(0, 0, self.plane.angle, self.plane.angular_velocity)
+        return self.manifold.clip(self.make_law().torque(0.0, plane))
 
     @cached_property
     def initial_acceleration(self) -> float:
         """The initial angular acceleration of the plane, rad/s^2; the disturbance begins at 0."""
-        plane = self.scenario.plane
+        plane = self.plane
         opposing = (
             cos(plane.angle) * self.initial.torque
             + self.initial.inertia_rate * plane.angular_velocity
@@ -118,7 +156,7 @@ class Setting:
     @cached_property
     def epsilon_bound(self) -> float:
         """The corrected bound of epsilon over both axes, 1/s."""
-        gains = self.scenario.swarm.gains
+        gains = self.gains
         return min(epsilon_bound(kp, kd) for kp, kd in zip(gains.kp, gains.kd, strict=True))
 
     @property
@@ -129,7 +167,7 @@ class Setting:
     @cached_property
     def errors(self) -> ErrorDynamics:
         """How the swarm follows its desired state; of a mixed swarm what holds for both parts."""
-        gains = self.scenario.swarm.gains
+        gains = self.gains
         single, double = first_order(gains.k), second_order(gains.kp, gains.kd, self.epsilon)
         if self.kind == "noHomo":
             return single.with_other(double)
@@ -142,9 +180,7 @@ class Setting:
         if self.has_single:
             total += first_order_energy(self.initial_error)
         if self.has_double:
-            total += second_order_energy(
-                self.scenario.swarm.gains.kp, self.epsilon, self.initial_error, self.initial_error_rate
-            )
+            total += second_order_energy(self.gains.kp, self.epsilon, self.initial_error, self.initial_error_rate)
         return total
 
     @cached_property
@@ -152,10 +188,5 @@ class Setting:
         """The largest g of V_a >= g abs(e_a)^2."""
         growths = [0.5] if self.has_single else []
         if self.has_double:
-            growths.append((min(self.scenario.swarm.gains.kp) - self.epsilon**2) / 2.0)
+            growths.append((min(self.gains.kp) - self.epsilon**2) / 2.0)
         return min(growths)
-
-    def disturbance(self, time: float) -> float:
-        """Return tau_d (N m) at a time in s."""
-        wave = self.scenario.plane.disturbance
-        return wave.amplitude * sin(wave.angular_frequency * time)

@@ -19,7 +19,7 @@ RESERVE = 0.5
 
 def swarm_conditions(setting: Setting) -> Iterator[Condition]:
     """Yield the conditions that the theorems put on the swarm's gains."""
-    gains = setting.scenario.swarm.gains
+    gains = setting.gains
     if setting.has_single:
         form = Form("K > 0", min(gains.k), 0.0)
         yield Condition("K", form, form, {"k": gains.k})
@@ -44,7 +44,7 @@ def inertia_swing(setting: Setting) -> Condition | None:
     """
     if not setting.has_double:
         return None
-    gains, offset = setting.scenario.swarm.gains, setting.manifold.offset
+    gains, offset = setting.gains, setting.manifold.offset
     kp, kd = gains.kp[1], gains.kd[1]
     excess, rate = -setting.initial_error[1], -setting.initial_error_rate[1]
     swing = deepest_swing(kp, kd, excess, rate)

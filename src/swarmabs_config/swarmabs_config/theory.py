@@ -1,0 +1,44 @@
+"""From a scenario to what the theory says of it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from swarmabs_config import configure
+from swarmabs_core.theory.attraction import ANGLE_MAX
+from swarmabs_core.theory.check import check
+from swarmabs_core.theory.setting import Setting
+
+if TYPE_CHECKING:
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.theory.report import Report
+
+
+def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
+    """Return a scenario as the theory sees it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario; only its initial state, its gains and its faults' kinds matter.
+    angle_max : float
+        The bound theta_max of the angle in the theorems of state feedback, rad, below pi/2.
+    """
+    return Setting(
+        scenario=scenario.name,
+        controller=scenario.controller.type,
+        make_law=partial(configure.parent_controller, scenario),
+        manifold=configure.manifold(scenario),
+        plane=configure.plane_config(scenario),
+        robots=configure.agent_configs(scenario),
+        duration=scenario.duration,
+        delay=max((fault.steps for fault in scenario.faults if fault.kind == "delay"), default=0),
+        faulty=bool(scenario.faults),
+        angle_max=angle_max,
+    )
+
+
+def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
+    """Evaluate the paper's theorems, and what a run in sampled time needs beyond them; arguments as of `setting`."""
+    return check(setting(scenario, angle_max))
