@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.swarmabs_core.theory.preimages import preimage_positions, sampled_class
 
-from swarmabs_core.theory.constraint_samples import (
-    abstract_states,
-    box_positions,
-    classify_points,
-    preimage_positions,
-    sampled_class,
-)
+from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions, classify_points
 from swarmabs_core.theory.constraint_sets import StateClass, classify
 
 G = 9.81

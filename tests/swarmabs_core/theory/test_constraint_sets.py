@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize
+from tests.swarmabs_core.theory.preimages import preimage_positions
 
-from swarmabs_core.theory.constraint_samples import abstract_states, box_positions, preimage_positions
+from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions
 from swarmabs_core.theory.constraint_sets import (
     Bracket,
     StateClass,

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions, classify_points
 from swarmabs_analysis.figures.style import BLACK, BLUE, COLUMN, DASHED, GREEN, GREY, PURPLE, SKY, SOLID, VERMILION
 from swarmabs_config import configure
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.theory.constraint_samples import abstract_states, box_positions, classify_points
 from swarmabs_core.theory.constraint_sets import (
     StateClass,
     box_edges,

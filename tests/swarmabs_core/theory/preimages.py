@@ -1,4 +1,4 @@
-"""The constraint sets by sampling: points for figures, and a check of the closed forms that knows the definition only.
+"""A check of the closed forms of the constraint sets that knows the definition only.
 
 The preimage of (tau, J) is a sphere of N - 2 dimensions: with T = tau/g and M = sum m it holds the positions
 p = T/M + sqrt(J - T^2/M) u/sqrt(m) for unit vectors u that are orthogonal to the vector of all sqrt(m).
@@ -12,43 +12,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.theory.constraint_sets import StateClass, classify, smallest_inertia
+from swarmabs_core.theory.constraint_sets import StateClass, smallest_inertia
 
 Floats: TypeAlias = NDArray[np.float64]
-Classes: TypeAlias = NDArray[np.object_]
-
-
-def box_positions(masses: Sequence[float], length: float, count: int, seed: int) -> Floats:
-    """Return `count` positions (m) of all robots, uniform on the plane: one row for each, one column per robot."""
-    return np.random.default_rng(seed).uniform(-length / 2, length / 2, (count, len(masses)))
-
-
-def abstract_states(positions: Floats, masses: Sequence[float], gravity: float) -> tuple[Floats, Floats]:
-    """Return torques (N m) and inertias (kg m^2) of positions (m), which have one row for each state."""
-    weights = np.asarray(masses)
-    return gravity * (positions * weights).sum(axis=1), (positions**2 * weights).sum(axis=1)
-
-
-def classify_points(
-    torques: Floats, inertias: Floats, masses: Sequence[float], length: float, gravity: float
-) -> Classes:
-    """Return the `StateClass` of each abstract state, as `classify` does.
-
-    Parameters
-    ----------
-    torques, inertias : array
-        N m and kg m^2, of one shape, which is that of the result.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
-    """
-    pairs = zip(np.ravel(torques).tolist(), np.ravel(inertias).tolist(), strict=True)
-    found = np.empty(np.size(torques), dtype=object)
-    found[:] = [classify(torque, inertia, masses, length, gravity) for torque, inertia in pairs]
-    return found.reshape(np.shape(torques))
 
 
 def preimage_positions(
