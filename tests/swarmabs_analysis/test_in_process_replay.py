@@ -8,7 +8,6 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_analysis.replay.in_process import Replay
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_config.scenario import Scenario
-from swarmabs_core.behaviours.player import NodeName, publisher_of
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, ChangeKind, with_ends
@@ -21,6 +20,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.publishers import NodeName, publisher_of
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import Simulation
 

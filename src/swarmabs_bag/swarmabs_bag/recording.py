@@ -11,7 +11,6 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
-from swarmabs_core.behaviours.player import NodeKind, publisher_of
 from swarmabs_core.behaviours.steered import HELM, Orders
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
@@ -28,6 +27,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.publishers import NodeKind, publisher_of
 from swarmabs_core.record import Record
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, change_of
 

@@ -78,7 +78,7 @@ def _replay(
     from swarmabs_analysis.replay.run import ReplayRun  # noqa: PLC0415 - slow, not for --help
     from swarmabs_analysis.replay.source import open_source  # noqa: PLC0415
     from swarmabs_bag.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
-    from swarmabs_core.behaviours.player import NodeName  # noqa: PLC0415
+    from swarmabs_core.publishers import NodeName  # noqa: PLC0415
     from swarmabs_run.summary import Times, summarise, summary_table  # noqa: PLC0415
 
     nodes = tuple(dict.fromkeys(NodeName.parse(name) for name in names))

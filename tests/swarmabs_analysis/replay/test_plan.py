@@ -10,7 +10,7 @@ from tests.swarmabs_analysis.replay.conftest import SETTINGS
 from swarmabs_analysis.replay.plan import replay_plan
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.behaviours.player import NodeName
+from swarmabs_core.publishers import NodeName
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 
 PROVENANCE = {"of": "it's", "nodes": []}

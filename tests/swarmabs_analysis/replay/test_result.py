@@ -15,7 +15,7 @@ from swarmabs_analysis.replay.table import result_parts
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_core.behaviours.player import NodeName
+from swarmabs_core.publishers import NodeName
 
 
 def shown(result: dict[str, Any]) -> str:

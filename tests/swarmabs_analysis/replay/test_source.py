@@ -15,11 +15,11 @@ from swarmabs_bag.recording import Digest
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.behaviours.player import NodeName
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, SwarmEvent, Topic
+from swarmabs_core.publishers import NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import Simulation
 

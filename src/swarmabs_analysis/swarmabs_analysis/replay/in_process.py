@@ -6,13 +6,14 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from swarmabs_analysis.replay.player import Player
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_core.behaviours import Controller, LifeSpan, Observer, Plane, make_agent
-from swarmabs_core.behaviours.player import NodeKind, NodeName, Player
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT, ChangeKind, with_ends
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, TOPIC_OF, EventKind, SwarmEvent
+from swarmabs_core.publishers import NodeKind, NodeName
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:

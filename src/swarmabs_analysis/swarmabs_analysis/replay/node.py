@@ -6,15 +6,16 @@ import sys
 from pathlib import Path
 
 from swarmabs_analysis.replay.plan import played
+from swarmabs_analysis.replay.player import Player
 from swarmabs_analysis.replay.source import recorded_steps
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
 from swarmabs_config.graph import Endpoints, requested
-from swarmabs_core.behaviours.player import NodeName, Player
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.publishers import NodeName
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 

@@ -6,10 +6,11 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from swarmabs_analysis.replay.player import Player
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, FIRST_SPARE, OBSERVER, PLANE, RECORDER, agent_name
-from swarmabs_core.behaviours.player import NodeKind, Player
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, RECORDING_PROGRESS
+from swarmabs_core.publishers import NodeKind
 from swarmabs_run.orchestration.plan import ProcessPlan, expect_counterparts
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.replay.source import Source
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.behaviours.player import NodeName
     from swarmabs_core.messages import Topic
+    from swarmabs_core.publishers import NodeName
 
 PLAYER = "replay_player"
 

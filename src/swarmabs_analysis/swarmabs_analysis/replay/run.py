@@ -11,8 +11,8 @@ from swarmabs_analysis.replay.source import recorded_steps
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
-from swarmabs_core.behaviours.player import publisher_of
 from swarmabs_core.messages import EVENTS
+from swarmabs_core.publishers import publisher_of
 from swarmabs_run.simulated_run import record_steps
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from swarmabs_analysis.replay.source import Source
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.behaviours.player import NodeName
     from swarmabs_core.membership import Change
+    from swarmabs_core.publishers import NodeName
     from swarmabs_run.orchestration.plan import ProcessPlan
     from swarmabs_run.orchestration.progress import Outcome, Progress
 

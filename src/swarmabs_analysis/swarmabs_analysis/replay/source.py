@@ -13,17 +13,17 @@ from swarmabs_bag.realtime import is_realtime
 from swarmabs_bag.recording import Digest, RecordedStep, RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
-from swarmabs_core.behaviours.player import NodeKind
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, ChangeKind, with_ends
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS
+from swarmabs_core.publishers import NodeKind
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.behaviours.player import NodeName
+    from swarmabs_core.publishers import NodeName
 
 _WINDOW = 1000
 """How many steps are held in memory while one before them is not complete."""

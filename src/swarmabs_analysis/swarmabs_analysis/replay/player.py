@@ -7,12 +7,10 @@ their answers but other nodes under test.
 from __future__ import annotations
 
 from collections import deque
-from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
-from swarmabs_core.desired_state import TORQUE_LIMITED
-from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -24,16 +22,12 @@ from swarmabs_core.messages import (
     PLANE_STATE,
     RECORDING_PROGRESS,
     TOPIC_OF,
-    AgentState,
-    EventKind,
     Message,
     Messages,
     RecordingProgress,
-    SwarmEvent,
     Topic,
 )
-from swarmabs_core.robot_controller import COMMAND_LIMITED
-from swarmabs_core.steering import DISTURBANCE
+from swarmabs_core.publishers import PUBLISHER, NodeKind, NodeName, publisher_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -41,76 +35,8 @@ if TYPE_CHECKING:
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_core.record import Record
 
-
-class NodeKind(str, Enum):
-    """What a node does in the swarm."""
-
-    PLANE = "plane"
-    OBSERVER = "observer"
-    CONTROLLER = "controller"
-    AGENT = "agent"
-
-
-class NodeName(NamedTuple):
-    """A node of a run, in writing ``plane``, ``observer``, ``controller`` or ``agent:N``."""
-
-    kind: NodeKind
-    agent_id: int = 0
-
-    def __str__(self) -> str:
-        return f"{self.kind.value}:{self.agent_id}" if self.kind is NodeKind.AGENT else self.kind.value
-
-    @classmethod
-    def parse(cls, text: str) -> NodeName:
-        """Read a node's name.
-
-        Raises
-        ------
-        InputError
-            If it is none.
-        """
-        kind, colon, number = text.partition(":")
-        try:
-            name = cls(NodeKind(kind), int(number) if colon else 0)
-        except ValueError:
-            name = None
-        if name is None or (name.kind is NodeKind.AGENT) != bool(colon) or str(name) != text:
-            raise InputError(f"no node {text!r}; name controller, observer, plane, or a robot as agent:N")
-        return name
-
-
-PLANE, OBSERVER, CONTROLLER = (NodeName(kind) for kind in (NodeKind.PLANE, NodeKind.OBSERVER, NodeKind.CONTROLLER))
-
-_PUBLISHER = {
-    PLANE_STATE: PLANE,
-    ABSTRACT_STATE: OBSERVER,
-    AUXILIARY_STATE: OBSERVER,
-    DESIRED_ABSTRACT_STATE: CONTROLLER,
-}
 _GATHERED_BY = (PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
 """Topics on which there is an answer only when the states of all robots of its step are there."""
-_ANNOUNCED_BY_OBSERVER = (EventKind.JOINED, EventKind.LEFT, EventKind.DEAD)
-_ANNOUNCED_BY_ROBOTS = (EventKind.SAFE_STOP, EventKind.RECOVERED, EventKind.FAULT_INJECTED)
-
-
-def publisher_of(message: Message) -> NodeName:
-    """Return the node that has published a message of one of the main topics, or an event."""
-    if isinstance(message, AgentState):
-        return NodeName(NodeKind.AGENT, message.agent_id)
-    if isinstance(message, SwarmEvent):
-        return _announcer(message)
-    return _PUBLISHER[TOPIC_OF[type(message)]]
-
-
-def _announcer(event: SwarmEvent) -> NodeName:
-    """Return who has announced an event. A limit may be hit by three nodes, which say so in their own words."""
-    if event.kind in _ANNOUNCED_BY_OBSERVER:
-        return OBSERVER
-    if event.kind in _ANNOUNCED_BY_ROBOTS or event.detail == COMMAND_LIMITED:
-        return NodeName(NodeKind.AGENT, event.agent_id)
-    if event.kind == EventKind.STEERING:
-        return PLANE if event.detail == DISTURBANCE else CONTROLLER
-    return PLANE if event.kind == EventKind.LIMIT_HIT and event.detail != TORQUE_LIMITED else CONTROLLER
 
 
 class _Key(NamedTuple):
@@ -180,7 +106,7 @@ class Player:
         self._newest: dict[Topic, _Heard] = {}
         robots = any(name.kind is NodeKind.AGENT for name in live)
         self.hears = tuple(
-            topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or _PUBLISHER.get(topic) in self._live
+            topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or PUBLISHER.get(topic) in self._live
         )
         if window:
             self.hears = (*self.hears, RECORDING_PROGRESS)

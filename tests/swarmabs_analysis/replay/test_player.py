@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 from tests.swarmabs_core.helpers import builtin
 
+from swarmabs_analysis.replay.player import Player
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
-from swarmabs_core.behaviours.player import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName, Player, publisher_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -33,6 +33,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.publishers import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName, publisher_of
 from swarmabs_run.simulation import Simulation
 
 ROBOT = NodeName(NodeKind.AGENT, 3)

@@ -1,0 +1,94 @@
+"""Which node has published a message."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.desired_state import TORQUE_LIMITED
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    PLANE_STATE,
+    TOPIC_OF,
+    AgentState,
+    EventKind,
+    SwarmEvent,
+)
+from swarmabs_core.robot_controller import COMMAND_LIMITED
+from swarmabs_core.steering import DISTURBANCE
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import Message
+
+
+class NodeKind(str, Enum):
+    """What a node does in the swarm."""
+
+    PLANE = "plane"
+    OBSERVER = "observer"
+    CONTROLLER = "controller"
+    AGENT = "agent"
+
+
+class NodeName(NamedTuple):
+    """A node of a run, in writing ``plane``, ``observer``, ``controller`` or ``agent:N``."""
+
+    kind: NodeKind
+    agent_id: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.kind.value}:{self.agent_id}" if self.kind is NodeKind.AGENT else self.kind.value
+
+    @classmethod
+    def parse(cls, text: str) -> NodeName:
+        """Read a node's name.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        kind, colon, number = text.partition(":")
+        try:
+            name = cls(NodeKind(kind), int(number) if colon else 0)
+        except ValueError:
+            name = None
+        if name is None or (name.kind is NodeKind.AGENT) != bool(colon) or str(name) != text:
+            raise InputError(f"no node {text!r}; name controller, observer, plane, or a robot as agent:N")
+        return name
+
+
+PLANE, OBSERVER, CONTROLLER = (NodeName(kind) for kind in (NodeKind.PLANE, NodeKind.OBSERVER, NodeKind.CONTROLLER))
+
+PUBLISHER = {
+    PLANE_STATE: PLANE,
+    ABSTRACT_STATE: OBSERVER,
+    AUXILIARY_STATE: OBSERVER,
+    DESIRED_ABSTRACT_STATE: CONTROLLER,
+}
+"""Who publishes on the topics that have one publisher."""
+_ANNOUNCED_BY_OBSERVER = (EventKind.JOINED, EventKind.LEFT, EventKind.DEAD)
+_ANNOUNCED_BY_ROBOTS = (EventKind.SAFE_STOP, EventKind.RECOVERED, EventKind.FAULT_INJECTED)
+
+
+def publisher_of(message: Message) -> NodeName:
+    """Return the node that has published a message of one of the main topics, or an event."""
+    if isinstance(message, AgentState):
+        return NodeName(NodeKind.AGENT, message.agent_id)
+    if isinstance(message, SwarmEvent):
+        return _announcer(message)
+    return PUBLISHER[TOPIC_OF[type(message)]]
+
+
+def _announcer(event: SwarmEvent) -> NodeName:
+    """Return who has announced an event. A limit may be hit by three nodes, which say so in their own words."""
+    if event.kind in _ANNOUNCED_BY_OBSERVER:
+        return OBSERVER
+    if event.kind in _ANNOUNCED_BY_ROBOTS or event.detail == COMMAND_LIMITED:
+        return NodeName(NodeKind.AGENT, event.agent_id)
+    if event.kind == EventKind.STEERING:
+        return PLANE if event.detail == DISTURBANCE else CONTROLLER
+    return PLANE if event.kind == EventKind.LIMIT_HIT and event.detail != TORQUE_LIMITED else CONTROLLER
