@@ -24,9 +24,11 @@ from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 from swarmabs_core.theory.constraint_sets import StateClass, classify
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.runner import SwarmNode
+from swarmabs_ros.start import initialise
 from swarmabs_view.facts import regions
 from swarmabs_view.health import ProcessWatch
-from swarmabs_view.live import RATE_WINDOW, SILENCE, Listener, LiveSession, LiveView, StepRate
+from swarmabs_view.listener import Listener
+from swarmabs_view.live import RATE_WINDOW, SILENCE, LiveSession, LiveView, StepRate
 from swarmabs_view.protocol import (
     Curves,
     Events,
@@ -299,9 +301,9 @@ def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
 @pytest.mark.usefixtures("ros")
 def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_none() -> None:
     run = make_run(5)
-    listener = Listener("/some/swarm", 3)
+    initialise("view", ["--ros-args", "-r", "__ns:=/some/swarm"])
     try:
-        node = SwarmNode("speaker")  # in the same namespace, by the arguments of the context
+        listener, node = Listener(SwarmNode("hearer"), 3), SwarmNode("speaker")
         publishers = {topic: advertise(node, topic) for topic in dict.fromkeys(TOPIC_OF[type(m)] for m in run)}
         state = SwarmState()
         heard = {topic.name for topic in publishers} - {"swarm/auxiliary_state"}
@@ -315,16 +317,15 @@ def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_no
         publishers[TOPIC_OF[type(run[3])]].publish(good[:30])
 
         def complete() -> bool:
-            for message in listener.poll():
-                state.add(message)
+            for heard in listener.poll():
+                state.add(heard.message)
             instant = state.instant()
             return instant is not None and instant.step == 5 and state.event_count == 1 and listener.malformed == 1
 
         until(complete, "all has been heard", 30.0)
         node.destroy_node()  # type: ignore[no-untyped-call]
     finally:
-        listener.close()
-    assert not rclpy.ok()
+        rclpy.try_shutdown()
 
 
 def test_processes_file_is_whole_or_not_there(tmp_path: Path) -> None:

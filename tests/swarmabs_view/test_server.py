@@ -19,8 +19,9 @@ from aiohttp import ClientSession, WSCloseCode, WSMsgType, WSServerHandshakeErro
 from tests.swarmabs_view.conftest import COMMAND, Served, serving
 
 from swarmabs_core.errors import InputError
+from swarmabs_view.ports import bound
 from swarmabs_view.protocol import FROM_SERVER
-from swarmabs_view.server import MOST_PAGES, bound, load_files
+from swarmabs_view.server import MOST_PAGES, load_files
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -49,7 +49,7 @@ def running(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str]
             log = folder / "logs" / "markers.log"
             until(lambda: log.exists() and shows(folder), "the markers are there", 60.0)
             children = psutil.Process(run.pid).children(recursive=True)
-            (markers,) = (child for child in children if "swarmabs_view.visualization.beside" in child.cmdline())
+            (markers,) = (child for child in children if "swarmabs_view.visualization.run_markers" in child.cmdline())
             yield run, markers
         finally:
             if run.poll() is None:
@@ -176,5 +176,5 @@ def test_a_taken_port_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[st
         port = taken.getsockname()[1]
         words = ["run", "--foxglove", "--foxglove-port", str(port), "-o", str(tmp_path / "run")]
         assert main(words) == 2
-    assert f"error: 127.0.0.1:{port}: Address already in use" in capfd.readouterr().err
+    assert f"error: port {port} of 127.0.0.1: Address already in use" in capfd.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -43,7 +43,7 @@ def viewer_of(mark: str) -> psutil.Process | None:
     for pid in marked_processes(mark):
         try:
             process = psutil.Process(pid)
-            if "swarmabs_view.beside" in process.cmdline():
+            if "swarmabs_view.sources" in process.cmdline():
                 return process
         except psutil.Error:
             continue

@@ -43,14 +43,14 @@ def shown_beside(options: dict[str, Any], *, clock: bool) -> Callable[[Path], Ab
     markers, foxglove, port = (options.pop(name) for name in ("markers", "foxglove", "foxglove_port"))
     if not (markers or foxglove):
         return lambda _: nullcontext()
-    from swarmabs_view.visualization.beside import markers_beside  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_view.visualization.foxglove_port import check_foxglove  # noqa: PLC0415
+    from swarmabs_view.ports import check_foxglove  # noqa: PLC0415 - slow, not for --help
+    from swarmabs_view.viewer_process import markers_viewer  # noqa: PLC0415
 
     if foxglove:
         check_foxglove(port)
         click.echo(f"Foxglove: open a connection to ws://127.0.0.1:{port}", err=True)
     served = port if foxglove else None
-    return lambda folder: markers_beside(folder, ros=markers, foxglove_port=served, clock=clock)
+    return lambda folder: markers_viewer(folder, ros=markers, foxglove_port=served, clock=clock)
 
 
 @click.command()

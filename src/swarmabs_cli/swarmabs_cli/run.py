@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.splitting import Split
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.progress import Outcome, Progress
-    from swarmabs_view.beside import Viewer
+    from swarmabs_view.viewer_process import PageViewer
 
     Execute = Callable[[Scenario, RunFolder, bool, Split, Callable[[Progress], None]], Outcome]
 
@@ -179,10 +179,10 @@ def run(
         return code
 
 
-def _viewer(port: int, *, steered: bool) -> Viewer:
-    from swarmabs_view.beside import Viewer  # noqa: PLC0415 - slow, not for --help
+def _viewer(port: int, *, steered: bool) -> PageViewer:
+    from swarmabs_view.viewer_process import PageViewer  # noqa: PLC0415 - slow, not for --help
 
-    return Viewer(port, steered=steered)
+    return PageViewer(port, steered=steered)
 
 
 def _step_seconds(scenario: Scenario, rate: float | None) -> float:

@@ -1,104 +1,34 @@
-"""A swarm that goes on, as the view shows it: a listener that only subscribes, and what each page gets of it.
-
-Nobody waits for the listener: it reads best effort, from queues of a few messages that lose what is old when it is
-slow, stopped or dead. Only events are read reliably, so that those before its time come too; their writers keep a
-bounded number for late readers and wait for none.
-"""
+"""A running swarm as the view shows it, and what each page gets of it."""
 
 from __future__ import annotations
 
 import asyncio
-import os
 from collections import deque
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import rclpy
-
-from swarmabs_config.graph import requested
-from swarmabs_core.cdr import decode
-from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    BASIS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    PLANE_STATE,
-)
-from swarmabs_ros.endpoints import receiver
-from swarmabs_ros.runner import SwarmNode
-from swarmabs_ros.start import initialise
 from swarmabs_view.curves import CurveBuffer
 from swarmabs_view.frame import events_of, frame_of, robots_of
 from swarmabs_view.protocol import Curves, Events, Frame, Hello, Sets, State
 from swarmabs_view.shading import Shading
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
-    from rclpy.node import Node
-
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Message
     from swarmabs_core.swarm_state import SwarmState
     from swarmabs_view import protocol
+    from swarmabs_view.listener import Listener
     from swarmabs_view.protocol import Control, Health, Phase
     from swarmabs_view.server import Session
 
 INTERVAL = 1.0 / 30.0
 """Time, s, between two looks at what has come."""
-DEPTH = 256
-"""Messages of a coordinator that wait for the listener; at the highest step rates it so gets nearly all."""
-ROBOT_DEPTH = 256
-"""States of robots that wait; more where the robots are more."""
 RATE_WINDOW = 2.0
 """Time, s, over which the step rate is taken."""
 SILENCE = 3.0
 """Time, s, without a new step after which the swarm counts as silent."""
 STATE_INTERVAL = 1.0
 """Longest time, s, between two messages to a page."""
-
-
-class Listener:
-    """Subscribes to a swarm in the ROS domain of the environment.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the swarm.
-    robots : int
-        How many there are, as far as that is known.
-    """
-
-    def __init__(self, namespace: str, robots: int) -> None:
-        arguments = ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"]
-        initialise("view", arguments)
-        self._node: Node = SwarmNode(f"view_{os.getpid()}")
-        self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
-        self._most |= {AGENT_STATE: max(ROBOT_DEPTH, 2 * robots), EVENTS: 1000}
-        asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
-        self._receiver = receiver(self._node, asked, "wait_set")
-        self.malformed = 0
-
-    def poll(self) -> Iterator[Message]:
-        """Yield what has come; bytes that are no message of a swarm are counted and left out."""
-        for topic, most in self._most.items():
-            yield from self._drain(topic, most)
-
-    def _drain(self, topic: Topic, most: int) -> Iterator[Message]:
-        for _ in range(most):
-            data = self._receiver.take(topic)
-            if data is None:
-                return
-            try:
-                yield decode(topic.message, data)
-            except MalformedMessageError:
-                self.malformed += 1
-
-    def close(self) -> None:
-        """Leave the network."""
-        self._node.destroy_node()
-        rclpy.try_shutdown()
 
 
 class StepRate:
@@ -135,7 +65,7 @@ class StepRate:
 
 
 class LiveView:
-    """What is known of a swarm that goes on, for all pages.
+    """What is known of a running swarm, for all pages.
 
     Parameters
     ----------
@@ -195,15 +125,15 @@ class LiveView:
         clock = asyncio.get_running_loop().time
         left = 3
         while left:
-            for message in listener.poll():
-                self.add(message)
+            for heard in listener.poll():
+                self.add(heard.message)
             self.look(clock())
             left = left - 1 if over() else 3
             await asyncio.sleep(INTERVAL)
 
 
 class LiveSession:
-    """What one page has got of a swarm that goes on, and what it still lacks.
+    """What one page has received of a running swarm, and what it still lacks.
 
     Parameters
     ----------
@@ -261,7 +191,7 @@ class LiveSession:
         return messages
 
     def control(self, wish: Control) -> None:
-        """Do what the page asks for; what goes on cannot be played."""
+        """Do what the page asks for; a running swarm cannot be played."""
         if self._after is not None:
             self._after.control(wish)
 
@@ -289,21 +219,3 @@ class LiveSession:
         count = min(state.event_count - self._events, len(state.events))
         self._events = state.event_count
         return [Events(replace=False, events=events_of(state.events[-count:]))] if count else []
-
-
-async def closed(descriptor: int) -> None:
-    """Wait until the other end of a pipe is closed."""
-    loop = asyncio.get_running_loop()
-    end = asyncio.Event()
-
-    def read() -> None:
-        with suppress(BlockingIOError):
-            if not os.read(descriptor, 4096):
-                loop.remove_reader(descriptor)
-                end.set()
-
-    loop.add_reader(descriptor, read)
-    try:
-        await end.wait()
-    finally:
-        loop.remove_reader(descriptor)

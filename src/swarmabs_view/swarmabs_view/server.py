@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import socket
+import signal
 from contextlib import suppress
 from importlib.resources import files
 from typing import TYPE_CHECKING, Protocol
@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Protocol
 from aiohttp import WSCloseCode, WSMsgType, web
 from pydantic import ValidationError
 
-from swarmabs_core.errors import InputError
 from swarmabs_view.guard import refusal, response_headers
+from swarmabs_view.ports import url_of
 from swarmabs_view.protocol import CONTROL
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Coroutine
+    from socket import socket
 
     from swarmabs_view.protocol import Control, Message
 
-ADDRESS = "127.0.0.1"
 INTERVAL = 1.0 / 40.0
 """Shortest time, s, between two frames for a page."""
 MOST_PAGES = 16
@@ -76,7 +76,7 @@ class ViewServer:
         Makes what a new page sees.
     """
 
-    def __init__(self, listener: socket.socket, session: Callable[[], Session]) -> None:
+    def __init__(self, listener: socket, session: Callable[[], Session]) -> None:
         self._listener = listener
         self._port: int = listener.getsockname()[1]
         self._session = session
@@ -174,31 +174,40 @@ async def _hear(page: web.WebSocketResponse, session: Session) -> None:
         session.control(wish)
 
 
-def bound(port: int) -> socket.socket:
-    """Return a listening socket on 127.0.0.1.
+def serve(
+    listener: socket,
+    session: Callable[[], Session],
+    *tasks: Callable[[], Coroutine[None, None, None]],
+    ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve pages until this process is asked to end, by a signal or by a task that is done.
 
     Parameters
     ----------
-    port : int
-        0 for any free one.
-
-    Raises
-    ------
-    InputError
-        If the port is taken or not allowed.
+    listener : socket
+        Bound to a port on 127.0.0.1.
+    session : callable
+        Makes what a new page sees.
+    *tasks : callable
+        What happens meanwhile, as coroutines; the first that is done ends all.
+    ready : callable, optional
+        Told the address of the page once it is served.
     """
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        # A port is free again as soon as who had it has ended.
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((ADDRESS, port))
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise InputError(f"port {port} of {ADDRESS}: {error.strerror}; choose another, or 0 for a free one") from error
-    return listener
 
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        asked = asyncio.Event()
+        previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        for number in previous:
+            loop.add_signal_handler(number, asked.set)
+        try:
+            if ready is not None:
+                ready(url_of(listener))
+            await ViewServer(listener, session).run(asked.wait(), *(task() for task in tasks))
+        finally:
+            for number, handler in previous.items():
+                loop.remove_signal_handler(number)
+                signal.signal(number, handler)
 
-def url_of(listener: socket.socket) -> str:
-    """Return the address of the page."""
-    return f"http://{ADDRESS}:{listener.getsockname()[1]}/"
+    with suppress(KeyboardInterrupt):
+        asyncio.run(main())

@@ -1,8 +1,4 @@
-"""Node ``plane_markers``: shows a swarm on the standard topics of ROS, and to Foxglove. It only listens to the swarm.
-
-What it reads is best effort, from queues of a few messages that lose what is old: nobody ever waits for it. Events are
-read reliably, so that those before its time come too; their writers keep a bounded number and wait for no reader.
-"""
+"""Node ``plane_markers``: shows a swarm on the standard topics of ROS and to Foxglove; of the swarm it only hears."""
 
 from __future__ import annotations
 
@@ -15,25 +11,17 @@ from typing import TYPE_CHECKING
 import rclpy
 
 from swarmabs_config import configure
-from swarmabs_config.graph import requested
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.cdr import agent_id_of, decode
-from swarmabs_core.errors import InputError, MalformedMessageError, RunError
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    BASIS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    PLANE_STATE,
-)
+from swarmabs_core.cdr import agent_id_of
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import EVENTS
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.runner import Settings, SwarmNode
 from swarmabs_ros.start import initialise
+from swarmabs_view.listener import Listener
+from swarmabs_view.ports import ADDRESS
 from swarmabs_view.visualization.description import plane_urdf
-from swarmabs_view.visualization.foxglove_port import HOST
 from swarmabs_view.visualization.ros_messages import Translator, description
 from swarmabs_view.visualization.scene import Scene
 from swarmabs_view.visualization.sinks import FoxgloveSink, RosSink
@@ -58,53 +46,7 @@ SHARE = 0.2
 """Largest part of a core that drawing takes: where a frame costs more, there are fewer."""
 REPEAT = 1.0
 """Time, s, between two descriptions for clients that do not keep the last."""
-DEPTH = 256
-"""Messages of a coordinator that wait to be read, and at least of the robots."""
-ROBOT_STEPS = 4
-"""Steps of all robots that wait to be read."""
 _SLICE = 0.05
-
-
-class Audience:
-    """Listens to a swarm.
-
-    Parameters
-    ----------
-    node : SwarmNode
-        Whose subscriptions they are.
-    robots : int
-        How many there are.
-    """
-
-    def __init__(self, node: SwarmNode, robots: int) -> None:
-        # The robots last: the states of a step are there when its broadcasts are.
-        self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
-        self._most |= {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
-        asked = {topic: requested(topic, depth=most, reliable=topic is EVENTS) for topic, most in self._most.items()}
-        self._receiver = WaitSetReceiver(node, asked)
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """What it listens to."""
-        return tuple(self._most)
-
-    def hear(self, swarm: SwarmState, sinks: Sequence[Sink]) -> None:
-        """Hand on what has come, to the sinks only the newest of each; bytes that are no message are left out."""
-        newest: dict[tuple[Topic, int], bytes] = {}
-        for topic, most in self._most.items():
-            for number in range(most):
-                payload = self._receiver.take(topic)
-                if payload is None:
-                    break
-                try:
-                    message = decode(topic.message, payload)
-                except MalformedMessageError:
-                    continue
-                swarm.add(message)
-                newest[topic, number if topic is EVENTS else agent_id_of(message)] = payload
-        for (topic, _), payload in newest.items():
-            for sink in sinks:
-                sink.forward(topic, payload)
 
 
 def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = None) -> int:
@@ -132,14 +74,14 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
     try:
         settings = Settings(declare(node, PARAMETERS), node.get_namespace())
         scenario = _scenario(settings)
-        audience = Audience(node, len(scenario.agents))
+        listener = Listener(node, len(scenario.agents))
         if settings.flag("ros"):
             sinks.append(RosSink(node))
         if settings.integer("foxglove_port") >= 0:
-            served = FoxgloveSink(settings.integer("foxglove_port"), settings.namespace, audience.topics)
+            served = FoxgloveSink(settings.integer("foxglove_port"), settings.namespace, listener.topics)
             sinks.append(served)
-            sys.stderr.write(f"Foxglove finds the swarm at ws://{HOST}:{served.port}\n")
-        show(scenario, audience, sinks, settings, wait or _until_signalled())
+            sys.stderr.write(f"Foxglove finds the swarm at ws://{ADDRESS}:{served.port}\n")
+        show(scenario, listener, sinks, settings, wait or _until_signalled())
     except (InputError, RunError) as error:
         sys.stderr.write(f"error: {error}\n")
         return 2 if isinstance(error, InputError) else 1
@@ -152,7 +94,7 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
 
 
 def show(
-    scenario: Scenario, audience: Audience, sinks: Sequence[Sink], settings: Settings, wait: Callable[[float], bool]
+    scenario: Scenario, listener: Listener, sinks: Sequence[Sink], settings: Settings, wait: Callable[[float], bool]
 ) -> None:
     """Show the swarm, a frame whenever there is a new step and it is time for one."""
     scene, translator, swarm = Scene.of(scenario), Translator(), configure.swarm_state(scenario)
@@ -163,7 +105,7 @@ def show(
     period, pause, shown = 1.0 / settings.number("rate"), 0.0, None
     while not wait(pause):
         begun = time.monotonic()
-        audience.hear(swarm, sinks)
+        _hear(listener, swarm, sinks)
         frame = scene.frame(swarm)
         if frame is not None and frame.step != shown:
             shown = frame.step
@@ -176,6 +118,17 @@ def show(
                 sink.repeat()
         cost = time.monotonic() - begun
         pause = max(period - cost, cost * (1.0 / SHARE - 1.0))
+
+
+def _hear(listener: Listener, swarm: SwarmState, sinks: Sequence[Sink]) -> None:
+    """Take what has come; sinks get the newest of each robot and each broadcast, and all events."""
+    newest: dict[tuple[Topic, int], bytes] = {}
+    for number, (topic, message, payload) in enumerate(listener.poll()):
+        swarm.add(message)
+        newest[topic, number if topic is EVENTS else agent_id_of(message)] = payload
+    for (topic, _), payload in newest.items():
+        for sink in sinks:
+            sink.forward(topic, payload)
 
 
 def _scenario(settings: Settings) -> Scenario:

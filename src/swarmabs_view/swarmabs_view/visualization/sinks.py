@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from swarmabs_bag.schemas import message_schema
 from swarmabs_core.errors import RunError
 from swarmabs_ros.endpoints import profile
-from swarmabs_view.visualization.foxglove_port import HOST, need_foxglove
+from swarmabs_view.ports import ADDRESS, need_foxglove
 from swarmabs_view.visualization.topics import DESCRIPTION, available_topics, message_class
 
 if TYPE_CHECKING:
@@ -88,7 +88,9 @@ class FoxgloveSink:
     """
 
     def __init__(self, port: int, namespace: str, topics: Iterable[Topic]) -> None:
-        foxglove = need_foxglove()
+        need_foxglove()
+        import foxglove  # noqa: PLC0415 - only where it is asked for
+
         self._prefix = namespace.rstrip("/")
         self._context = foxglove.Context()
         own = {topic.name: topic.ros_type for topic in topics}
@@ -97,10 +99,10 @@ class FoxgloveSink:
         self._latched: tuple[VisualTopic, bytes] | None = None
         try:
             self._server = foxglove.start_server(
-                name="swarmabs", host=HOST, port=port, context=self._context, message_backlog_size=BACKLOG
+                name="swarmabs", host=ADDRESS, port=port, context=self._context, message_backlog_size=BACKLOG
             )
         except RuntimeError as error:
-            raise RunError(f"cannot serve Foxglove on {HOST}:{port}: {error}; choose another port") from error
+            raise RunError(f"cannot serve Foxglove on {ADDRESS}:{port}: {error}; choose another port") from error
         self.port = int(self._server.port)
 
     def publish(self, topic: VisualTopic, message: Any) -> None:

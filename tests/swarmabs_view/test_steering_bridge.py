@@ -13,10 +13,10 @@ from tests.swarmabs_view.test_live import HELLO
 
 from swarmabs_core.swarm_state import SwarmState
 from swarmabs_run.steering.place import SOCKET
-from swarmabs_view import wheel as module
+from swarmabs_view import steering_bridge as module
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.protocol import Answer, Message, Steer, Steering
-from swarmabs_view.wheel import MOST_WAITING, OVER, WRONG, SteeredSession, Wheel
+from swarmabs_view.steering_bridge import MOST_WAITING, OVER, WRONG, SteeredSession, SteeringBridge
 
 TOKEN = "secret"
 STATUS = {
@@ -44,8 +44,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LOOK_INTERVAL", 0.001)
 
 
-def with_run(folder: Path, work: Callable[[Wheel, list[Any]], Awaitable[None]], *, answers: int | None = None) -> None:
-    """Have somebody at the other end of the socket, who ends after so many answers, and a wheel that follows."""
+def with_run(
+    folder: Path, work: Callable[[SteeringBridge, list[Any]], Awaitable[None]], *, answers: int | None = None
+) -> None:
+    """Have somebody at the other end of the socket, who ends after so many answers, and a bridge that follows."""
     heard: list[Any] = []
 
     async def run(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -64,11 +66,11 @@ def with_run(folder: Path, work: Callable[[Wheel, list[Any]], Awaitable[None]], 
         writer.close()
 
     async def main() -> None:
-        wheel = Wheel(folder, TOKEN)
-        following = asyncio.ensure_future(wheel.follow())
+        bridge = SteeringBridge(folder, TOKEN)
+        following = asyncio.ensure_future(bridge.follow())
         server = await asyncio.start_unix_server(run, folder / SOCKET)
         try:
-            await work(wheel, heard)
+            await work(bridge, heard)
         finally:
             following.cancel()
             await asyncio.wait([following])
@@ -83,12 +85,12 @@ async def until(condition: Callable[[], object]) -> None:
 
 
 def test_what_is_asked_with_the_token_reaches_the_run(tmp_path: Path) -> None:
-    async def work(wheel: Wheel, heard: list[Any]) -> None:
-        await until(lambda: wheel.status == HELD)
+    async def work(bridge: SteeringBridge, heard: list[Any]) -> None:
+        await until(lambda: bridge.status == HELD)
         done = Answer(request="r", ok=True, text="from step 12 on, 0.12 s")
-        assert await wheel.ask(steer()) == done
-        assert await wheel.ask(steer(action="reference", agent=None, value=-0.5)) == done
-        assert await wheel.ask(steer(agent=9)) == Answer(request="r", ok=False, text="there is no robot 9")
+        assert await bridge.ask(steer()) == done
+        assert await bridge.ask(steer(action="reference", agent=None, value=-0.5)) == done
+        assert await bridge.ask(steer(agent=9)) == Answer(request="r", ok=False, text="there is no robot 9")
         assert heard == [
             {"action": "kill", "agent": 3, "request": "r"},
             {"action": "reference", "value": -0.5, "request": "r"},
@@ -100,37 +102,37 @@ def test_what_is_asked_with_the_token_reaches_the_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("token", ["", "Secret", "secret ", "sécret", "\0"])
 def test_without_the_token_nothing_is_asked(tmp_path: Path, token: str) -> None:
-    async def work(wheel: Wheel, heard: list[Any]) -> None:
-        await until(lambda: wheel.status == HELD)
-        assert await wheel.ask(steer(token)) == Answer(request="r", ok=False, known=False, text=WRONG)
+    async def work(bridge: SteeringBridge, heard: list[Any]) -> None:
+        await until(lambda: bridge.status == HELD)
+        assert await bridge.ask(steer(token)) == Answer(request="r", ok=False, known=False, text=WRONG)
         assert heard == []
 
     with_run(tmp_path, work)
 
 
 def test_before_and_after_a_run_nothing_can_be_asked(tmp_path: Path) -> None:
-    async def work(wheel: Wheel, _heard: list[Any]) -> None:
+    async def work(bridge: SteeringBridge, _heard: list[Any]) -> None:
         refused = Answer(request="r", ok=False, text=OVER)
-        assert wheel.status == Steering(open=False)
-        assert await wheel.ask(steer()) == refused
-        await until(lambda: wheel.status.open)
-        await until(lambda: not wheel.status.open)
-        assert await wheel.ask(steer()) == refused
+        assert bridge.status == Steering(open=False)
+        assert await bridge.ask(steer()) == refused
+        await until(lambda: bridge.status.open)
+        await until(lambda: not bridge.status.open)
+        assert await bridge.ask(steer()) == refused
 
     with_run(tmp_path, work, answers=2)
 
 
 def test_a_page_hears_what_holds_and_its_answers_and_no_other(tmp_path: Path) -> None:
-    async def work(wheel: Wheel, _heard: list[Any]) -> None:
+    async def work(bridge: SteeringBridge, _heard: list[Any]) -> None:
         live = LiveView(HELLO, SwarmState())
-        one, other = (SteeredSession(LiveSession(live), wheel) for _ in range(2))
+        one, other = (SteeredSession(LiveSession(live), bridge) for _ in range(2))
 
         def new(page: SteeredSession) -> list[Message]:
             return [message for message in page.poll(0.0) if isinstance(message, (Steering, Answer))]
 
         assert one.hello()[-1] == other.hello()[-1] == Steering(open=False)
         assert new(one) == []
-        await until(lambda: wheel.status == HELD)
+        await until(lambda: bridge.status == HELD)
         assert new(one) == new(other) == [HELD]
         assert new(one) == new(other) == []
         for number in range(MOST_WAITING + 1):

@@ -1,13 +1,21 @@
-"""Follows a run by its folder: waits for its start, listens while it goes on, and shows its bag when it is over."""
+"""What live pages show: a run, from before its start to its bag, or a swarm of which only its messages are known.
+
+As a program it serves the page of a run until standard input ends; `swarmabs_view.viewer_process` starts it.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import os
+import re
+import socket
+import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
 from swarmabs_config.scenarios import find_scenario
@@ -17,19 +25,26 @@ from swarmabs_run.orchestration.looking_in import RunOverError, environment_of_r
 from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.health import ProcessWatch
+from swarmabs_view.live import LiveSession, LiveView
+from swarmabs_view.playback import PlaybackSession, open_recording
 from swarmabs_view.protocol import Hello, Seek
-from swarmabs_view.wheel import SteeredSession, Wheel
+from swarmabs_view.server import serve
+from swarmabs_view.steering_bridge import SteeredSession, SteeringBridge
 
 with tracing_files_removed():
-    from swarmabs_view.live import Listener, LiveSession, LiveView
+    import rclpy
+
+    from swarmabs_ros.runner import SwarmNode
+    from swarmabs_ros.start import initialise
+    from swarmabs_view.listener import Listener
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Callable, Mapping
 
-    from swarmabs_view.playback import PlaybackSession, Recording
+    from swarmabs_view.playback import Recording
     from swarmabs_view.server import Session
 
+NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 HEALTH_INTERVAL = 2.0
 """Time, s, between two looks at the processes."""
 WAIT_INTERVAL = 0.1
@@ -54,25 +69,19 @@ class RunView:
     def __init__(self, folder: Path, token: str | None = None) -> None:
         self._folder = RunFolder(folder)
         self._recording: Recording | None = None
-        hello = Hello(
-            source="run",
-            title=folder.name,
-            place=str(folder),
-            playback=False,
-            **UNKNOWN,
-        )
+        hello = Hello(source="run", title=folder.name, place=str(folder), playback=False, **UNKNOWN)
         self._live = LiveView(hello, SwarmState())
         self._live.text = "the processes start"
-        self._wheel = None if token is None else Wheel(folder, token)
+        self._bridge = None if token is None else SteeringBridge(folder, token)
 
     def session(self) -> Session:
         """Return what a new page sees."""
         session = LiveSession(self._live, self._playback)
-        return session if self._wheel is None else SteeredSession(session, self._wheel)
+        return session if self._bridge is None else SteeredSession(session, self._bridge)
 
     async def steer(self) -> None:
         """Know what holds in a run that is steered; never ends."""
-        await (asyncio.Event().wait() if self._wheel is None else self._wheel.follow())
+        await (asyncio.Event().wait() if self._bridge is None else self._bridge.follow())
 
     async def follow(self) -> None:
         """Follow the run to its end, then for ever show its bag."""
@@ -80,14 +89,12 @@ class RunView:
         environment = None if processes is None else self._environment()
         if processes is not None and environment is not None:
             os.environ.update(environment)
-            listener = Listener("/", len(self._live.state.robots))
             os.nice(NICENESS)
             watch = asyncio.ensure_future(self._watch(processes))
             try:
-                await self._live.listen(listener, self._over)
+                await listen(self._live, "/", self._over)
             finally:
                 watch.cancel()
-                listener.close()
         self._live.phase, self._live.text = "ended", "the run has ended"
         await self._end()
         await asyncio.Event().wait()
@@ -140,10 +147,6 @@ class RunView:
         else:
             self._live.text = "the run has ended without a summary"
             return
-        # Slow to import, and not needed before.
-        from swarmabs_bag.errors import DamagedBagError  # noqa: PLC0415
-        from swarmabs_view.playback import open_recording  # noqa: PLC0415
-
         try:
             self._live.text = f"the run has ended: {json.loads(self._folder.summary.read_bytes())['status']}"
             if self._folder.bag.exists():
@@ -156,11 +159,59 @@ class RunView:
     def _playback(self) -> PlaybackSession | None:
         if self._recording is None:
             return None
-        from swarmabs_view.playback import PlaybackSession  # noqa: PLC0415 - as above
-
         session = PlaybackSession(self._recording)
         session.control(Seek(v=1, type="seek", step=2**63 - 1))
         return session
+
+
+class SwarmView:
+    """A swarm in a namespace of the ROS domain of the environment.
+
+    Parameters
+    ----------
+    namespace : str
+        Its namespace.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self._namespace = namespace
+        domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+        place = f"namespace {namespace} of ROS domain {domain}"
+        hello = Hello(source="swarm", title=f"swarm {namespace}", place=place, playback=False, **UNKNOWN)
+        self._live = LiveView(hello, SwarmState())
+
+    def session(self) -> LiveSession:
+        """Return what a new page sees."""
+        return LiveSession(self._live)
+
+    async def follow(self) -> None:
+        """Listen for ever."""
+        await listen(self._live, self._namespace, lambda: False)
+
+
+def show_live(target: str, listener: socket.socket, ready: Callable[[str], None]) -> None:
+    """Serve a running swarm until the user has seen enough; parameters and errors as of `view_live`."""
+    folder = Path(target)
+    shown: RunView | SwarmView
+    if (folder / "logs").is_dir():
+        check_running(folder)
+        shown = RunView(folder)
+    elif NAMESPACE.fullmatch(target):
+        shown = SwarmView(target)
+    else:
+        raise InputError(f"--live {target}: neither the folder of a run nor a namespace such as /swarm_a, or /")
+    serve(listener, shown.session, shown.follow, ready=ready)
+
+
+async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> None:
+    """Join the ROS domain of the environment, and let a view hear a swarm until it is over."""
+    initialise("view", ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"])
+    node = SwarmNode(f"view_{os.getpid()}")
+    try:
+        await live.listen(Listener(node, len(live.state.robots)), over)
+    finally:
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        rclpy.try_shutdown()
 
 
 def check_running(folder: Path) -> None:
@@ -175,3 +226,34 @@ def check_running(folder: Path) -> None:
         environment_of_run(folder)
     except RunOverError as error:
         raise InputError(f"{error}; view its bag without --live") from None
+
+
+async def closed(descriptor: int) -> None:
+    """Wait until the other end of a pipe is closed."""
+    loop = asyncio.get_running_loop()
+    end = asyncio.Event()
+
+    def read() -> None:
+        with suppress(BlockingIOError):
+            if not os.read(descriptor, 4096):
+                loop.remove_reader(descriptor)
+                end.set()
+
+    loop.add_reader(descriptor, read)
+    try:
+        await end.wait()
+    finally:
+        loop.remove_reader(descriptor)
+
+
+def main() -> int:
+    """Serve what a run does until standard input ends."""
+    folder, descriptor = sys.argv[1:]
+    run = RunView(Path(folder), sys.stdin.buffer.readline().decode().strip() or None)
+    with socket.socket(fileno=int(descriptor)) as listener:
+        serve(listener, run.session, run.follow, run.steer, lambda: closed(0))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

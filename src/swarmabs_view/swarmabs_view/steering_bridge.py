@@ -30,7 +30,7 @@ WRONG = "the token is wrong: it stands in the terminal of the run"
 OVER = "the run takes no requests: it has not begun, or is over"
 
 
-class Wheel:
+class SteeringBridge:
     """What steers a run on behalf of all pages.
 
     Parameters
@@ -69,17 +69,17 @@ class Wheel:
         self.status = Steering(open=False)
         await asyncio.Event().wait()
 
-    async def ask(self, wish: Steer) -> Answer:
+    async def ask(self, request: Steer) -> Answer:
         """Ask the run for something; the answer comes when it is decided, some steps later."""
-        if not hmac.compare_digest(wish.token.encode(), self._token):
-            return Answer(request=wish.request, ok=False, known=False, text=WRONG)
-        asked = wish.model_dump(include={"action", "value", "agent", "request"}, exclude_none=True)
+        if not hmac.compare_digest(request.token.encode(), self._token):
+            return Answer(request=request.request, ok=False, known=False, text=WRONG)
+        asked = request.model_dump(include={"action", "value", "agent", "request"}, exclude_none=True)
         found = await self._exchange(asked)
         if found is None:
-            return Answer(request=wish.request, ok=False, text=OVER)
+            return Answer(request=request.request, ok=False, text=OVER)
         if not found["ok"]:
-            return Answer(request=wish.request, ok=False, text=str(found["reason"]))
-        return Answer(request=wish.request, ok=True, text=f"from step {found['step']} on, {found['time']:.2f} s")
+            return Answer(request=request.request, ok=False, text=str(found["reason"]))
+        return Answer(request=request.request, ok=True, text=f"from step {found['step']} on, {found['time']:.2f} s")
 
     async def _connect(self) -> None:
         with short_path(self._folder) as place:
@@ -109,40 +109,40 @@ class SteeredSession:
     ----------
     session : Session
         What it sees without that.
-    wheel : Wheel
+    bridge : SteeringBridge
         What steers.
     """
 
-    def __init__(self, session: Session, wheel: Wheel) -> None:
+    def __init__(self, session: Session, bridge: SteeringBridge) -> None:
         self._session = session
-        self._wheel = wheel
+        self._bridge = bridge
         self._told: Steering | None = None
         self._waiting: set[asyncio.Task[Answer]] = set()
         self._answers: list[Message] = []
 
     def hello(self) -> list[Message]:
         """Return what a page needs first."""
-        self._told = self._wheel.status
+        self._told = self._bridge.status
         return [*self._session.hello(), self._told]
 
     def poll(self, now: float) -> list[Message]:
         """Return what is new at a time (s) of the clock."""
         messages = self._session.poll(now)
-        if self._told != self._wheel.status or any(isinstance(message, Hello) for message in messages):
-            self._told = self._wheel.status
+        if self._told != self._bridge.status or any(isinstance(message, Hello) for message in messages):
+            self._told = self._bridge.status
             messages.append(self._told)
         messages += self._answers
         self._answers.clear()
         return messages
 
-    def control(self, wish: Control) -> None:
+    def control(self, request: Control) -> None:
         """Do what the page asks for."""
-        if not isinstance(wish, Steer):
-            self._session.control(wish)
+        if not isinstance(request, Steer):
+            self._session.control(request)
         elif len(self._waiting) >= MOST_WAITING:
-            self._answers.append(Answer(request=wish.request, ok=False, text="too many requests wait already"))
+            self._answers.append(Answer(request=request.request, ok=False, text="too many requests wait already"))
         else:
-            task = asyncio.ensure_future(self._wheel.ask(wish))
+            task = asyncio.ensure_future(self._bridge.ask(request))
             self._waiting.add(task)
             task.add_done_callback(self._answered)
 

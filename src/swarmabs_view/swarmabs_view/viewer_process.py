@@ -1,0 +1,156 @@
+"""Viewers of a run: processes that the run does not need, and that end with the command that has started them."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import subprocess
+import sys
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from swarmabs_view.ports import bound, need_web_server, url_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+END_SECONDS = 5.0
+"""Longest time, s, that a viewer may take to end; then it is killed."""
+MARKERS_LOG = "markers.log"
+
+
+class ViewerProcess:
+    """A process that shows a run until its standard input ends.
+
+    Parameters
+    ----------
+    module : str
+        What it executes.
+    arguments : sequence of str
+        Of its command line, which other users can see.
+    secret : str
+        The first line that it reads.
+    descriptors : sequence of int
+        Files that it inherits.
+    """
+
+    def __init__(
+        self, module: str, arguments: Sequence[str], *, secret: str = "", descriptors: Sequence[int] = ()
+    ) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            pass_fds=descriptors,
+            start_new_session=True,  # Ctrl-C in a terminal is for the command alone
+        )
+        assert self._process.stdin is not None  # noqa: S101 - it is a pipe
+        self._pipe = self._process.stdin
+        with suppress(OSError):  # a viewer that has died is no matter of the run
+            self._pipe.write(secret.encode() + b"\n")
+            self._pipe.flush()
+
+    def wait(self) -> None:
+        """Wait until it has ended by itself, or Ctrl-C."""
+        with suppress(KeyboardInterrupt):
+            self._process.wait()
+
+    def close(self) -> int:
+        """End it, and return its exit code; one that hangs is killed."""
+        with suppress(OSError):
+            self._pipe.close()
+        try:
+            self._process.wait(END_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+        return self._process.wait()
+
+
+class PageViewer:
+    """The page of a run: holds its port from the beginning, so that a taken one is refused in time.
+
+    Parameters
+    ----------
+    port : int
+        0 for any free one.
+    steered : bool
+        Whether the run can be steered from the page, by those who know the token.
+
+    Attributes
+    ----------
+    url : str
+        Address of the page.
+    steering_url : str or None
+        Address with the token, which stands behind the `#`: browsers keep that part for themselves.
+
+    Raises
+    ------
+    InputError
+        If the port is taken, or the web server is not installed.
+    """
+
+    def __init__(self, port: int, *, steered: bool = False) -> None:
+        need_web_server()
+        self._listener = bound(port)
+        self.url = url_of(self._listener)
+        self._token = secrets.token_urlsafe(24) if steered else ""
+        self.steering_url = f"{self.url}#steer={self._token}" if steered else None
+        self._process: ViewerProcess | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def start(self, folder: Path) -> None:
+        """Show the run in a folder, which is about to begin."""
+        number = self._listener.fileno()
+        self._process = ViewerProcess(
+            "swarmabs_view.sources", [str(folder), str(number)], secret=self._token, descriptors=[number]
+        )
+        self._listener.close()
+
+    def wait(self) -> None:
+        """Wait until the viewer has ended by itself, or Ctrl-C."""
+        if self._process is not None:
+            self._process.wait()
+
+    def close(self) -> None:
+        """End the viewer."""
+        self._listener.close()
+        if self._process is not None:
+            self._process.close()
+
+
+@contextmanager
+def markers_viewer(folder: Path, *, ros: bool, foxglove_port: int | None, clock: bool) -> Iterator[None]:
+    """Show the run in a folder, which is about to begin, to RViz and Foxglove for the time of the block.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's folder.
+    ros : bool
+        Whether to publish on topics of ROS.
+    foxglove_port : int, optional
+        Port for Foxglove; without it nothing is served.
+    clock : bool
+        Whether to publish the time of the steps as clock, where it is not that of the machine.
+    """
+    port = -1 if foxglove_port is None else foxglove_port
+    parameters = [f"ros:={str(ros).lower()}", f"clock:={str(clock).lower()}", f"foxglove_port:={port}"]
+    process = ViewerProcess("swarmabs_view.visualization.run_markers", [str(os.getpid()), str(folder), *parameters])
+    code = 0
+    try:
+        yield
+    finally:
+        code = process.close()
+    if code > 0:
+        sys.stderr.write(f"warning: the markers have failed; see {folder / 'logs' / MARKERS_LOG}\n")
