@@ -23,47 +23,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_core.controllers.arise import Arise
-from swarmabs_core.theory.report import Condition, Form
+from swarmabs_core.theory.attraction import balls
+from swarmabs_core.theory.report import Condition, Form, ParentCheck
 from swarmabs_core.theory.swarm_conditions import swarm_conditions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from swarmabs_core.theory.report import Document
     from swarmabs_core.theory.setting import Setting
 
     Array = NDArray[np.float64]
 
 SAMPLES = 20001
 """Instants at which the reference is looked at."""
-
-
-@dataclass(frozen=True, slots=True)
-class AriseCheck:
-    """The theorem of a plane under ARISE for one setting.
-
-    Parameters
-    ----------
-    conditions : tuple of Condition
-        Of the theorem that fits the swarm.
-    decay : float
-        eta3 - c_max^2/(4 ks), which must be positive.
-    printed_decay : float
-        eta3 - c_max/(4 ks), with the friction's slope for c_max.
-    largest_angle : float
-        Largest abs(th_d), rad.
-    printed_square : float
-        Largest square of the norm in S as printed.
-    attraction : dict
-        The estimates of the region of attraction.
-    """
-
-    conditions: tuple[Condition, ...]
-    decay: float
-    printed_decay: float
-    largest_angle: float
-    printed_square: float
-    attraction: dict[str, Document]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +137,7 @@ def printed_bound(inertia: float, largest: float, slope: float, alpha1: float, a
     )
 
 
-def check_arise(setting: Setting) -> AriseCheck | None:
+def check_arise(setting: Setting) -> ParentCheck | None:
     """Evaluate the theorem; None if the parent controller is another one."""
     law = setting.law
     if not isinstance(law, Arise):
@@ -221,16 +193,28 @@ def check_arise(setting: Setting) -> AriseCheck | None:
             "" if corrected > 0.0 else "S is empty, as ks is too small",
         ),
     )
-    attraction: dict[str, Document] = {
-        "initial_error_squared": norm * norm,
-        "printed_radius_squared": printed,
-        "in_printed_ball": norm * norm <= printed,
-        "corrected_radius_squared": corrected,
-        "in_corrected_ball": norm * norm <= corrected,
-    }
-    decay = eta3 - least * least / (4.0 * g.ks) if g.ks > 0.0 else -inf
-    printed_decay = eta3 - slope / (4.0 * g.ks) if g.ks > 0.0 else -inf
-    return AriseCheck(conditions, decay, printed_decay, bounds.angle, printed, attraction)
+    derivative = Condition(
+        "negative derivative",
+        Form("eta3 - c_max/(4 ks) > 0", _decay(g.ks, eta3, slope), 0.0),
+        Form("eta3 - c_max^2/(4 ks) > 0", _decay(g.ks, eta3, least * least), 0.0),
+    )
+    square = norm * norm
+    # S is a ball: its function is the square of the norm.
+    return ParentCheck(
+        "ARISE",
+        conditions,
+        derivative,
+        manifold.torque_max,
+        bounds.angle,
+        printed,
+        square,
+        (1.0, 1.0),
+        balls(square, printed, corrected),
+    )
+
+
+def _decay(ks: float, eta3: float, numerator: float) -> float:
+    return eta3 - numerator / (4.0 * ks) if ks > 0.0 else -inf
 
 
 def _simple(law: Arise) -> tuple[tuple[str, Form], ...]:
@@ -304,7 +288,7 @@ class _Ball:
     def corrected(self) -> float:
         """Return it with V_a weighted by kappa, such that rho_E^2 < 4 kappa a (eta3 - c_max^2/(4 ks)) is used best."""
         g = self.law.gains
-        decay = self.eta3 - self.c_max**2 / (4.0 * g.ks) if g.ks > 0.0 else -inf
+        decay = _decay(g.ks, self.eta3, self.c_max**2)
         if decay <= 0.0:
             return 0.0
         eta1, eta2 = self._coefficients()

@@ -17,6 +17,7 @@ from swarmabs_core.controllers.feedback import StateFeedback
 from swarmabs_core.messages import PlaneState
 
 if TYPE_CHECKING:
+    from swarmabs_core.theory.report import Document
     from swarmabs_core.theory.setting import Setting
 
 ANGLE_MAX = 0.2
@@ -44,6 +45,17 @@ def corrected_eta(inertia: float, largest_inertia: float) -> float:
 def radius_squared(angle_max: float, eta: float) -> float:
     """Return theta_max^2/(2 eta), below which |z|^2 lies in the estimate; `angle_max` in rad."""
     return angle_max * angle_max / (2.0 * eta)
+
+
+def balls(square: float, printed: float, corrected: float) -> dict[str, Document]:
+    """Return how an initial |z|^2 lies in the estimates, of which these are the largest |z|^2."""
+    return {
+        "initial_error_squared": square,
+        "printed_radius_squared": printed,
+        "in_printed_ball": square <= printed,
+        "corrected_radius_squared": corrected,
+        "in_corrected_ball": square <= corrected,
+    }
 
 
 class Estimate(NamedTuple):

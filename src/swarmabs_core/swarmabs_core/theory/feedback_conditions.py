@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, inf, sqrt
 from typing import TYPE_CHECKING
 
 from swarmabs_core.controllers.feedback import StateFeedback
-from swarmabs_core.theory.attraction import corrected_eta, printed_eta, radius_squared
+from swarmabs_core.theory.attraction import balls, corrected_eta, printed_eta, radius_squared
 from swarmabs_core.theory.level_set import (
     LevelSet,
     Loop,
@@ -18,48 +17,14 @@ from swarmabs_core.theory.level_set import (
     potential,
     printed_inertia_rate,
 )
-from swarmabs_core.theory.report import Condition, Form, finite
+from swarmabs_core.theory.report import Condition, Form, ParentCheck, finite
 from swarmabs_core.theory.swarm_conditions import swarm_conditions
 
 if TYPE_CHECKING:
-    from swarmabs_core.theory.report import Document
     from swarmabs_core.theory.setting import Setting
 
 
-@dataclass(frozen=True, slots=True)
-class FeedbackCheck:
-    """The theorem of a plane under state feedback for one setting.
-
-    Parameters
-    ----------
-    conditions : tuple of Condition
-        Of the theorem that fits the swarm.
-    torque : float
-        Largest torque that the controller asks for on the way from the initial state, N m, if that lies in S; else
-        largest one in S.
-    coupling : float
-        4 kappa a D, which must exceed 1.
-    eigenvalue : float
-        The smaller one of the symmetric part of M, with J'max = 0.
-    level, energy : float
-        Of S, and V at the start, N m.
-    growths : tuple of float
-        g_p and g_a of ``V_p >= g_p abs(z_p)^2`` in S, ``kappa V_a >= g_a abs(e_a)^2``.
-    attraction : dict
-        The estimates of the region of attraction.
-    """
-
-    conditions: tuple[Condition, ...]
-    torque: float
-    coupling: float
-    eigenvalue: float
-    level: float
-    energy: float
-    growths: tuple[float, float]
-    attraction: dict[str, Document]
-
-
-def check_feedback(setting: Setting) -> FeedbackCheck | None:
+def check_feedback(setting: Setting) -> ParentCheck | None:
     """Evaluate the theorem; None if the parent controller is no state feedback."""
     law = setting.law
     if not isinstance(law, StateFeedback):
@@ -133,12 +98,7 @@ def check_feedback(setting: Setting) -> FeedbackCheck | None:
             "S is the level set of the corrected V; another th_max gives another S",
         ),
     )
-    attraction: dict[str, Document] = {
-        "initial_error_squared": square,
-        "printed_radius_squared": printed_square,
-        "in_printed_ball": square <= printed_square,
-        "corrected_radius_squared": corrected_square,
-        "in_corrected_ball": square <= corrected_square,
+    attraction = balls(square, printed_square, corrected_square) | {
         "level": region.level,
         "initial_energy": finite(energy),
         "in_level_set": energy <= region.level,
@@ -148,11 +108,23 @@ def check_feedback(setting: Setting) -> FeedbackCheck | None:
         "largest_inertia_rate": finite(region.inertia_rate),
     }
     reached = largest_torque(loop, setting.angle_max, min(max(energy, 0.0), region.level))
-    return FeedbackCheck(
+    derivative = Condition(
+        "negative derivative",
+        Form(
+            "V_p' negative definite: least eigenvalue of M's symmetric part > 0",
+            matrix_eigenvalues(law.k1, law.k2, setting.angle_max, 0.0)[0],
+            0.0,
+        ),
+        Form("V' <= 0, and 0 on no trajectory but the origin: 4 kappa a D > 1", region.coupling, 1.0),
+        {},
+        "V' does not depend on th, so the theorem of LaSalle is needed where the paper asks for a definite V_p'",
+    )
+    return ParentCheck(
+        "LQR",
         conditions,
+        derivative,
         min(reached, manifold.torque_max),
-        region.coupling,
-        matrix_eigenvalues(law.k1, law.k2, setting.angle_max, 0.0)[0],
+        0.0,
         region.level,
         energy,
         (min(plane.inertia / 2.0, region.level / setting.angle_max**2), region.weight * setting.error_growth),

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from math import hypot, inf
 from typing import TYPE_CHECKING
 
+from swarmabs_core.desired_state import STEEPEST
 from swarmabs_core.theory.constrained_region import Ball, constrained_region, manifold_clearance
 from swarmabs_core.theory.constraint_sets import classify, largest_position, manifold_reach
 from swarmabs_core.theory.error_dynamics import deepest_swing
 from swarmabs_core.theory.report import Condition, Form, finite
 
 if TYPE_CHECKING:
-    from swarmabs_core.theory.report import Document
+    from swarmabs_core.theory.report import Document, ParentCheck
     from swarmabs_core.theory.setting import Setting
 
-STEEPEST = 1.5
-"""The constraint on the angle of the plane, rad, beyond which a run fails."""
 GRID = 1000
 
 
@@ -65,48 +64,29 @@ def _largest_error(setting: Setting, axis: int) -> float:
     return max(-deepest_swing(kp, kd, error, rate), -deepest_swing(kp, kd, -error, -rate))
 
 
-def constrained_conditions(
-    setting: Setting,
-    found: Constraints,
-    *,
-    largest_angle: float,
-    level: float,
-    energy: float,
-    growths: tuple[float, float],
-) -> tuple[Condition, ...]:
-    """Return the conditions of thm. GeneralConstrainedStability.
-
-    Parameters
-    ----------
-    setting : Setting
-        The setting.
-    found : Constraints
-        See `constraints`.
-    largest_angle : float
-        Largest abs(th_d), rad.
-    level, energy : float
-        Of S, and V at the start.
-    growths : tuple of float
-        g_p and g_a of ``V_p >= g_p abs(z_p)^2`` and ``V_a >= g_a abs(e_a)^2``.
-    """
+def constrained_conditions(setting: Setting, found: Constraints, parent: ParentCheck) -> tuple[Condition, ...]:
+    """Return the conditions of thm. GeneralConstrainedStability, given what `constraints` has found."""
     plane, manifold = setting.plane, setting.manifold
     masses = setting.masses
     room = manifold_clearance(
         manifold.curvature, manifold.offset, manifold.torque_max, masses, plane.length, plane.gravity
     )
-    angle_room = STEEPEST - largest_angle
-    region = constrained_region(level, Ball(angle_room, growths[0]), Ball(room.radius, growths[1]))
+    angle_room = STEEPEST - parent.largest_angle
+    of_plane, of_swarm = parent.growths
+    region = constrained_region(parent.level, Ball(angle_room, of_plane), Ball(room.radius, of_swarm))
     error = hypot(*setting.initial_error)
     return (
         Condition(
             "D_pc",
             Form("room of the angle, th limit - max |th_d| > 0", angle_room, 0.0),
             Form("room of the angle, th limit - max |th_d| > 0", angle_room, 0.0),
-            {"angle_limit": STEEPEST, "largest_angle": largest_angle},
+            {"angle_limit": STEEPEST, "largest_angle": parent.largest_angle},
         ),
         Condition(
             "S_c",
-            Form("V(z0) <= level of S_c, balls around |tau_sd| <= torque_max in A_A", energy, region.level, "<="),
+            Form(
+                "V(z0) <= level of S_c, balls around |tau_sd| <= torque_max in A_A", parent.energy, region.level, "<="
+            ),
             Form("largest |p_i| that can occur <= L/2", found.position, plane.length / 2.0, "<="),
             {
                 "desired_torque": found.torque,

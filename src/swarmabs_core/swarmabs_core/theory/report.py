@@ -166,6 +166,41 @@ class Theorem:
 
 
 @dataclass(frozen=True, slots=True)
+class ParentCheck:
+    """The theorem of a plane under one parent controller, for one setting.
+
+    Parameters
+    ----------
+    name : str
+        The controller's in the labels of the theorems, and in their titles.
+    conditions : tuple of Condition
+        Of the theorem that fits the swarm.
+    derivative : Condition
+        That the derivatives of the Lyapunov functions are negative and outweigh the coupling.
+    torque : float
+        Largest torque that the controller may ask for, N m.
+    largest_angle : float
+        Largest abs(th_d), rad.
+    level, energy : float
+        Of S, and V at the start.
+    growths : tuple of float
+        g_p and g_a of ``V_p >= g_p abs(z_p)^2`` in S, and of ``V_a >= g_a abs(e_a)^2``.
+    attraction : mapping
+        The estimates of the region of attraction.
+    """
+
+    name: str
+    conditions: tuple[Condition, ...]
+    derivative: Condition
+    torque: float
+    largest_angle: float
+    level: float
+    energy: float
+    growths: tuple[float, float]
+    attraction: Mapping[str, Document]
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """Everything that the theory says of a scenario.
 
