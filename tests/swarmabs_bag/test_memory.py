@@ -23,7 +23,10 @@ ALLOWED = 32 * MEBIBYTE
 LIMITED = f"""
 import resource, sys
 from pathlib import Path
-from swarmabs_bag import BagTooLargeError, bag_info, load_arrays, open_bag
+from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.errors import BagTooLargeError
+from swarmabs_bag.info import bag_info
+from swarmabs_bag.reader import open_bag
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + {ALLOWED}, used + {ALLOWED}))
 bag = sys.argv[1]
