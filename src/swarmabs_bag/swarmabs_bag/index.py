@@ -46,8 +46,8 @@ from swarmabs_bag.records import (
     encoded,
     indexed_channel,
     inner_records,
+    message_head,
     parse,
-    read_message,
     read_record,
     read_records,
     uncompress,
@@ -208,13 +208,12 @@ class FileIndex:
         statistics = self.statistics
         begin, end = span
         if opcode == Opcode.MESSAGE:
-            message = read_message(data, begin, end, offset)
-            if statistics.message_count == 0:
-                statistics.message_start_time = message.log_time
-            statistics.message_start_time = min(statistics.message_start_time, message.log_time)
-            statistics.message_end_time = max(statistics.message_end_time, message.log_time)
+            channel, _, log_time, _ = message_head(data, begin, end, offset)
+            if log_time < statistics.message_start_time or statistics.message_count == 0:
+                statistics.message_start_time = log_time
+            statistics.message_end_time = max(statistics.message_end_time, log_time)
             statistics.message_count += 1
-            statistics.channel_message_counts[message.channel_id] += 1
+            statistics.channel_message_counts[channel] += 1
         elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
             self.define(Record(offset, opcode, data[begin:end]))
 

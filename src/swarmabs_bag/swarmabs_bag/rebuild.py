@@ -20,8 +20,8 @@ from swarmabs_bag.records import (
     chunk_head,
     encoded,
     inner_records,
+    message_head,
     parse,
-    read_message,
     record_head,
 )
 from swarmabs_bag.salvage import Damage, Salvage
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bag.output import RecordFile
-    from swarmabs_bag.records import StoredMessage
     from swarmabs_bag.salvage import Saved
 
 OWN = "swarmabs"
@@ -271,12 +270,10 @@ class Rebuilt:
         start, end = 2**64, 0
         for opcode, begin, stop in inner_records(data, record.offset):
             if opcode == Opcode.MESSAGE:
-                message = read_message(data, begin, stop, record.offset)
-                entries.setdefault(message.channel_id, bytearray()).extend(
-                    _INDEX_ENTRY.pack(message.log_time, begin - HEAD_SIZE)
-                )
-                start, end = min(start, message.log_time), max(end, message.log_time)
-                self._count_gap(message)
+                channel, sequence, time, _ = message_head(data, begin, stop, record.offset)
+                entries.setdefault(channel, bytearray()).extend(_INDEX_ENTRY.pack(time, begin - HEAD_SIZE))
+                start, end = min(start, time), max(end, time)
+                self._count_gap(channel, sequence)
         head, content = chunk_head(record), record.content
         if entries and (head.message_start_time, head.message_end_time) != (start, end):
             self.reindexed += 1
@@ -288,10 +285,9 @@ class Rebuilt:
         for content in self._expected.values():
             self._put(Opcode.MESSAGE_INDEX, content)
 
-    def _count_gap(self, message: StoredMessage) -> None:
+    def _count_gap(self, channel: int, sequence: int) -> None:
         if not self.index.header.library.startswith(OWN):
             return
-        channel, sequence = message.channel_id, message.sequence
         gap = sequence - self._next_sequence.get(channel, 0)
         if gap > 0:
             self.gaps[channel] = self.gaps.get(channel, 0) + gap

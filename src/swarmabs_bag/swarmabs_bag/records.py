@@ -294,14 +294,21 @@ def indexed_channel(record: Record) -> int:
     return int(channel)
 
 
-def read_message(content: bytes, begin: int, end: int, offset: int) -> StoredMessage:
-    """Read a message from its record's content, which lies between `begin` and `end`.
+def message_head(content: bytes, begin: int, end: int, offset: int) -> tuple[int, int, int, int]:
+    """Read channel, sequence number, log and publish time of a message, whose content lies between `begin` and `end`.
 
     Raises
     ------
     RecordError
         If the record is too short.
     """
+    if begin + _MESSAGE_HEAD.size > end:
+        raise RecordError(offset, "a message record is cut off")
+    return _MESSAGE_HEAD.unpack_from(content, begin)
+
+
+def read_message(content: bytes, begin: int, end: int, offset: int) -> StoredMessage:
+    """Read a message; parameters and errors as of `message_head`, which is not called since this is the inmost loop."""
     head_end = begin + _MESSAGE_HEAD.size
     if head_end > end:
         raise RecordError(offset, "a message record is cut off")

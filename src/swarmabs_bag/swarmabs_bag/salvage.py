@@ -23,8 +23,8 @@ from swarmabs_bag.records import (
     chunk_head,
     indexed_channel,
     inner_records,
+    message_head,
     parse,
-    read_message,
     read_record,
     uncompress,
     uncompressed,
@@ -144,7 +144,7 @@ class Salvage:
         if opcode == Opcode.CHUNK:
             data = uncompress(record)
             for inner, begin, end in inner_records(data, offset):
-                _check_inner(inner, data[begin:end], offset)
+                _check_inner(inner, data, (begin, end), offset)
             return Saved(record, data)
         if opcode == Opcode.ATTACHMENT:
             read_attachment(record)
@@ -159,7 +159,7 @@ class Salvage:
             if not self._leads_on(record.end):
                 raise RecordError(offset, "an end of the data section behind which no summary section begins")
         else:
-            _check_inner(opcode, record.content, offset)
+            _check_inner(opcode, record.content, (0, len(record.content)), offset)
             if opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
                 raise RecordError(offset, "outside of the chunks, where no CRC says that it is one")
         return Saved(record)
@@ -246,13 +246,13 @@ class Salvage:
             yield Saved(Record(offset, Opcode.CHUNK, b""), data, cut=True)
 
 
-def _check_inner(opcode: int, content: bytes, offset: int) -> None:
+def _check_inner(opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
+    """Check the record of a chunk, or outside of any, whose content lies in the span of the data."""
+    begin, end = span
     if opcode == Opcode.MESSAGE:
-        read_message(content, 0, len(content), offset)
-    elif opcode == Opcode.SCHEMA:
-        parse(Schema, Record(offset, opcode, content))
-    elif opcode == Opcode.CHANNEL:
-        parse(Channel, Record(offset, opcode, content))
+        message_head(data, begin, end, offset)
+    elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+        parse(Schema if opcode == Opcode.SCHEMA else Channel, Record(offset, opcode, data[begin:end]))
     else:
         raise RecordError(offset, f"a record of kind {opcode:#04x}, which cannot be here")
 
@@ -277,9 +277,8 @@ def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, in
     whole = 0
     try:
         for opcode, begin, stop in inner_records(data, offset):
-            record = data[begin:stop]
-            _check_inner(opcode, record, offset)
-            if opcode == Opcode.MESSAGE and not start <= read_message(record, 0, len(record), offset).log_time <= end:
+            _check_inner(opcode, data, (begin, stop), offset)
+            if opcode == Opcode.MESSAGE and not start <= message_head(data, begin, stop, offset)[2] <= end:
                 break
             whole = stop
     except RecordError:
