@@ -10,7 +10,7 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args, get_type_hints
+from typing import TYPE_CHECKING, cast, get_args, get_type_hints
 
 from pydantic import BaseModel
 
@@ -31,12 +31,15 @@ from swarmabs_config.scenario import (
     AGENT_KINDS,
     CONTROLLER_CONFIGS,
     FAULT_KINDS,
-    OBSERVER_CONFIGS,
+    OBSERVERS,
     TRAJECTORY_CONFIGS,
     Scenario,
 )
+from swarmabs_config.scenario.declared import Declared, DeclaredModel, model_of
 from swarmabs_core.controllers import CONTROLLERS
+from swarmabs_core.declaration import parameters_of
 from swarmabs_core.messages import TOPICS
+from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime import topic_drive
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
@@ -46,7 +49,6 @@ from swarmabs_view.protocol import json_schema
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from swarmabs_core.parameters import Parameter
 
 DOCS = Path(__file__).parent
 VIEW_SCHEMA = DOCS / "view_messages.schema.json"
@@ -94,6 +96,8 @@ def bounds(parameter: Parameter) -> str:
         found.append(f"{parameter.length} numbers")
     if parameter.above is not None:
         found.append(f"> {parameter.above:g}")
+    if parameter.below is not None:
+        found.append(f"< {parameter.below:g}")
     if parameter.minimum is not None:
         found.append(f">= {parameter.minimum:g}")
     if parameter.maximum is not None:
@@ -103,12 +107,12 @@ def bounds(parameter: Parameter) -> str:
     return "; ".join(found)
 
 
-def parameters(declared: Iterable[Parameter], prefix: str = "") -> str:
-    """Return the table of a node's parameters."""
-    return table(
-        ("parameter", "default", "allowed", "meaning"),
-        ((code(prefix + p.name), value(p.default), bounds(p), p.description) for p in declared),
-    )
+def parameters(declared: Iterable[Parameter | type], without: Iterable[Parameter] = ()) -> str:
+    """Return the table of a node's parameters, `without` those that all nodes have."""
+    names = {each.name for each in without}
+    found = (p for each in declared for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
+    rows = ((code(p.name), value(p.default), bounds(p), p.description) for p in found if p.name not in names)
+    return table(("parameter", "default", "allowed", "meaning"), rows)
 
 
 def topics() -> str:
@@ -181,12 +185,14 @@ def events() -> str:
 
 def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str, str]]:
     """Return path, default and meaning of every field of a part of a scenario."""
-    hints = get_type_hints(model)
+    hints = {} if issubclass(model, DeclaredModel) else get_type_hints(model)
     for name, field in model.model_fields.items():
         path = f"{prefix}{field.alias or name}"
         described = field.description or ""
-        candidates = [hints[name], *get_args(hints[name])]
+        candidates = [hints.get(name), *get_args(hints.get(name))]
         inner = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+        if any(isinstance(each, Declared) for each in field.metadata):
+            inner = model_of(cast("type", field.annotation))
         if path in _CHOSEN or path.endswith("trajectory"):
             yield path, _CHOSEN.get(path, "see below"), described
         elif inner is not None:
@@ -234,25 +240,25 @@ def all_tables() -> dict[str, str]:
         "robots": variants(AGENT_KINDS, "kind"),
         "controllers": variants(CONTROLLER_CONFIGS, "type"),
         "trajectories": variants(TRAJECTORY_CONFIGS, "type"),
-        "observers": variants(OBSERVER_CONFIGS, "type"),
+        "observers": variants(OBSERVERS, "type"),
         "faults": variants(FAULT_KINDS, "kind"),
         "common": parameters(COMMON),
-        "plane_sim": parameters(plane_sim.node.PARAMETERS),
-        "plane_driver": parameters(plane_sim.driver.PARAMETERS),
+        "plane_sim": parameters(plane_sim.node.PARAMETERS, without=COMMON),
+        "plane_driver": parameters(plane_sim.driver.PARAMETERS, without=REALTIME_COMMON),
         "topic drive": parameters(topic_drive.SETTINGS),
-        "abstraction_observer": parameters(abstraction_observer.node.PARAMETERS),
-        "parent_controller": parameters((parent_controller.node.LAW, *parent_controller.node.PARAMETERS)),
+        "abstraction_observer": parameters(abstraction_observer.node.PARAMETERS, without=COMMON),
+        "parent_controller": parameters(parent_controller.node.PARAMETERS, without=COMMON),
         "controller parameters": controller_parameters(),
-        "agent_node": parameters(agent_node.node.PARAMETERS),
+        "agent_node": parameters(agent_node.node.PARAMETERS, without=COMMON),
         "agent_group": parameters(agent_node.group.PARAMETERS),
         "recorder": parameters(recorder.PARAMETERS),
         "replay_player": parameters(replay_player.PARAMETERS),
         "steering": parameters(steering.PARAMETERS),
         "realtime common": parameters(REALTIME_COMMON),
-        "realtime plane_sim": parameters(plane_sim.realtime.PARAMETERS),
-        "realtime abstraction_observer": parameters(abstraction_observer.realtime.PARAMETERS),
-        "realtime parent_controller": parameters((parent_controller.node.LAW, *parent_controller.realtime.PARAMETERS)),
-        "realtime agent_node": parameters(agent_node.realtime.PARAMETERS),
+        "realtime plane_sim": parameters(plane_sim.realtime.PARAMETERS, without=REALTIME_COMMON),
+        "realtime abstraction_observer": parameters(abstraction_observer.realtime.PARAMETERS, without=REALTIME_COMMON),
+        "realtime parent_controller": parameters(parent_controller.realtime.PARAMETERS, without=REALTIME_COMMON),
+        "realtime agent_node": parameters(agent_node.realtime.PARAMETERS, without=REALTIME_COMMON),
         "realtime recorder": parameters(realtime_recorder.PARAMETERS),
         "realtime qos": realtime_qos(),
     }

@@ -97,7 +97,7 @@ def inertia(scenario: Scenario, angle: Array, rate: Array, degree: int) -> tuple
     tuple of float
         J_s in kg m^2; its standard deviation if w has white noise of `SIGMA`; condition number of the scaled columns.
     """
-    period, friction = scenario.period, configure.friction(scenario)
+    period, friction = scenario.period, scenario.plane.friction
     time = np.linspace(-1.0, 1.0, len(angle))
     drag = np.array([friction.torque(w) for w in rate])
 

@@ -138,7 +138,7 @@ def led_controller(scenario: Scenario, robot: int, coupling: Coupling, *, record
     plane = scenario.plane
     law = Following(
         configure.parent_controller(scenario),
-        ParentContext(scenario.period, plane.inertia, configure.friction(scenario), configure.manifold(scenario)),
+        ParentContext(scenario.period, plane.inertia, plane.friction, scenario.manifold),
         coupling.ratio,
         coupling.bandwidth,
         plane.angle,

@@ -6,7 +6,7 @@ import pytest
 from tests.swarmabs_core.helpers import agent_state
 from tests.swarmabs_ros.nodes import settings_from
 
-from abstraction_observer.node import PARAMETERS, config, make, model
+from abstraction_observer.node import PARAMETERS, make
 from swarmabs_config.graph import LOCKSTEP, OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig
 from swarmabs_core.friction import Friction
@@ -37,7 +37,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
         ksd=0.3,
     )
     schedule = (Change(5, 9, ChangeKind.JOIN),)
-    assert config(settings) == ObserverConfig((2, 9), 5_000_000, 1.62, 0.3, schedule, 77)
+    assert settings.made(ObserverConfig) == ObserverConfig((2, 9), 5_000_000, 1.62, 0.3, schedule, 77)
 
 
 def test_it_hears_robots_and_sums_them_up() -> None:
@@ -51,8 +51,8 @@ def test_it_hears_robots_and_sums_them_up() -> None:
 def test_it_watches_the_plane_if_that_is_wanted() -> None:
     friction = (0.02, 900.0, 600.0, 0.03, 800.0, 1.5)
     given = settings_from(PARAMETERS, type="parent_response", inertia=0.7, friction=friction, bandwidth=12.0)
-    assert model(given) == ParentModel(0.7, Friction(*friction), 12.0)
-    assert model(settings_from(PARAMETERS)) is None
+    assert given.made(ObserverConfig).parent_model == ParentModel(0.7, Friction(*friction), 12.0)
+    assert settings_from(PARAMETERS).made(ObserverConfig).parent_model is None
     spec = make(given, CHANNEL)
     assert spec.behaviour.awaits() == (AGENT_STATE, PLANE_STATE)
     assert set(given.endpoints(OBSERVER, LOCKSTEP).subscriptions) == {AGENT_STATE, PLANE_STATE}

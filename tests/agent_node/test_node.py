@@ -7,7 +7,7 @@ from math import inf
 import pytest
 from tests.swarmabs_ros.nodes import settings_from
 
-from agent_node.node import PARAMETERS, config, make
+from agent_node.node import PARAMETERS, make
 from swarmabs_config.graph import LOCKSTEP, ROBOT
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.errors import InputError
@@ -15,7 +15,7 @@ from swarmabs_core.faults import FaultKind, RobotFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, Kind
 from swarmabs_core.parameters import Value
-from swarmabs_core.sensing import Sensor
+from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros.status import StatusChannel
 
@@ -51,7 +51,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
         sensor__resolution=(0.3, 0.4),
         actuator_lag=0.9,
     )
-    assert config(settings) == AgentConfig(
+    assert settings.made(AgentConfig) == AgentConfig(
         agent_id=12,
         kind=Kind.DOUBLE_INTEGRATOR,
         mass=0.7,
@@ -68,13 +68,13 @@ def test_every_parameter_reaches_the_configuration() -> None:
         seed=99,
         feels_gravity=True,
         last_step=77,
-        sensor=Sensor((0.1, 0.2), (0.3, 0.4)),
+        sensor=RobotSensor((0.1, 0.2), (0.3, 0.4)),
         actuator_lag=0.9,
     )
 
 
 def test_no_limit_and_no_end_by_default() -> None:
-    found = config(settings_from(PARAMETERS))
+    found = settings_from(PARAMETERS).made(AgentConfig)
     assert found.limits == Limits(inf, inf)
     assert found.life == LifeSpan(0, None, None)
     assert found.last_step is None
@@ -82,8 +82,9 @@ def test_no_limit_and_no_end_by_default() -> None:
 
 @pytest.mark.parametrize("values", [{"damping": 0.5}, {"velocity": -0.1}])
 def test_a_single_integrator_has_neither_damping_nor_velocity(values: dict[str, Value]) -> None:
-    with pytest.raises(InputError, match="damping and velocity"):
-        config(settings_from(PARAMETERS, kind="single_integrator", **values))
+    (name,) = values
+    with pytest.raises(InputError, match=rf"parameter {name}: a single integrator has none; leave it out"):
+        settings_from(PARAMETERS, kind="single_integrator", **values).made(AgentConfig)
 
 
 @pytest.mark.parametrize("kind", ["single_integrator", "double_integrator"])

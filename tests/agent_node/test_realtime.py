@@ -7,7 +7,7 @@ from math import inf
 import pytest
 from tests.swarmabs_ros.nodes import realtime_settings_from
 
-from agent_node.realtime import PARAMETERS, config
+from agent_node.realtime import PARAMETERS
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
@@ -41,16 +41,19 @@ def test_every_parameter_reaches_the_configuration() -> None:
         broadcast_age_limit=0.2,
         measurement_age_limit=0.3,
     )
-    found = config(settings)
+    found = settings.made(RealtimeAgentConfig)
     assert found.lane_limit == pytest.approx(0.6)
+    assert found.bounds == Bounds(1.62, 1.4, 11.0, 0.005)
     assert found == RealtimeAgentConfig(
         agent_id=12,
         kind=Kind.DOUBLE_INTEGRATOR,
         mass=0.7,
         gains=SwarmGains((1.0, 2.0), (3.0, 4.0), (5.0, 6.0), 7.0),
         schedule=Schedule(5_000_000, 77),
-        bounds=Bounds(1.62, 1.4, 11.0, 0.005),
-        lane_limit=found.lane_limit,
+        gravity=1.62,
+        plane_length=1.4,
+        swarm_mass=11.0,
+        lane_margin=0.1,
         damping=0.8,
         limits=Limits(8.0, 9.0),
         deceleration=10.0,
@@ -62,10 +65,10 @@ def test_every_parameter_reaches_the_configuration() -> None:
 
 
 def test_zero_is_no_limit() -> None:
-    found = config(realtime_settings_from(PARAMETERS))
+    found = realtime_settings_from(PARAMETERS).made(RealtimeAgentConfig)
     assert (found.limits, found.deceleration, found.bounds.swarm_mass) == (Limits(inf, inf), inf, inf)
 
 
 def test_a_single_integrator_with_damping_is_refused() -> None:
     with pytest.raises(InputError, match="damping"):
-        config(realtime_settings_from(PARAMETERS, damping=0.1))
+        realtime_settings_from(PARAMETERS, damping=0.1).made(RealtimeAgentConfig)

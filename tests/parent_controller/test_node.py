@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from tests.swarmabs_ros.nodes import given, settings_from, started_node
+from tests.swarmabs_ros.nodes import settings_from
 
-from parent_controller.node import LAW, make, table
+from parent_controller.node import PARAMETERS, make
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP
 from swarmabs_core.behaviours import Controller, PackingController
 from swarmabs_core.controllers import CONTROLLERS
@@ -21,24 +21,21 @@ from swarmabs_core.messages import (
     PlaneState,
 )
 from swarmabs_core.parameters import Value
+from swarmabs_ros.parameters import table_of
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.status import StatusChannel
 
 CHANNEL = StatusChannel("parent_controller")
-pytestmark = pytest.mark.usefixtures("ros")
 
 
 def settings_of(law: str, **values: Value) -> Settings:
-    with started_node(*given(controller__type=law)) as node:
-        return settings_from(table(node), controller__type=law, **values)
+    return settings_from(PARAMETERS, controller__type=law, **values)
 
 
 @pytest.mark.parametrize("law", CONTROLLERS.built_in)
 def test_the_law_decides_which_parameters_there_are(law: str) -> None:
-    with started_node(*given(controller__type=law)) as node:
-        names = [parameter.name for parameter in table(node)]
-    assert names[0] == LAW.name
-    own = {name for name in names if name.startswith("controller.")} - {LAW.name}
+    names = [parameter.name for parameter in table_of({"controller.type": law}, (), PARAMETERS)]
+    own = {name for name in names if name.startswith("controller.")} - {"controller.type"}
     assert own == {f"controller.{setting.name}" for setting in CONTROLLERS.built_in[law].settings}
 
 

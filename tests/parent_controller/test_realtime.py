@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast
 
 from tests.swarmabs_ros.nodes import realtime_settings_from
 
-from parent_controller.node import LAW
 from parent_controller.realtime import PARAMETERS, make
-from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import PLANE_STATE, Mode, PlaneState
-from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 
-PD = tuple(replace(setting, name=f"controller.{setting.name}") for setting in CONTROLLERS.built_in["pd"].settings)
-TABLE: tuple[Parameter, ...] = (LAW, *PARAMETERS, *PD)
 NO_NODE = cast("RealtimeNode", None)
 PERIOD = 10_000_000
 
 
 def made(**values: str | float) -> tuple[RealtimeSpec, RealtimeController]:
-    spec = make(realtime_settings_from(TABLE, **values), NO_NODE)
+    spec = make(realtime_settings_from(PARAMETERS, **values), NO_NODE)
     assert isinstance(spec.behaviour, RealtimeController)
     return spec, spec.behaviour
 

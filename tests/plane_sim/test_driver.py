@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from tests.swarmabs_ros.nodes import settings_from
+from tests.swarmabs_ros.nodes import realtime_settings_from
 
-from plane_sim.driver import PARAMETERS, config
-from swarmabs_core.parameters import Parameter
+from plane_sim.driver import PARAMETERS
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.plane_driver import PlaneDriverConfig
-from swarmabs_ros.realtime_runner import COMMON
-
-
-def of_realtime() -> tuple[Parameter, ...]:
-    return tuple(each for each in COMMON if each.name in {"epoch_ns", "clock_tolerance"})
 
 
 def test_every_parameter_reaches_the_configuration() -> None:
-    settings = settings_from(
-        (*of_realtime(), *PARAMETERS),
+    settings = realtime_settings_from(
+        PARAMETERS,
         period_ns=5_000_000,
         epoch_ns=7,
         clock_tolerance=0.3,
@@ -34,7 +28,7 @@ def test_every_parameter_reaches_the_configuration() -> None:
         max_rate=2.0,
         max_jump=0.01,
     )
-    assert config(settings) == PlaneDriverConfig(
+    assert settings.made(PlaneDriverConfig) == PlaneDriverConfig(
         schedule=Schedule(5_000_000, 7),
         source="imu",
         joint="tilt",
@@ -53,5 +47,5 @@ def test_every_parameter_reaches_the_configuration() -> None:
 
 
 def test_defaults_are_those_of_the_behaviour() -> None:
-    settings = settings_from((*of_realtime(), *PARAMETERS))
-    assert config(settings) == PlaneDriverConfig(Schedule(10_000_000, 0))
+    settings = realtime_settings_from(PARAMETERS)
+    assert settings.made(PlaneDriverConfig) == PlaneDriverConfig()

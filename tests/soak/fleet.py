@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from tests.soak.disturbances import CLOCKS, Disturbance
 from tests.soak.invariants import Invariant, Recovers, Violation, WithinLimits
@@ -17,6 +18,7 @@ from swarmabs_config.scenario.controllers import AriseConfig, ConstantTrajectory
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
 from swarmabs_core.record import Record
+from swarmabs_core.sensing import RobotSensor
 
 END_STOP = 0.5
 """Angle of the end stops that planes have here: a swarm that stands still lets them fall, rad."""
@@ -28,8 +30,8 @@ def of_a_fleet(scenario: Scenario) -> Scenario:
     controller = scenario.controller
     if isinstance(controller, AriseConfig):  # a reference that begins anew after each reset has no fixed error
         controller = controller.model_copy(update={"trajectory": ConstantTrajectory()})
-    swarm = scenario.swarm.model_copy(update={"actuator_lag": 0.0, "sensor": type(scenario.swarm.sensor)()})
-    plane = scenario.plane.model_copy(update={"end_stop": END_STOP})
+    swarm = scenario.swarm.model_copy(update={"actuator_lag": 0.0, "sensor": RobotSensor()})
+    plane = replace(scenario.plane, end_stop=END_STOP)
     changed = {"swarm": swarm, "plane": plane, "controller": controller, "faults": ()}
     return scenario.model_copy(update=changed)
 
@@ -76,7 +78,7 @@ class StaysWithin(Invariant):
     """No robot is nearer to the plane's end than it may come."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._lane = configure.lane_limit(scenario)
+        self._lane = max(0.0, 0.5 * scenario.plane.length - scenario.realtime.lane_margin)
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
         """Look at all positions."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, isfinite
+from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config import configure
@@ -119,7 +119,7 @@ class WithinLimits(Invariant):
     """All numbers are finite, and no command is beyond what the drive can do."""
 
     def __init__(self, scenario: Scenario) -> None:
-        velocity, force = scenario.limits.velocity or inf, scenario.limits.force or inf
+        velocity, force = scenario.limits.velocity, scenario.limits.force
         self._largest = {Kind.SINGLE_INTEGRATOR: velocity, Kind.DOUBLE_INTEGRATOR: force}
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:

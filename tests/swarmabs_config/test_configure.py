@@ -33,11 +33,12 @@ def test_observer_plane_and_controller() -> None:
     controller = configure.controller_config(scenario, recording_window=100)
     assert observer.members == plane.members == (1, 2, 3, 4)
     assert observer.schedule == plane.schedule == configure.schedule(scenario)
-    assert observer.gravity == plane.gravity == 9.8
+    assert observer.gravity == plane.plane.gravity == 9.8
     assert observer.ksd == 1.5
     assert {c.period_ns for c in (observer, plane, controller)} == {5_000_000}
     assert {c.last_step for c in (observer, plane, controller)} == {200}
-    assert (plane.angle, plane.disturbance.amplitude, plane.friction.g3) == (0.075, 0.1, 700.0)
+    assert plane.plane == scenario.plane
+    assert (plane.plane.angle, plane.plane.disturbance.amplitude, plane.plane.friction.g3) == (0.075, 0.1, 700.0)
     assert (controller.manifold.curvature, controller.recording_window) == (0.0125, 100)
 
 

@@ -46,8 +46,8 @@ class Painter:
     """A painter."""
 
     period_ns: int = setting(10, "period, ns", minimum=1)
-    colour: Colour = setting(Colour.RED, "colour", choices=("red", "blue"), parse=Colour, text=lambda each: each.value)
-    colours: tuple[Colour, ...] = setting((), "further ones", parse=Colour, text=lambda each: each.value)
+    colour: Colour = setting(Colour.RED, "colour", choices=("red", "blue"), make=Colour, say=lambda each: each.value)
+    colours: tuple[Colour, ...] = setting((), "further ones", make=Colour, say=lambda each: each.value)
     last: int | None = setting(None, "last stroke", unset=-1)
     brush: Brush = part(Brush, "the brush")
     spare: Brush = part(Brush, "another one", name="", without=("limit",))

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import rclpy
 
 from swarmabs_core.parameters import Parameter, Value, resolve
+from swarmabs_ros.parameters import declare, given_values, table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings, SwarmNode
 
@@ -29,16 +30,22 @@ def given(**values: str) -> list[str]:
     return [word for name, text in values.items() for word in ("-p", f"{name.replace('__', '.')}:={text}")]
 
 
-def settings_from(table: tuple[Parameter, ...], **values: Value) -> Settings:
+def settings_from(table: tuple[Parameter | type, ...], **values: Value) -> Settings:
     """Return settings as a node would have them that was given these parameters; double underscores stand for dots."""
-    return _settings((*COMMON, *table), values)
+    return _settings(COMMON, table, values)
 
 
-def realtime_settings_from(table: tuple[Parameter, ...], **values: Value) -> Settings:
+def realtime_settings_from(table: tuple[Parameter | type, ...], **values: Value) -> Settings:
     """Return the same of a node in real time."""
-    return _settings((*REALTIME_COMMON, *table), values)
+    return _settings(REALTIME_COMMON, table, values)
 
 
-def _settings(table: tuple[Parameter, ...], values: dict[str, Value]) -> Settings:
+def declared_by(arguments: list[str], common: tuple[Parameter, ...], table: tuple[Parameter | type, ...]) -> Settings:
+    """Return what a node sees that is started with a command line, by way of ROS; it needs the fixture `ros`."""
+    with started_node(*arguments) as node:
+        return Settings(declare(node, table_of(given_values(node), common, table)))
+
+
+def _settings(common: tuple[Parameter, ...], table: tuple[Parameter | type, ...], values: dict[str, Value]) -> Settings:
     named = {name.replace("__", "."): value for name, value in values.items()}
-    return Settings(resolve(table, named, owner="the node"))
+    return Settings(resolve(table_of(named, common, table), named, owner="the node"))

@@ -13,10 +13,11 @@ from agent_node import node as agent
 from parent_controller import node as controller
 from plane_sim import node as plane
 from swarmabs_bag.recorder import node as recorder
+from swarmabs_core.behaviours import ControllerConfig
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import AGENT_STATE, EVENTS
-from swarmabs_ros.runner import SCHEDULE, _expected
+from swarmabs_ros.runner import _expected
 
 MAINS: dict[str, Callable[[list[str] | None], int]] = {
     "plane_sim": plane.main,
@@ -86,21 +87,13 @@ def test_whom_nobody_can_wait_for(text: str) -> None:
         _expected(settings_from((), match=(text,)))
 
 
-def test_the_schedule_is_in_order_of_steps() -> None:
-    settings = settings_from((SCHEDULE,), schedule=("leave 2 300", "join 7 20", "kill 1 300"))
-    assert settings.schedule() == (
-        Change(20, 7, ChangeKind.JOIN),
-        Change(300, 1, ChangeKind.KILL),
-        Change(300, 2, ChangeKind.LEAVE),
-    )
-
-
 @pytest.mark.parametrize(("value", "step"), [(-1, None), (0, 0), (3000, 3000)])
 def test_a_run_may_have_no_end(value: int, step: int | None) -> None:
     assert settings_from((), last_step=value).last_step() == step
 
 
-def test_settings_of_a_part() -> None:
-    settings = settings_from((*controller.PARAMETERS,), plane__inertia=0.7)
-    assert settings.within("plane.")["inertia"] == 0.7
-    assert set(settings.within("manifold.")) == {"curvature", "offset", "torque_max"}
+def test_a_configuration_is_made_of_the_settings_of_its_parts() -> None:
+    settings = settings_from(controller.PARAMETERS, plane__inertia=0.7, manifold__offset=0.3, controller__type="lqr")
+    config = settings.made(ControllerConfig)
+    assert (config.law.inertia, config.manifold) == (0.7, Manifold(offset=0.3))
+    assert (config.law.controller, set(config.law.controller_settings)) == ("lqr", {"q", "r"})

@@ -14,27 +14,31 @@ from swarmabs_bag.recorder import node as recorder
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime import topic_drive
+from swarmabs_ros.parameters import table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 
-REALTIME = {
-    "realtime common": REALTIME_COMMON,
-    "realtime plane_sim": realtime_plane.PARAMETERS,
-    "realtime abstraction_observer": realtime_observer.PARAMETERS,
-    "realtime parent_controller": (controller.LAW, *realtime_controller.PARAMETERS),
-    "realtime agent_node": realtime_agent.PARAMETERS,
-    "plane_driver": plane_driver.PARAMETERS,
-}
+
+def table(common: tuple[Parameter, ...], own: tuple[Parameter | type, ...]) -> tuple[Parameter, ...]:
+    """Return a node's parameters without those that all nodes have."""
+    return tuple(parameter for parameter in table_of({}, common, own) if parameter not in common)
+
+
 TABLES = {
     "common": COMMON,
-    "plane_sim": plane.PARAMETERS,
+    "plane_sim": table(COMMON, plane.PARAMETERS),
     "topic drive": topic_drive.SETTINGS,
-    "abstraction_observer": observer.PARAMETERS,
-    "parent_controller": (controller.LAW, *controller.PARAMETERS),
-    "agent_node": agent.PARAMETERS,
+    "abstraction_observer": table(COMMON, observer.PARAMETERS),
+    "parent_controller": table(COMMON, controller.PARAMETERS),
+    "agent_node": table(COMMON, agent.PARAMETERS),
     "recorder": recorder.PARAMETERS,
     **{f"controller {name}": entry.settings for name, entry in CONTROLLERS.built_in.items()},
-    **REALTIME,
+    "realtime common": REALTIME_COMMON,
+    "realtime plane_sim": table(REALTIME_COMMON, realtime_plane.PARAMETERS),
+    "realtime abstraction_observer": table(REALTIME_COMMON, realtime_observer.PARAMETERS),
+    "realtime parent_controller": table(REALTIME_COMMON, realtime_controller.PARAMETERS),
+    "realtime agent_node": table(REALTIME_COMMON, realtime_agent.PARAMETERS),
+    "plane_driver": table(REALTIME_COMMON, plane_driver.PARAMETERS),
 }
 UNIT = re.compile(r"\b(ns|s|m|kg|rad|N|steps)\b|1/|0 to 1|probability|smoothing|gain|weight|friction", re.IGNORECASE)
 
@@ -52,7 +56,7 @@ def test_names_are_unique(table: tuple[Parameter, ...]) -> None:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_no_node_redefines_a_common_parameter(name: str) -> None:
-    common = REALTIME_COMMON if name in REALTIME else COMMON
+    common = REALTIME_COMMON if name.startswith("realtime") or name == "plane_driver" else COMMON
     if TABLES[name] is not common:
         assert not {p.name for p in TABLES[name]} & {p.name for p in common}
 
@@ -79,9 +83,10 @@ def test_there_is_a_description_and_numbers_have_a_unit(parameter: Parameter) ->
 def test_numbers_are_bounded_or_may_have_either_sign(parameter: Parameter) -> None:
     """A bound that is forgotten shows here: what has no bound is a coordinate, an amplitude or a gain."""
     model = parameter.default[0] if isinstance(parameter.default, tuple) and parameter.default else parameter.default
-    bounded = any(bound is not None for bound in (parameter.minimum, parameter.maximum, parameter.above))
+    bounds = (parameter.minimum, parameter.maximum, parameter.above, parameter.below)
+    bounded = any(bound is not None for bound in bounds)
     either_sign = {
-        *("position", "velocity", "angular_velocity", "gains", "adaptive_initial"),
+        *("position", "velocity", "angular_velocity", "gains", "controller.gains", "adaptive_initial"),
         *("amplitude", "angular_frequency", "disturbance.amplitude", "disturbance.angular_frequency"),
         *("offset", "imu.offset", "scale", "joint.scale"),
         *("trajectory.amplitude", "trajectory.angular_frequency", "trajectory.value", "trajectory.angle"),

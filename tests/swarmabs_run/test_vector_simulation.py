@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import pytest
 from tests.swarmabs_core.helpers import builtin
@@ -73,8 +74,8 @@ def test_events_stand_where_the_state_machines_put_them() -> None:
     scenario = swarm(20, seed=5)
     strained = scenario.model_copy(
         update={
-            "manifold": scenario.manifold.model_copy(update={"torque_max": 0.01}),
-            "plane": scenario.plane.model_copy(update={"length": 0.2}),
+            "manifold": replace(scenario.manifold, torque_max=0.01),
+            "plane": replace(scenario.plane, length=0.2),
         }
     )
     machines = digest_and_bag(Simulation(strained).steps())

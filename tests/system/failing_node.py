@@ -14,7 +14,7 @@ from swarmabs_core.messages import EVENTS, PLANE_STATE, Message, Messages, Plane
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Health, Level, Schedule
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import run_realtime, schedule_of
+from swarmabs_ros.realtime_runner import run_realtime
 from swarmabs_ros.runner import Settings
 
 
@@ -42,7 +42,7 @@ class Failing:
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
-    behaviour = Failing(schedule_of(settings), Path(settings.text("file")))
+    behaviour = Failing(settings.made(Schedule), Path(settings.text("file")))
     heard = {PLANE_STATE: requested(PLANE_STATE, REALTIME, depth=10)}
     return RealtimeSpec(behaviour, 0.5, Endpoints((EVENTS, PLANE_STATE), heard))
 

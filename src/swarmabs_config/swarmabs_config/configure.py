@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from math import inf
 from typing import TYPE_CHECKING, cast
 
 from swarmabs_config.graph import recording_window as window_of
-from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, Limits, ObserverConfig, PlaneConfig
-from swarmabs_core.controllers import CONTROLLERS, ParentContext
+from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
+from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.faults import FaultKind, Lie, RobotFault
-from swarmabs_core.friction import Friction
-from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
-from swarmabs_core.parent_response import ParentModel
-from swarmabs_core.plant import Disturbance
-from swarmabs_core.sensing import Sensor
+from swarmabs_core.parent_response import ParentResponse
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Stair, Staircase
-from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 
 if TYPE_CHECKING:
@@ -25,11 +19,9 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-    from swarmabs_config.scenario import ParentResponseObserver, Scenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.parameters import Settings, Value
-
-KINDS = {"single_integrator": Kind.SINGLE_INTEGRATOR, "double_integrator": Kind.DOUBLE_INTEGRATOR}
 
 
 def members(scenario: Scenario) -> tuple[int, ...]:
@@ -82,29 +74,9 @@ def recording_window(scenario: Scenario) -> int:
     return window_of(len(scenario.agents))
 
 
-def friction(scenario: Scenario) -> Friction:
-    """Return the friction of the bearing."""
-    return Friction(*scenario.plane.friction)
-
-
-def manifold(scenario: Scenario) -> Manifold:
-    """Return the manifold of the desired abstract state."""
-    m = scenario.manifold
-    return Manifold(m.curvature, m.offset, m.torque_max)
-
-
-def plane_sensor(scenario: Scenario) -> Sensor:
-    """Return the sensor of the plane's motion."""
-    return Sensor(scenario.plane.sensor.noise, scenario.plane.sensor.resolution)
-
-
-def robot_sensor(scenario: Scenario) -> Sensor:
-    """Return the sensors by which the robots know their own motion."""
-    return Sensor(scenario.swarm.sensor.noise, scenario.swarm.sensor.resolution)
-
-
 def observer_config(scenario: Scenario) -> ObserverConfig:
     """Return the observer's configuration."""
+    observer = scenario.observer
     return ObserverConfig(
         members=members(scenario),
         period_ns=scenario.step_ns,
@@ -112,35 +84,21 @@ def observer_config(scenario: Scenario) -> ObserverConfig:
         ksd=scenario.swarm.gains.ksd,
         schedule=schedule(scenario),
         last_step=scenario.steps,
+        type=observer.type,
+        inertia=scenario.plane.inertia,
+        friction=scenario.plane.friction,
+        bandwidth=observer.bandwidth if isinstance(observer, ParentResponse) else ParentResponse().bandwidth,
     )
-
-
-def parent_model(scenario: Scenario) -> ParentModel | None:
-    """Return what an observer of the plane's response knows of the plane; None if the robots are summed up."""
-    if scenario.observer.type != "parent_response":
-        return None
-    observer = cast("ParentResponseObserver", scenario.observer)
-    return ParentModel(scenario.plane.inertia, friction(scenario), observer.bandwidth)
 
 
 def plane_config(scenario: Scenario) -> PlaneConfig:
     """Return the simulated plane's configuration."""
-    plane = scenario.plane
     return PlaneConfig(
         members=members(scenario),
         period_ns=scenario.step_ns,
-        inertia=plane.inertia,
-        length=plane.length,
-        gravity=plane.gravity,
-        friction=friction(scenario),
-        substep=plane.substep,
-        angle=plane.angle,
-        angular_velocity=plane.angular_velocity,
-        disturbance=Disturbance(plane.disturbance.amplitude, plane.disturbance.angular_frequency),
+        plane=scenario.plane,
         schedule=schedule(scenario),
         last_step=scenario.steps,
-        end_stop=inf if plane.end_stop is None else plane.end_stop,
-        sensor=plane_sensor(scenario),
         seed=scenario.seed,
         actuator_lag=scenario.swarm.actuator_lag,
         lies=lies(scenario),
@@ -148,14 +106,21 @@ def plane_config(scenario: Scenario) -> PlaneConfig:
     )
 
 
+def parent_law(scenario: Scenario) -> ParentLaw:
+    """Return which law controls the plane."""
+    plane = scenario.plane
+    return ParentLaw(scenario.controller.type, controller_settings(scenario), plane.inertia, plane.friction)
+
+
 def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig:
     """Return the configuration of the parent controller's node."""
     return ControllerConfig(
         period_ns=scenario.step_ns,
-        manifold=manifold(scenario),
+        manifold=scenario.manifold,
         recording_window=recording_window,
         last_step=scenario.steps,
         offsets=stairs(scenario, REFERENCE),
+        law=parent_law(scenario),
     )
 
 
@@ -185,8 +150,7 @@ def _settings(part: BaseModel) -> Settings:
 
 def parent_controller(scenario: Scenario) -> ParentController:
     """Return the control law of the plane."""
-    context = ParentContext(scenario.period, scenario.plane.inertia, friction(scenario), manifold(scenario))
-    return CONTROLLERS.make(scenario.controller.type, controller_settings(scenario), context)
+    return parent_law(scenario).make(scenario.period, scenario.manifold)
 
 
 def reference(scenario: Scenario) -> OffsetReference:
@@ -199,7 +163,7 @@ def swarm_state(scenario: Scenario) -> SwarmState:
     """Return what is shown of a scenario's swarm before anything is heard of it; its robots are listed."""
     there = {agent.id for agent in scenario.initial_agents}
     robots = [
-        RobotIdentity(agent.id, KINDS[agent.kind], agent.mass, agent.damping, joins=agent.id not in there)
+        RobotIdentity(agent.id, Kind[agent.kind.upper()], agent.mass, agent.damping, joins=agent.id not in there)
         for agent in scenario.agents
     ]
     return SwarmState(robots, reference=reference(scenario), period_ns=scenario.step_ns)
@@ -207,11 +171,7 @@ def swarm_state(scenario: Scenario) -> SwarmState:
 
 def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
-    g = scenario.swarm.gains
-    gains = SwarmGains(g.k, g.kp, g.kd, g.ksd)
     law = law_settings(scenario)
-    limits = Limits(scenario.limits.velocity or inf, scenario.limits.force or inf)
-    sensor = robot_sensor(scenario)
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
         life = lives.get(change.agent_id, LifeSpan())
@@ -222,24 +182,24 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
     return tuple(
         AgentConfig(
             agent_id=agent.id,
-            kind=KINDS[agent.kind],
+            kind=Kind[agent.kind.upper()],
             mass=agent.mass,
+            damping=agent.damping,
             position=agent.position,
             velocity=agent.velocity,
-            gains=gains,
-            period_ns=scenario.step_ns,
             gravity=scenario.plane.gravity,
             plane_length=scenario.plane.length,
-            damping=agent.damping,
-            limits=limits,
+            gains=scenario.swarm.gains,
+            limits=scenario.limits,
+            law=scenario.swarm.law.type,
+            law_settings=law,
+            period_ns=scenario.step_ns,
             life=lives.get(agent.id, LifeSpan()),
             faults=robot_faults(scenario, agent.id),
             seed=scenario.seed,
             feels_gravity=scenario.plane.robot_gravity,
-            law=scenario.swarm.law.type,
-            law_settings=law,
             last_step=scenario.steps,
-            sensor=sensor,
+            sensor=scenario.swarm.sensor,
             actuator_lag=scenario.swarm.actuator_lag,
         )
         for agent in scenario.agents

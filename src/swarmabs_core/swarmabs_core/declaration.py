@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from math import inf
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from swarmabs_core.errors import InputError
@@ -23,40 +22,39 @@ DeclarationT = TypeVar("DeclarationT")
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Setting:
-    """What is declared of one setting: the parameter that it is in a node, and how files and objects differ from it.
+    """What is declared of one setting: what it is in a node and in a file, both without a name, and in the object.
 
     Parameters
     ----------
     parameter : Parameter
-        With the default as a parameter says it, and without a name.
+        What it is in a node.
+    in_file : Parameter
+        What it is in a file, where the default may be None.
     default : object
         Default of the field.
-    description : str
-        Meaning and unit, without what stands for none.
-    above, below : float, optional
-        Exclusive bounds.
     unset : Scalar, optional
         What a parameter says for none; None if there is no such value.
-    parse : callable, optional
-        Makes a value, or an item of an array, of the text of the parameter; ``text`` is the way back.
-    text : callable
-        Text of a value that `parse` has made.
+    make : callable, optional
+        Makes the value, or an item of an array, of that of the parameter; ``say`` is the way back.
+    say : callable
+        Value of a parameter, or an item of it, for what `make` has made.
     whole_nanoseconds : bool
         Whether it is a time in s that must be a whole number of ns.
     names : str
-        What a text names, ``topic`` or ``frame``; empty if it may be any.
+        What a text names: ``name`` (a host), ``topic`` or ``frame``; empty if it may be any.
+    required : bool
+        Whether a file must say it.
     """
 
     parameter: Parameter
+    in_file: Parameter
     default: object
-    description: str
-    above: float | None
-    below: float | None
     unset: Scalar | None
-    parse: Callable[[str], object] | None
-    text: Callable[[Any], str]
+    make: Callable[[Any], object] | None
+    say: Callable[[Any], Any]
     whole_nanoseconds: bool
     names: str
+    required: bool
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -113,10 +111,11 @@ def setting(
     choices: tuple[str, ...] | None = None,
     item: Scalar = "",
     unset: Scalar | None = None,
-    parse: Callable[[str], object] | None = None,
-    text: Callable[[Any], str] = str,
+    make: Callable[[Any], object] | None = None,
+    say: Callable[[Any], Any] = str,
     whole_nanoseconds: bool = False,
     names: str = "",
+    required: bool = False,
 ) -> Any:
     """Declare a field of a dataclass; see `Parameter` and `Setting` for what is said of it.
 
@@ -129,9 +128,14 @@ def setting(
     name : str, optional
         Its name as a parameter and in files, if that is not the attribute's.
     """
+    said: Any = default
+    if unset is not None:
+        said = unset
+    elif make is not None and not isinstance(default, tuple):
+        said = say(default)
     parameter = Parameter(
         "",
-        default,  # type: ignore[arg-type]  # replaced below where it is no parameter's
+        said,
         description,
         minimum=minimum,
         maximum=maximum,
@@ -139,14 +143,16 @@ def setting(
         length=length,
         choices=choices,
         item=item,
+        below=below,
     )
+    in_file = parameter
     if unset is not None:
-        none = f"{description}; {unset}: none" if isinstance(unset, (str, int)) else f"{description}; {unset:g}: none"
-        lowest = None if isinstance(unset, str) else unset
-        parameter = dataclasses.replace(parameter, default=unset, description=none, minimum=lowest, above=None)
-    elif parse is not None and not isinstance(default, tuple):
-        parameter = dataclasses.replace(parameter, default=text(default))
-    declared = Setting(parameter, default, description, above, below, unset, parse, text, whole_nanoseconds, names)
+        in_file = dataclasses.replace(parameter, description=f"{description}; null: none")
+    if isinstance(unset, (int, float)):
+        parameter = dataclasses.replace(
+            parameter, description=f"{description}; {unset:g}: none", minimum=unset, above=None
+        )
+    declared = Setting(parameter, in_file, default, unset, make, say, whole_nanoseconds, names, required)
     return dataclasses.field(default=default, metadata={_KEY: (name, declared)})
 
 
@@ -190,10 +196,21 @@ def choice(find: Callable[[str], Registered], built_in: Mapping[str, object], de
 
 def same(declaration: type, attribute: str, *, name: str | None = None) -> Any:
     """Declare a field as another declaration has declared one of its own, perhaps by another name."""
+    declared = setting_of(declaration, attribute)
+    return dataclasses.field(default=declared.default, metadata={_KEY: (name, declared)})
+
+
+def setting_of(declaration: type, attribute: str) -> Setting:
+    """Return what is declared of a field of a declaration."""
     entry = next(entry for entry in entries_of(declaration) if entry.attribute == attribute)
     if not isinstance(entry.declared, Setting):
         raise TypeError(f"{declaration.__name__}.{attribute} is no setting")
-    return dataclasses.field(default=entry.declared.default, metadata={_KEY: (name, entry.declared)})
+    return entry.declared
+
+
+def attribute_of(declared: Setting, value: Any) -> object:
+    """Return the value of a field that a file's value, None for none, means; the way back is in `tree_of`."""
+    return declared.default if value is None else _meant(declared, value)
 
 
 def entries_of(declaration: type) -> tuple[Entry, ...]:
@@ -306,7 +323,11 @@ def tree_of(instance: Any) -> dict[str, object]:
     found: dict[str, object] = {}
     for name, attribute, declared in entries_of(type(instance)):
         value = getattr(instance, attribute)
-        found[name] = tree_of(value) if isinstance(declared, Part) else None if value == inf else value
+        if isinstance(declared, Part):
+            found |= {name: tree_of(value)} if name else tree_of(value)
+        elif isinstance(declared, Setting):
+            unset = declared.unset is not None and value == declared.default
+            found[name] = None if unset else _said(declared, value)
     return found
 
 
@@ -333,17 +354,19 @@ def _said(declared: Setting, value: Any) -> Value:
     """Return what a parameter says for a value."""
     if declared.unset is not None and value == declared.default:
         return declared.unset
-    if declared.parse is None:
-        return value  # type: ignore[no-any-return]  # that of a parameter
-    return tuple(map(declared.text, value)) if isinstance(value, tuple) else declared.text(value)
+    if declared.make is None:
+        return tuple(value) if isinstance(value, tuple) else value
+    if isinstance(value, tuple):
+        return tuple(value) if declared.parameter.length else tuple(map(declared.say, value))
+    return declared.say(value)  # type: ignore[no-any-return]  # that of a parameter
 
 
 def _meant(declared: Setting, value: Value) -> object:
     """Return the value that a parameter means."""
     if declared.unset is not None and value == declared.unset:
         return declared.default
-    if declared.parse is None:
+    if declared.make is None:
         return value
-    return (
-        tuple(declared.parse(str(item)) for item in value) if isinstance(value, tuple) else declared.parse(str(value))
-    )
+    if isinstance(value, tuple) and not declared.parameter.length:
+        return tuple(map(declared.make, value))
+    return declared.make(value)

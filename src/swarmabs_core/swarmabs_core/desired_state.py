@@ -9,13 +9,12 @@ from swarmabs_core.command_filter import CommandFilter
 from swarmabs_core.controllers.base import OffsetController
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
+from swarmabs_core.plant import STEEPEST
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers.base import ParentController
     from swarmabs_core.manifold import Manifold
 
-STEEPEST = 1.5
-"""Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
 FALLEN = (
     "the swarm cannot hold the plane in this scenario; start it flatter, disturb it less, raise manifold.torque_max, "
     "or give it a plane.end_stop below that"

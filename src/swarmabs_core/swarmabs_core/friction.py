@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import tanh
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class Friction:
+class Friction(NamedTuple):
     """f_f(w) = g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w.
 
     Parameters

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from swarmabs_core.declaration import setting
+
 
 @dataclass(frozen=True, slots=True)
 class Manifold:
-    """J_sd = curvature tau^2 + offset for |tau| <= torque_max.
+    """The curve in the abstract space on which the swarm is held, Js = curvature tau^2 + offset.
 
-    Parameters
-    ----------
-    curvature : float
-        kg m^2/(N m)^2.
-    offset : float
-        kg m^2.
-    torque_max : float
-        N m (eq. tauLimit).
+    The torque is limited to +-torque_max (eq. tauLimit).
     """
 
-    curvature: float
-    offset: float
-    torque_max: float
+    curvature: float = setting(0.0125, "A of Js = A tau^2 + B, kg m^2/(N m)^2", minimum=0.0)
+    offset: float = setting(0.025, "B of Js = A tau^2 + B, kg m^2", above=0.0)
+    torque_max: float = setting(5.0, "bound of the torque asked of the swarm, N m", above=0.0)
 
     def clip(self, torque: float) -> float:
         """Return the torque (N m) limited to +-torque_max."""

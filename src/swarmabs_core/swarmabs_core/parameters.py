@@ -40,8 +40,8 @@ class Parameter:
         Meaning and unit.
     minimum, maximum : float, optional
         Inclusive bounds of a number, or of each number of an array.
-    above : float, optional
-        Exclusive lower bound.
+    above, below : float, optional
+        Exclusive bounds.
     length : int, optional
         Length that an array must have.
     choices : tuple of str, optional
@@ -59,6 +59,7 @@ class Parameter:
     length: int | None = None
     choices: tuple[str, ...] | None = None
     item: Scalar = ""
+    below: float | None = None
 
     def check(self, value: Value) -> Value:
         """Return the value as the default's type: tuples for arrays, floats for integers where one is due.
@@ -101,6 +102,8 @@ class Parameter:
             raise self._refusal(value, "a finite number")
         if self.above is not None and value <= self.above:
             raise self._refusal(value, f"more than {self.above:g}")
+        if self.below is not None and value >= self.below:
+            raise self._refusal(value, f"less than {self.below:g}")
         if self.minimum is not None and value < self.minimum:
             raise self._refusal(value, f"at least {self.minimum:g}")
         if self.maximum is not None and value > self.maximum:

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, expm1
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
+
+from swarmabs_core.declaration import setting
 
 if TYPE_CHECKING:
     from swarmabs_core.friction import Friction
@@ -35,6 +37,24 @@ class ParentModel:
     inertia: float
     friction: Friction
     bandwidth: float
+
+
+@dataclass(frozen=True, slots=True)
+class SumObserver:
+    """The sum over the robots' states."""
+
+    type: ClassVar[str] = "sum"
+
+
+@dataclass(frozen=True, slots=True)
+class ParentResponse:
+    """The torque estimated from the plane's angle and angular velocity, see docs/parent_response.md."""
+
+    type: ClassVar[str] = "parent_response"
+
+    bandwidth: float = setting(
+        50.0, "bandwidth of the filter of the torque estimated from the plane's motion, rad/s", above=0.0
+    )
 
 
 class TorqueEstimator:

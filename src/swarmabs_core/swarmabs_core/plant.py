@@ -14,14 +14,17 @@ from dataclasses import dataclass
 from math import ceil, copysign, cos, inf, isfinite, sin, tanh
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.declaration import part, setting
 from swarmabs_core.errors import RunError
+from swarmabs_core.friction import Friction
+from swarmabs_core.sensing import PlaneSensor
 from swarmabs_core.summation import exact_sum, term_columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from swarmabs_core.friction import Friction
-
+STEEPEST = 1.5
+"""Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
 TORQUE_DEGREE = 3
 INERTIA_DEGREE = 6
 
@@ -127,16 +130,46 @@ def summed_load(linear: Iterable[Iterable[float]], cubic: Iterable[Iterable[floa
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """tau_d(t) = amplitude sin(angular_frequency t), in N m and rad/s."""
+    """The torque on the plane that nobody measures, tau_d = amplitude sin(angular_frequency t)."""
 
-    amplitude: float
-    angular_frequency: float
+    amplitude: float = setting(0.0, "amplitude of the disturbance torque, N m")
+    angular_frequency: float = setting(0.5, "angular frequency of the disturbance, rad/s")
 
     def torques(self, times: Sequence[float]) -> list[float]:
         """Return the disturbance torque, N m, at times in s."""
         if not self.amplitude:
             return [0.0] * len(times)
         return [self.amplitude * sin(self.angular_frequency * time) for time in times]
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """The tilting plane."""
+
+    inertia: float = setting(0.5, "moment of inertia J without robots, kg m^2", above=0.0)
+    length: float = setting(1.0, "length L; robots stay within L/2 of the axis, m", above=0.0)
+    gravity: float = setting(9.81, "acceleration g of gravity, m/s^2", above=0.0)
+    friction: Friction = setting(
+        Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
+        "[g1, ..., g6] of g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w: "
+        "g1, g4 in N m, g2, g3, g5 in s/rad, g6 in N m s/rad",
+        minimum=0.0,
+        length=6,
+        make=Friction._make,
+        say=tuple,
+    )
+    substep: float = setting(0.001, "longest step of the plane's integrator, s", above=0.0, whole_nanoseconds=True)
+    angle: float = setting(0.1, "initial angle, rad", above=-STEEPEST, below=STEEPEST)
+    angular_velocity: float = setting(0.0, "initial angular velocity, rad/s")
+    disturbance: Disturbance = part(Disturbance, "disturbance torque on the plane")
+    robot_gravity: bool = setting(
+        default=False,
+        description="whether the plane's motion acts on the double integrators, force -m g sin(th) + m p w^2",
+    )
+    end_stop: float = setting(
+        inf, "angle of inelastic end stops on both sides, below 1.5 rad", above=0.0, below=STEEPEST, unset=0.0
+    )
+    sensor: PlaneSensor = part(PlaneSensor, "what is published of the plane's motion")
 
 
 class PlaneDynamics:
@@ -185,6 +218,18 @@ class PlaneDynamics:
         self._shares = [n / (2 * self._count) for n in range(2 * self._count + 1)]
         self._end_stop = end_stop
         self.impact: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, plane: Plane, period: float) -> PlaneDynamics:
+        """Return the dynamics of a plane with a control period (s)."""
+        return cls(
+            inertia=plane.inertia,
+            friction=plane.friction,
+            disturbance=plane.disturbance,
+            period=period,
+            substep=plane.substep,
+            end_stop=plane.end_stop,
+        )
 
     def advance(
         self, angle: float, angular_velocity: float, time: float, load: SwarmLoad, extra: float = 0.0

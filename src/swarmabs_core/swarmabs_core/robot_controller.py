@@ -10,6 +10,7 @@ from math import copysign, inf, isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.declaration import setting
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import Kind
@@ -25,10 +26,10 @@ BRAKING_TIME = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Largest speed (m/s) and force (N) of a robot."""
+    """What a robot's drive can do; null means no limit."""
 
-    velocity: float = inf
-    force: float = inf
+    velocity: float = setting(inf, "largest speed of a robot, m/s", above=0.0, unset=0.0)
+    force: float = setting(inf, "largest force of a double integrator, N", above=0.0, unset=0.0)
 
 
 HELD = "the swarm has no spread (S3 vanishes)"

@@ -7,6 +7,8 @@ from hashlib import blake2b
 from math import remainder
 from statistics import NormalDist
 
+from swarmabs_core.declaration import setting
+
 Pair = tuple[float, float]
 
 _STANDARD = NormalDist()
@@ -58,3 +60,39 @@ def measured_plane(sensor: Sensor, angle: float, angular_velocity: float, seed: 
     if sensor.perfect:
         return angle, angular_velocity
     return sensor.measure(angle, angular_velocity, f"{seed}:{step}:plane")
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneSensor(Sensor):
+    """What is published of the plane's angle and angular velocity: rounded, after noise is added."""
+
+    noise: Pair = setting(
+        (0.0, 0.0),
+        "standard deviations of white noise on angle, rad, and angular velocity, rad/s",
+        minimum=0.0,
+        length=2,
+    )
+    resolution: Pair = setting(
+        (0.0, 0.0),
+        "steps to which angle, rad, and angular velocity, rad/s, are rounded; 0: none",
+        minimum=0.0,
+        length=2,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSensor(Sensor):
+    """What a robot knows of its own position and velocity: rounded, after noise is added."""
+
+    noise: Pair = setting(
+        (0.0, 0.0),
+        "standard deviations of white noise on its own position, m, and velocity, m/s",
+        minimum=0.0,
+        length=2,
+    )
+    resolution: Pair = setting(
+        (0.0, 0.0),
+        "steps to which its own position, m, and velocity, m/s, are rounded; 0: none",
+        minimum=0.0,
+        length=2,
+    )

@@ -23,6 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from swarmabs_core.declaration import setting
+
 if TYPE_CHECKING:
     from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState
 
@@ -81,22 +83,12 @@ def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, 
 
 @dataclass(frozen=True, slots=True)
 class SwarmGains:
-    """Gains of the swarm's laws, diagonal matrices as pairs (torque, inertia).
+    """Gains of the robots' control laws, one for the torque and one for the inertia."""
 
-    Parameters
-    ----------
-    k : tuple of float
-        Single integrators, 1/s.
-    kp, kd : tuple of float
-        Double integrators, 1/s^2 and 1/s.
-    ksd : float
-        Damping that a double integrator adds to its own, N s/m.
-    """
-
-    k: Pair
-    kp: Pair
-    kd: Pair
-    ksd: float
+    k: Pair = setting((10.0, 10.0), "K of single integrators, 1/s", above=0.0, length=2)
+    kp: Pair = setting((10.0, 10.0), "Kp of double integrators, 1/s^2", above=0.0, length=2)
+    kd: Pair = setting((5.0, 5.0), "Kd of double integrators, 1/s", above=0.0, length=2)
+    ksd: float = setting(1.0, "damping k_sd added to double integrators, N s/m", minimum=0.0)
 
 
 def single_integrator_command(

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import BeforeValidator, Field, ValidationError
 
 from swarmabs_bag.definitions import READABLE
-from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface, Name
+from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface
 from swarmabs_config.fleet.participants import nodes_on, ports
 from swarmabs_config.scenario.fields import AsTuple, Model
 from swarmabs_config.scenario.text_file import read_text
+from swarmabs_config.scenario.texts import Name
 from swarmabs_core.errors import InputError
 from swarmabs_fleet.places import Places
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING
 
-from swarmabs_config import configure
+from swarmabs_config import realtime
 from swarmabs_config.fleet.participants import DISCOVERY
-from swarmabs_config.fleet.robots import PluginDrive, SimulatedDrive
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE_DRIVER, RECORDER
+from swarmabs_config.fleet.parts import MeasuredPlane
+from swarmabs_config.fleet.robots import SimulatedDrive
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_core.declaration import values_of
+from swarmabs_core.messages import Mode
+from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.topic_drive import TopicSettings
-from swarmabs_run.orchestration.plan import controller_parameters, plane_parameters
+from swarmabs_core.robot_controller import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,20 +46,26 @@ def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: s
     """
     if node.name == DISCOVERY:
         return {}
-    common: Parameters = {
-        "epoch_ns": fleet.epoch_ns,
-        "period_ns": scenario.step_ns,
-        "clock_tolerance": scenario.realtime.clock_tolerance,
-    }
-    if node.robot is not None:
-        return common | _robot(fleet, scenario, node.robot)
+    schedule = realtime.schedule(scenario, fleet.epoch_ns)
     if node.name == RECORDER:
+        common = {**values_of(schedule), "clock_tolerance": scenario.realtime.clock_tolerance}
         return common | {"scenario_file": f"{installed}/scenario.yaml", "bags": state} | _recorder(fleet)
+    mass = fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
+    if node.robot is not None:
+        robots = realtime.agent_configs(scenario, schedule)
+        config = next(config for config in robots if config.agent_id == node.robot.id)
+        return {**values_of(_robot(replace(config, swarm_mass=mass), node.robot))}
     if node.name == CONTROLLER:
-        return common | _controller(fleet, scenario)
+        mode = Mode[fleet.coordinators.controller.start_mode.upper()]
+        return {**values_of(realtime.controller_config(scenario, schedule, mode))}
     if node.name == OBSERVER:
-        return common | _observer(fleet, scenario) | {"memory": f"{state}/silent_robots.json"}
-    return common | (_plane_driver(fleet) if node.name == PLANE_DRIVER else _plane(scenario))
+        observer = replace(realtime.observer_config(scenario, schedule), swarm_mass=mass)
+        return {**values_of(observer), "memory": f"{state}/silent_robots.json"}
+    plane = fleet.coordinators.plane
+    if isinstance(plane, MeasuredPlane):
+        tolerance = scenario.realtime.clock_tolerance
+        return {**values_of(plane.instrument), **values_of(schedule), "clock_tolerance": tolerance}
+    return {**values_of(realtime.plane_config(scenario, schedule))}
 
 
 def parameter_file(values: Mapping[str, object]) -> str:
@@ -80,49 +91,6 @@ def _plain(value: object) -> Plain:
     raise TypeError(f"no ROS parameter: {value!r}")
 
 
-def _swarm_mass(fleet: Fleet) -> float:
-    """Return the mass of all robots that ever take part, kg."""
-    return fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
-
-
-def _plane(scenario: Scenario) -> Parameters:
-    return {
-        "members": configure.members(scenario),
-        "gravity": scenario.plane.gravity,
-        "length": scenario.plane.length,
-        **plane_parameters(scenario),
-    }
-
-
-def _plane_driver(fleet: Fleet) -> Parameters:
-    plane = fleet.coordinators.plane
-    given: Parameters = plane.model_dump(mode="json", exclude={"type", "host"})
-    return given
-
-
-def _observer(fleet: Fleet, scenario: Scenario) -> Parameters:
-    return {
-        "members": configure.members(scenario),
-        "gravity": scenario.plane.gravity,
-        "plane_length": scenario.plane.length,
-        "swarm_mass": _swarm_mass(fleet),
-        "ksd": scenario.swarm.gains.ksd,
-        "state_age_limit": scenario.realtime.state_age_limit,
-        "start": scenario.realtime.start,
-        "quorum": scenario.realtime.quorum or 0,
-    }
-
-
-def _controller(fleet: Fleet, scenario: Scenario) -> Parameters:
-    return {
-        **controller_parameters(scenario),
-        "plane_age_limit": scenario.realtime.plane_age_limit,
-        "gravity": scenario.plane.gravity,
-        "plane_length": scenario.plane.length,
-        "start_mode": fleet.coordinators.controller.start_mode,
-    }
-
-
 def _recorder(fleet: Fleet) -> Parameters:
     """Return what the check of a bag must know that the scenario does not say."""
     real = {robot.id for robot in fleet.robots if not isinstance(robot.drive, SimulatedDrive)}
@@ -131,39 +99,15 @@ def _recorder(fleet: Fleet) -> Parameters:
     return {"simulated_plane": fleet.coordinators.plane.type == "simulated", **lists}
 
 
-def _robot(fleet: Fleet, scenario: Scenario, robot: Robot) -> Parameters:
-    gains, limits, law = scenario.swarm.gains, robot.limits, scenario.swarm.law
-    half = scenario.plane.length / 2.0
-    values: Parameters = {
-        "agent_id": robot.id,
-        "kind": robot.kind,
-        "mass": robot.mass,
-        "damping": robot.damping,
-        "gravity": scenario.plane.gravity,
-        "plane_length": scenario.plane.length,
-        "swarm_mass": _swarm_mass(fleet),
-        "gains.k": gains.k,
-        "gains.kp": gains.kp,
-        "gains.kd": gains.kd,
-        "gains.ksd": gains.ksd,
-        "law.type": law.type,
-        "limits.velocity": limits.velocity or scenario.limits.velocity or 0.0,
-        "limits.force": limits.force or scenario.limits.force or 0.0,
-        "limits.deceleration": limits.deceleration or 0.0,
-        "lane_margin": scenario.realtime.lane_margin if limits.lane is None else half - limits.lane,
-        "broadcast_age_limit": scenario.realtime.broadcast_age_limit,
-    }
-    config = next(config for config in configure.agent_configs(scenario) if config.agent_id == robot.id)
-    values |= {f"law.{name}": value for name, value in config.law_settings.items()}
-    return values | _drive(robot)
-
-
-def _drive(robot: Robot) -> Parameters:
-    drive = robot.drive
+def _robot(config: RealtimeAgentConfig, robot: Robot) -> RealtimeAgentConfig:
+    """Return a robot's configuration with its own limits and its drive; a simulated one alone knows where it begins."""
+    own, drive = robot.limits, robot.drive
+    limits = Limits(own.velocity or config.limits.velocity, own.force or config.limits.force)
+    config = replace(config, limits=limits, deceleration=own.deceleration or inf)
+    if own.lane is not None:
+        config = replace(config, lane_margin=0.5 * config.plane_length - own.lane)
     if isinstance(drive, SimulatedDrive):
-        return {"drive.type": drive.type, "position": drive.position, "velocity": drive.velocity}
+        return config
     if isinstance(drive, TopicSettings):
-        return {"drive.type": drive.type, **values_of(drive, "drive.")}
-    assert isinstance(drive, PluginDrive)  # noqa: S101 - there are three
-    own: Parameters = {f"drive.{name}": value for name, value in drive.settings.items()}
-    return {"drive.type": drive.name} | own
+        return replace(config, position=0.0, velocity=0.0, drive=drive.type, drive_settings=values_of(drive))
+    return replace(config, position=0.0, velocity=0.0, drive=drive.name, drive_settings=drive.parameters)

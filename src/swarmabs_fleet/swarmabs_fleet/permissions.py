@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.names import path_of
 from swarmabs_config.fleet.participants import DISCOVERY, node_plans, nodes_on
+from swarmabs_config.fleet.parts import MeasuredPlane
 from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, REALTIME, RECORDER, ROBOT, SERVICES, endpoints
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.realtime.topic_drive import TopicSettings
@@ -98,8 +99,8 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
     """Return the topics by which a node learns of its body, or of the plane, and those by which it commands it."""
     own = path_of(fleet.namespace, node.name)
     plane = fleet.coordinators.plane
-    if node.name == PLANE_DRIVER and plane.type == "driver":
-        return [_topic(fleet.namespace, plane.topic or f"{own}/{_MEASURED[plane.source]}")], []
+    if node.name == PLANE_DRIVER and isinstance(plane, MeasuredPlane):
+        return [_topic(fleet.namespace, plane.instrument.topic or f"{own}/{_MEASURED[plane.instrument.source]}")], []
     if node.robot is None or not isinstance(node.robot.drive, TopicSettings):
         return [], []
     drive = node.robot.drive

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 
+from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError
+from swarmabs_core.parameters import Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from rclpy.node import Node
 
-    from swarmabs_core.parameters import Parameter, Value
+    from swarmabs_core.parameters import Value
 
 
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -25,6 +27,32 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 def given_values(node: Node) -> dict[str, object]:
     """Return what a node was given that has declared it automatically, by name."""
     return {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+
+
+def table_of(
+    given: Mapping[str, object], common: tuple[Parameter, ...], own: tuple[Parameter | type, ...]
+) -> tuple[Parameter, ...]:
+    """Return the parameters of a node.
+
+    Parameters
+    ----------
+    given : mapping
+        Values that were given, by which parts are chosen that have parameters of their own.
+    common : tuple of Parameter
+        Parameters that all nodes have.
+    own : tuple of Parameter or type
+        Its own parameters, and declarations from which further ones follow.
+
+    Raises
+    ------
+    InputError
+        If what is chosen cannot be had.
+    """
+    found = {parameter.name: parameter for parameter in common}
+    for each in own:
+        for parameter in (each,) if isinstance(each, Parameter) else parameters_of(each, given):
+            found.setdefault(parameter.name, parameter)
+    return tuple(found.values())
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
@@ -75,6 +103,8 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     constraints = []
     if parameter.above is not None:
         constraints.append(f"more than {parameter.above:g}")
+    if parameter.below is not None:
+        constraints.append(f"less than {parameter.below:g}")
     if parameter.length is not None:
         constraints.append(f"{parameter.length} elements")
     if parameter.choices is not None:

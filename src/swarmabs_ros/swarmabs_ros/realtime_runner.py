@@ -12,14 +12,15 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 from swarmabs_config.graph import REALTIME
+from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_ros import scheduling
 from swarmabs_ros.managed import RealtimeNode, one_line
-from swarmabs_ros.parameters import declare
+from swarmabs_ros.parameters import declare, given_values, table_of
 from swarmabs_ros.realtime import RealtimeLoop
-from swarmabs_ros.runner import COMMON as LOCKSTEP, Settings, fail
+from swarmabs_ros.runner import Settings, fail
 from swarmabs_ros.start import initialise
 from swarmabs_ros.status import StatusChannel
 from swarmabs_ros.systemd import notify, watchdog_interval
@@ -30,10 +31,9 @@ if TYPE_CHECKING:
     from swarmabs_ros.managed import RealtimeSpec
 
 COMMON = (
-    *(parameter for parameter in LOCKSTEP if parameter.name == "period_ns"),
-    Parameter("epoch_ns", 0, "time at which step 0 begins, ns since 1970", minimum=0),
+    *parameters_of(Schedule),
     Parameter("await_epoch", default=False, description="whether whoever starts the node tells it the epoch"),
-    Parameter("clock_tolerance", 0.02, "how far a message may come from the future by this clock, s", minimum=0.0),
+    *(parameter for parameter in parameters_of(Realtime) if parameter.name == "clock_tolerance"),
     Parameter("autostart", default=True, description="whether to configure and activate the node at once"),
     *scheduling.PARAMETERS,
 )
@@ -43,23 +43,18 @@ SWITCH_INTERVAL = 0.0005
 """Longest time, s, for which the thread that serves ROS keeps the interpreter when a step is due."""
 _ENDS_WITHIN = 5.0
 
-Table = tuple[Parameter, ...]
+Table = tuple[Parameter | type, ...]
 
 
-def choose(table: Table, *names: str) -> Table:
+def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
     """Return parameters of a table by name: those of a lockstep node that mean the same here."""
     known = {parameter.name: parameter for parameter in table}
     return tuple(known[name] for name in names)
 
 
-def schedule_of(settings: Settings) -> Schedule:
-    """Return how time becomes steps."""
-    return Schedule(settings.integer("period_ns"), settings.integer("epoch_ns"))
-
-
 def run_realtime(
     name: str,
-    table: Callable[[RealtimeNode], Table] | Table,
+    table: Table,
     make: Callable[[Settings, RealtimeNode], RealtimeSpec],
     args: list[str] | None = None,
 ) -> int:
@@ -69,8 +64,8 @@ def run_realtime(
     ----------
     name : str
         Its name in the graph, and its own where none is remapped.
-    table : tuple of Parameter, or callable
-        Its parameters beyond the common ones; callable if they depend on a value given.
+    table : tuple of Parameter or type
+        Its parameters beyond the common ones, and the declarations from which further ones follow.
     make : callable
         Makes behaviour and endpoints from the parameters, each time the node is configured.
     args : list of str, optional
@@ -89,7 +84,7 @@ def run_realtime(
     node = RealtimeNode(name)
     status = StatusChannel(node.get_name())
     try:
-        settings = _settings(node, table(node) if callable(table) else table, status)
+        settings = _settings(node, table, status)
         _run(name, node, settings, lambda: make(settings, node), status)
     except InputError as error:
         return fail(status, error, 2)
@@ -104,7 +99,7 @@ def run_realtime(
 def _settings(node: RealtimeNode, own: Table, status: StatusChannel) -> Settings:
     if node.get_parameter("use_sim_time").value:
         raise InputError("parameter use_sim_time: in real time the system's clock makes the steps; leave it out")
-    values = declare(node, (*COMMON, *own))
+    values = declare(node, table_of(given_values(node), COMMON, own))
     if values["await_epoch"]:
         status.send("ready")
         values["epoch_ns"] = status.wait_for_epoch()
@@ -116,7 +111,7 @@ def _run(
 ) -> None:
     executor = SingleThreadedExecutor(context=node.context)
     loop = RealtimeLoop(node.failed, _watchdog(), on_hang=lambda: _give_up(node))
-    node.prepare(make, settings.endpoints(role, REALTIME), schedule_of(settings), loop, executor, status)
+    node.prepare(make, settings.endpoints(role, REALTIME), settings.made(Schedule), loop, executor, status)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.stop())

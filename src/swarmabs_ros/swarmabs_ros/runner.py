@@ -13,13 +13,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
+from swarmabs_core.behaviours.base import Run
+from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.membership import Change
 from swarmabs_core.messages import TOPICS, Messages, Topic
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import SLICE, Lockstep
-from swarmabs_ros.parameters import declare
+from swarmabs_ros.parameters import declare, given_values, table_of
 from swarmabs_ros.repeat import FIRST, WINDOW
 from swarmabs_ros.start import initialise
 from swarmabs_ros.status import StatusChannel
@@ -38,8 +39,7 @@ INTERRUPTED = "interrupted"
 """What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
 
 COMMON = (
-    Parameter("period_ns", 10_000_000, "control period, ns", minimum=1),
-    Parameter("last_step", -1, "step with which the run ends; -1: none", minimum=-1),
+    *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
     Parameter("receive", "wait_set", "how messages are waited for", choices=("wait_set", "executor")),
     Parameter("stall_timeout", 5.0, "silence that is reported as a stall, s; 0: never", minimum=0.0),
     Parameter(
@@ -50,15 +50,10 @@ COMMON = (
 )
 """Parameters that every node has."""
 
-SCHEDULE = Parameter(
-    "schedule", (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'"
-)
-MEMBERS = Parameter("members", (1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
 PACKED = Parameter("packed", default=False, description="whether robots hear the three broadcasts as one message")
 STEERED = Parameter(
     "steered", default=False, description="whether the run is steered: each step begins with what is ordered for it"
 )
-GRAVITY = Parameter("gravity", 9.81, "acceleration of gravity, m/s^2", above=0.0)
 
 
 class Settings:
@@ -112,9 +107,15 @@ class Settings:
         step = self.integer("last_step")
         return None if step < 0 else step
 
-    def schedule(self) -> tuple[Change, ...]:
-        """Return the scheduled changes of the membership."""
-        return tuple(sorted(Change.parse(text) for text in self.texts("schedule")))
+    def made(self, declaration: type[DeclarationT]) -> DeclarationT:
+        """Return a declaration whose parameters have these values.
+
+        Raises
+        ------
+        InputError
+            If they contradict each other.
+        """
+        return made_of(declaration, self._values)
 
     def endpoints(self, node: str, driver: Driver, *also: Option, robots: int | None = None) -> Endpoints:
         """Return what a node with these parameters publishes and reads.
@@ -132,10 +133,6 @@ class Settings:
         """
         known = len(cast("tuple[int, ...]", self._values.get("members", ()))) if robots is None else robots
         return endpoints(node, driver, options_of(self._values) | {*also}, robots=known)
-
-    def within(self, prefix: str) -> dict[str, Value]:
-        """Return the values whose names begin with a prefix, by the rest of their names."""
-        return {name[len(prefix) :]: value for name, value in self._values.items() if name.startswith(prefix)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +184,7 @@ class SwarmNode(Node):
 
 def run_node(
     name: str,
-    table: Callable[[Node], tuple[Parameter, ...]] | tuple[Parameter, ...],
+    table: tuple[Parameter | type, ...],
     make: Callable[[Settings, StatusChannel], NodeSpec],
     args: list[str] | None = None,
 ) -> int:
@@ -197,8 +194,8 @@ def run_node(
     ----------
     name : str
         Its name in the graph, and its own where none is remapped.
-    table : tuple of Parameter, or callable
-        Its parameters beyond the common ones; callable if they depend on a value given.
+    table : tuple of Parameter or type
+        Its parameters beyond the common ones, and the declarations from which further ones follow.
     make : callable
         Makes behaviour and endpoints from the parameters.
     args : list of str, optional
@@ -217,8 +214,7 @@ def run_node(
     node = SwarmNode(name)
     status = StatusChannel(node.get_name())
     try:
-        own = table(node) if callable(table) else table
-        settings = Settings(declare(node, (*COMMON, *own)), node.get_namespace())
+        settings = Settings(declare(node, table_of(given_values(node), COMMON, table)), node.get_namespace())
         spec = make(settings, status)
         return _run(name, node, settings, spec, status)
     except InputError as error:

@@ -12,6 +12,7 @@ from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE
 from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, TOPIC_OF
+from swarmabs_core.parent_response import SumObserver
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -36,13 +37,12 @@ class Simulation:
 
     def __init__(self, scenario: Scenario) -> None:
         agents = [make_agent(config) for config in configure.agent_configs(scenario)]
-        model = configure.parent_model(scenario)
-        observer = Observer(configure.observer_config(scenario), model)
+        observer = Observer(configure.observer_config(scenario))
         plane = Plane(configure.plane_config(scenario))
         controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
         )
-        watching = set() if model is None else {Option.WATCHING}
+        watching = set() if scenario.observer.type == SumObserver.type else {Option.WATCHING}
         nodes: list[tuple[Behaviour, str, frozenset[Option]]] = [
             (observer, OBSERVER, frozenset(watching)),
             (plane, PLANE, frozenset()),

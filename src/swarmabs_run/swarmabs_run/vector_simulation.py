@@ -8,6 +8,7 @@ observers of the plane are left to the state machines.
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,8 +36,10 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.plant import Disturbance, PlaneDynamics, cubic_terms, hermite, linear_terms, summed_load
+from swarmabs_core.parent_response import SumObserver
+from swarmabs_core.plant import PlaneDynamics, SwarmLoad, cubic_terms, hermite, linear_terms, summed_load
 from swarmabs_core.record import Record
+from swarmabs_core.robot_controller import Limits
 from swarmabs_core.summation import column_sums
 from swarmabs_core.swarm_law import double_integrator_command, single_integrator_command
 
@@ -63,9 +66,9 @@ class NotVectorisableError(Exception):
 def vectorisable(scenario: Scenario) -> bool:
     """Tell whether all robots of a scenario do the same all the time, by the laws that are computed on arrays."""
     limits, plane, swarm = scenario.limits, scenario.plane, scenario.swarm
-    individual = scenario.faults or limits.velocity or limits.force or plane.robot_gravity
-    perfect = configure.plane_sensor(scenario).perfect and configure.robot_sensor(scenario).perfect
-    special = plane.end_stop or swarm.actuator_lag or configure.parent_model(scenario)
+    individual = scenario.faults or limits != Limits() or plane.robot_gravity
+    perfect = plane.sensor.perfect and swarm.sensor.perfect
+    special = plane.end_stop < inf or swarm.actuator_lag or scenario.observer.type != SumObserver.type
     return perfect and swarm.law.type == PAPER.name and not (individual or special)
 
 
@@ -217,17 +220,10 @@ class VectorSimulation:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        plane = scenario.plane
         self._controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
         )
-        self._dynamics = PlaneDynamics(
-            inertia=plane.inertia,
-            friction=configure.friction(scenario),
-            disturbance=Disturbance(plane.disturbance.amplitude, plane.disturbance.angular_frequency),
-            period=scenario.period,
-            substep=plane.substep,
-        )
+        self._dynamics = PlaneDynamics.of(scenario.plane, scenario.period)
         self._swarm = _Swarm(scenario)
         self._outside: set[int] = set()
 

@@ -387,7 +387,7 @@ class Dropping(Observer):
 def test_a_robot_that_was_dropped_is_taken_from_the_record(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = world("pd_het_4", SHORT, "lockstep.on_stall=drop")
     with monkeypatch.context() as patch:
-        patch.setattr(simulation, "Observer", lambda config, _: Dropping(config))
+        patch.setattr(simulation, "Observer", Dropping)
         bag = run_with(patch, scenario, lambda c: (Silent if c.agent_id == 2 else Agent)(c))
     assert verify(scenario, bag).difference is None
     index = next(n for n, s in enumerate(bag) if s.topic is EVENTS)

@@ -4,6 +4,7 @@ import math
 import random
 import subprocess
 import sys
+from dataclasses import FrozenInstanceError
 from typing import Literal
 
 import pytest
@@ -53,7 +54,7 @@ def test_only_schema_and_robots_are_required() -> None:
     assert scenario.controller == PdConfig(gains=(3.1623, 3.2859))
     gains = scenario.swarm.gains
     assert (gains.k, gains.kp, gains.kd, gains.ksd) == ((10.0, 10.0), (10.0, 10.0), (5.0, 5.0), 1.0)
-    assert (scenario.limits.velocity, scenario.limits.force) == (None, None)
+    assert (scenario.limits.velocity, scenario.limits.force) == (math.inf, math.inf)
     assert (scenario.lockstep.on_stall, scenario.lockstep.stall_timeout) == ("fail", 5.0)
     assert scenario.faults == ()
 
@@ -272,9 +273,11 @@ def test_models_are_immutable_and_strict() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         scenario.seed = 2
     with pytest.raises(ValidationError, match="valid number"):
-        Plane(inertia="0.5")  # type: ignore[arg-type]
+        Scenario(schema=1, swarm=Swarm(agents=PAPER), plane=Plane(inertia="0.5"))  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match="finite number"):
-        Plane(inertia=math.nan)
+        Scenario(schema=1, swarm=Swarm(agents=PAPER), plane=Plane(inertia=math.nan))
+    with pytest.raises(FrozenInstanceError):
+        scenario.plane.inertia = 1.0  # type: ignore[misc]  # it is what is tried
     with pytest.raises(ValidationError, match=r"expected a mapping, found an object of type Plane; write \{type: pd"):
         Scenario(schema=1, swarm=Swarm(agents=PAPER), controller=Plane())  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match=r"listed twice; give every robot its own id, e\.g\. 2"):

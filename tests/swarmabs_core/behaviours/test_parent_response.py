@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 
 import pytest
@@ -25,7 +26,13 @@ MODEL = ParentModel(0.5, Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), 50.0)
 
 
 def observer(*schedule: Change, last_step: int | None = None) -> Observer:
-    return Observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0, schedule, last_step), MODEL)
+    return Observer(watching(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0, schedule, last_step)))
+
+
+def watching(config: ObserverConfig) -> ObserverConfig:
+    """Return the configuration of an observer that watches the plane."""
+    friction, bandwidth = MODEL.friction, MODEL.bandwidth
+    return replace(config, type="parent_response", inertia=MODEL.inertia, friction=friction, bandwidth=bandwidth)
 
 
 def plane(step: int = 0) -> PlaneState:
@@ -42,13 +49,13 @@ def robots(step: int = 0) -> tuple[Message, ...]:
 
 def test_the_plane_is_heard_if_there_is_a_model_of_it() -> None:
     config = ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0)
-    assert Observer(config, MODEL).handle(plane(0)) == ()
+    assert Observer(watching(config)).handle(plane(0)) == ()
     with pytest.raises(UnexpectedMessageError, match="observer: a PlaneState was delivered"):
         Observer(config).handle(plane(0))
 
 
 def test_torque_is_the_estimators_and_the_rest_the_robots() -> None:
-    node, summing, estimator = observer(), Observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0), None), None
+    node, summing, estimator = observer(), Observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0)), None
     estimator = TorqueEstimator(MODEL, PERIOD_NS / 1e9)
     for step in range(4):
         abstract, auxiliary = feed(node, *robots(step), plane(step))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
+from swarmabs_core import plant
 from swarmabs_core.behaviours import Plane, PlaneConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.errors import RunError
@@ -37,6 +39,16 @@ MASS = 0.5
 Array = NDArray[np.float64]
 Path = tuple[float, Polynomial]
 """A robot's mass (kg) and position p(t) (m) over a period, t from 0 to `H`."""
+PLANE = plant.Plane(
+    inertia=0.5,
+    length=1.0,
+    gravity=9.81,
+    friction=FRICTION,
+    substep=0.001,
+    angle=0.1,
+    angular_velocity=-0.2,
+    disturbance=Disturbance(0.3, 4.0),
+)
 
 
 def plane(
@@ -46,14 +58,7 @@ def plane(
         PlaneConfig(
             members=members,
             period_ns=PERIOD_NS,
-            inertia=0.5,
-            length=1.0,
-            gravity=9.81,
-            friction=FRICTION,
-            substep=0.001,
-            angle=0.1,
-            angular_velocity=-0.2,
-            disturbance=Disturbance(0.3, 4.0),
+            plane=replace(PLANE, **{name: options.pop(name) for name in ("end_stop", "sensor") if name in options}),
             schedule=schedule,
             last_step=last_step,
             **options,

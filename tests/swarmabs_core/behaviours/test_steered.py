@@ -77,7 +77,7 @@ class Swarm:
         self.random = Random(seed)
         self.scenario = scenario
         self.helm = Helm(helm_config(scenario))
-        observer = Steered(Observer(configure.observer_config(scenario), configure.parent_model(scenario)))
+        observer = Steered(Observer(configure.observer_config(scenario)))
         plane = Steered(Plane(configure.plane_config(scenario)))
         controller: Behaviour = Steered(
             Controller(configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario))

@@ -16,8 +16,8 @@ from swarmabs_core.realtime.readings import Joints, Reading
 
 MS = 1_000_000
 SCHEDULE = Schedule(10 * MS, EPOCH)
-ENCODER = PlaneDriverConfig(SCHEDULE)
-IMU = PlaneDriverConfig(SCHEDULE, "imu")
+ENCODER = PlaneDriverConfig(schedule=SCHEDULE)
+IMU = PlaneDriverConfig(schedule=SCHEDULE, source="imu")
 
 
 def at(step: int) -> int:
@@ -29,7 +29,7 @@ def encoder(stamp: int, position: float, *velocity: float, joint: str = "plane_t
 
 
 def test_an_encoder_behind_a_gear_that_counts_backwards() -> None:
-    driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, scale=-0.1, offset=0.3))
+    driver = PlaneDriver(PlaneDriverConfig(schedule=SCHEDULE, scale=-0.1, offset=0.3))
     driver.measure([encoder(at(4) - MS, 2.0, 0.5)], at(4))
     assert driver.tick(at(4)) == (PlaneState(at(4), 4, pytest.approx(0.1), pytest.approx(-0.05)),)
 
@@ -38,7 +38,7 @@ def test_an_encoder_behind_a_gear_that_counts_backwards() -> None:
 def test_an_imu_that_is_turned_on_the_plane_s_axis(angle: float, rate: float, yaw: float, offset: float) -> None:
     """Its x axis along growing positions, the axis is -y; against them, +y."""
     for facing, axis in ((1.0, "-y"), (-1.0, "+y")):
-        driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, "imu", axis=axis, offset=offset))
+        driver = PlaneDriver(PlaneDriverConfig(schedule=SCHEDULE, source="imu", axis=axis, offset=offset))
         driver.measure([imu(at(0), angle, rate, facing, yaw)], at(0))
         assert driver.tick(at(0)) == (
             PlaneState(at(0), 0, pytest.approx(angle + offset, abs=1e-9), pytest.approx(rate, abs=1e-9)),
@@ -48,7 +48,7 @@ def test_an_imu_that_is_turned_on_the_plane_s_axis(angle: float, rate: float, ya
 @pytest.mark.parametrize("velocity", [(), (99.0,)])
 def test_an_encoder_s_velocity_is_derived_where_it_has_none_or_shall_not_be_used(velocity: tuple[float, ...]) -> None:
     """A ramp of 0.2 rad/s through a low-pass of 100 rad/s, from rest: 0.2 (1 - exp(-100 t))."""
-    driver = PlaneDriver(PlaneDriverConfig(SCHEDULE, differentiate=bool(velocity)))
+    driver = PlaneDriver(PlaneDriverConfig(schedule=SCHEDULE, differentiate=bool(velocity)))
     for time in range(0, 100, 5):
         driver.measure([encoder(EPOCH + time * MS, 0.2e-3 * time, *velocity)], EPOCH + time * MS)
     (state,) = driver.tick(at(9))
@@ -135,5 +135,5 @@ def test_a_sensor_of_another_frame_is_named_when_nothing_is_published() -> None:
 
 
 def test_a_scale_of_0_is_refused() -> None:
-    with pytest.raises(InputError, match="scale: 0"):
-        PlaneDriver(PlaneDriverConfig(SCHEDULE, scale=0.0))
+    with pytest.raises(InputError, match="scale: a scale of 0 measures nothing"):
+        PlaneDriver(PlaneDriverConfig(schedule=SCHEDULE, scale=0.0))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given as generated, settings as with_settings, strategies as st
 from rclpy.parameter import Parameter as RosParameter
-from tests.swarmabs_ros.nodes import started_node
+from tests.swarmabs_ros.nodes import declared_by, started_node
 
 import abstraction_observer.node
 import agent_node.node
@@ -18,6 +19,8 @@ from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, COORDINATORS, OBSERVER, PLANE, RECORDER, agent_name
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_core.behaviours import AgentConfig, ObserverConfig, PlaneConfig
+from swarmabs_core.declaration import made_of
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -33,7 +36,7 @@ from swarmabs_core.messages import (
     TOPICS,
 )
 from swarmabs_core.parameters import Parameter, resolve
-from swarmabs_ros.parameters import declare
+from swarmabs_ros.parameters import table_of
 from swarmabs_ros.runner import COMMON, Settings, SwarmNode
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
@@ -69,10 +72,9 @@ def planned(scenario: Scenario) -> dict[str, ProcessPlan]:
     return {process.name: process for process in processes}
 
 
-def settings_of(process: ProcessPlan, table: tuple[Parameter, ...]) -> Settings:
+def settings_of(process: ProcessPlan, table: tuple[Parameter | type, ...]) -> Settings:
     """Return what a node sees that is started by this plan, by way of ROS and its command line."""
-    with started_node(*process.arguments("/")[1:]) as node:
-        return Settings(declare(node, (*COMMON, *table)))
+    return declared_by(process.arguments("/")[1:], COMMON, table)
 
 
 def content(thing: object) -> object:
@@ -94,9 +96,10 @@ def test_plane_and_observer_are_configured_as_the_scenario_says(scenario: str) -
     loaded = scenario_of(scenario)
     processes = planned(loaded)
     plane = settings_of(processes[PLANE], plane_sim.node.PARAMETERS)
-    assert plane_sim.node.config(plane) == configure.plane_config(loaded)
+    expected = configure.plane_config(loaded)
+    assert plane.made(PlaneConfig) == replace(expected, plane=replace(expected.plane, robot_gravity=False))
     observer = settings_of(processes[OBSERVER], abstraction_observer.node.PARAMETERS)
-    assert abstraction_observer.node.config(observer) == configure.observer_config(loaded)
+    assert observer.made(ObserverConfig) == configure.observer_config(loaded)
     assert observer.text("on_stall") == loaded.lockstep.on_stall
     assert observer.number("stall_timeout") == plane.number("stall_timeout") == loaded.lockstep.stall_timeout
 
@@ -108,11 +111,11 @@ def test_the_controller_is_configured_as_the_scenario_says(scenario: str, monkey
     made = []
     real = parent_controller.node.Controller
     monkeypatch.setattr(parent_controller.node, "Controller", lambda *parts: made.append(parts) or real(*parts))
-    with started_node(*planned(loaded)[CONTROLLER].arguments("/")[1:]) as node:
-        table = parent_controller.node.table(node)
-        parent_controller.node.make(Settings(declare(node, (*COMMON, *table))), StatusChannel(CONTROLLER))
+    settings = settings_of(planned(loaded)[CONTROLLER], parent_controller.node.PARAMETERS)
+    parent_controller.node.make(settings, StatusChannel(CONTROLLER))
     ((config, law),) = made
-    assert config == configure.controller_config(loaded, recording_window=configure.recording_window(loaded))
+    expected = configure.controller_config(loaded, recording_window=configure.recording_window(loaded))
+    assert config == replace(expected, law=config.law)
     assert content(law) == content(configure.parent_controller(loaded))
 
 
@@ -124,11 +127,12 @@ def test_robots_are_configured_as_the_scenario_says(scenario: str) -> None:
     configs = configure.agent_configs(loaded)
     for config in configs:
         given = processes[agent_name(config.agent_id)].parameters
-        table = (*COMMON, *agent_node.node.PARAMETERS)
-        assert agent_node.node.config(Settings(resolve(table, given, owner="agent"))) == config  # type: ignore[arg-type]
+        table = table_of(given, COMMON, agent_node.node.PARAMETERS)
+        values = resolve(table, given, owner="agent")  # type: ignore[arg-type]
+        assert made_of(AgentConfig, values) == config
     for config in {configs[0], configs[len(configs) // 2], configs[-1]}:  # by way of ROS, which takes longer
         settings = settings_of(processes[agent_name(config.agent_id)], agent_node.node.PARAMETERS)
-        assert agent_node.node.config(settings) == config
+        assert settings.made(AgentConfig) == config
 
 
 @with_ros

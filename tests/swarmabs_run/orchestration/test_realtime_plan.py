@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.swarmabs_core.helpers import builtin
-from tests.swarmabs_ros.nodes import started_node
+from tests.swarmabs_ros.nodes import declared_by
 
 import abstraction_observer.realtime
 import agent_node.realtime
@@ -19,8 +19,10 @@ from swarmabs_config.graph import CONTROLLER, OBSERVER, OFFERED, PLANE, REALTIME
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.messages import BASIS, BROADCASTS, EVENTS, MAIN_TOPICS
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.agent import RealtimeAgentConfig
+from swarmabs_core.realtime.observer import RealtimeObserverConfig
+from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_ros.managed import RealtimeNode
-from swarmabs_ros.parameters import declare
 from swarmabs_ros.realtime_runner import COMMON
 from swarmabs_ros.runner import Settings
 from swarmabs_run.orchestration.plan import ProcessPlan
@@ -50,10 +52,11 @@ def planned(scenario: Scenario) -> dict[str, ProcessPlan]:
     return {process.name: process for process in processes}
 
 
-def settings_of(process: ProcessPlan, *tables: tuple[Parameter, ...]) -> Settings:
+def settings_of(
+    process: ProcessPlan, table: tuple[Parameter | type, ...], common: tuple[Parameter, ...] = COMMON
+) -> Settings:
     """Return what a node sees that is started by this plan, by way of ROS and its command line."""
-    with started_node(*process.arguments("/")[1:]) as node:
-        return Settings(declare(node, tuple(parameter for table in tables for parameter in table)))
+    return declared_by(process.arguments("/")[1:], common, table)
 
 
 @pytest.mark.usefixtures("ros")
@@ -62,30 +65,24 @@ def test_nodes_are_configured_as_the_scenario_says(scenario: str, monkeypatch: p
     loaded = builtin(*SCENARIOS[scenario]).resolved()
     processes = planned(loaded)
     clock = configure.schedule(loaded, 0)
-    plane = plane_sim.realtime.config(settings_of(processes[PLANE], COMMON, plane_sim.realtime.PARAMETERS))
-    expected = configure.plane_config(loaded, clock)
-    assert plane == replace(expected, bounds=plane.bounds)
-    assert (plane.bounds.gravity, plane.bounds.reach) == (expected.bounds.gravity, expected.bounds.reach)
-    observer = settings_of(processes[OBSERVER], COMMON, abstraction_observer.realtime.PARAMETERS)
-    assert abstraction_observer.realtime.config(observer) == configure.observer_config(loaded, clock)
+    plane = settings_of(processes[PLANE], plane_sim.realtime.PARAMETERS)
+    assert plane.made(RealtimePlaneConfig) == configure.plane_config(loaded, clock)
+    observer = settings_of(processes[OBSERVER], abstraction_observer.realtime.PARAMETERS)
+    assert observer.made(RealtimeObserverConfig) == configure.observer_config(loaded, clock)
     for robot in configure.agent_configs(loaded, clock):
-        process = processes[agent_name(robot.agent_id)]
-        settings = settings_of(process, COMMON, agent_node.realtime.PARAMETERS)
-        assert agent_node.realtime.config(settings) == robot
+        settings = settings_of(processes[agent_name(robot.agent_id)], agent_node.realtime.PARAMETERS)
+        assert settings.made(RealtimeAgentConfig) == robot
         assert settings.text("drive.type") == "simulated"
     made = []
     real = parent_controller.realtime.RealtimeController
     monkeypatch.setattr(
         parent_controller.realtime, "RealtimeController", lambda *parts: made.append(parts) or real(*parts)
     )
-    with started_node(*processes[CONTROLLER].arguments("/")[1:]) as node:
-        table = parent_controller.realtime.table(node)  # type: ignore[arg-type]
-        parent_controller.realtime.make(Settings(declare(node, (*COMMON, *table))), RealtimeNode.__new__(RealtimeNode))
+    controller = settings_of(processes[CONTROLLER], parent_controller.realtime.PARAMETERS)
+    parent_controller.realtime.make(controller, RealtimeNode.__new__(RealtimeNode))
     ((config, make_law),) = made
     assert type(make_law()) is type(lockstep.parent_controller(loaded))
-    expected_controller = configure.controller_config(loaded, clock)
-    assert config == replace(expected_controller, bounds=config.bounds)
-    assert config.bounds.gravity == expected_controller.bounds.gravity
+    assert config == replace(configure.controller_config(loaded, clock), law=config.law)
 
 
 @pytest.mark.usefixtures("ros")
@@ -93,7 +90,7 @@ def test_all_are_told_the_epoch_and_the_recorder_where_everything_is() -> None:
     loaded = builtin("pd_het_4").resolved()
     processes = planned(loaded)
     assert all(process.parameters["await_epoch"] is True for process in processes.values())
-    settings = settings_of(processes[RECORDER], swarmabs_bag.recorder.realtime.PARAMETERS)
+    settings = settings_of(processes[RECORDER], swarmabs_bag.recorder.realtime.PARAMETERS, ())
     found = [settings.text(name) for name in ("scenario_file", "bag", "logs")]
     assert found == ["/runs/x/scenario.yaml", "/runs/x/bag", "/runs/x/logs"]
     assert settings.last_step() == loaded.steps

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions, classify_points
 from swarmabs_analysis.figures.style import BLACK, BLUE, COLUMN, DASHED, GREEN, GREY, PURPLE, SKY, SOLID, VERMILION
-from swarmabs_config import configure
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.theory.constraint_sets import (
     StateClass,
@@ -65,7 +64,7 @@ def draw_position_mapping() -> Figure:
     _samples(axes, swarm)
     _box(axes, swarm)
     _boundaries(axes, swarm)
-    _manifold(axes, swarm, configure.manifold(scenario))
+    _manifold(axes, swarm, scenario.manifold)
     corner = sum(swarm.masses) * swarm.length**2 / 4.0
     axes.set(
         xlabel="torque τₛ, N m",

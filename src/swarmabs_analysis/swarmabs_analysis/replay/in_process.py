@@ -75,9 +75,9 @@ class Replay:
             config = configure.controller_config(scenario, recording_window=0)
             return Controller(config, configure.parent_controller(scenario)), (PLANE_STATE,)
         if name.kind is NodeKind.OBSERVER:
-            model = configure.parent_model(scenario)
-            self._observer = Observer(configure.observer_config(scenario), model)
-            return self._observer, (AGENT_STATE,) if model is None else (AGENT_STATE, PLANE_STATE)
+            watching = configure.observer_config(scenario)
+            self._observer = Observer(watching)
+            return self._observer, (AGENT_STATE,) if watching.parent_model is None else (AGENT_STATE, PLANE_STATE)
         robot = next(config for config in configure.agent_configs(scenario) if config.agent_id == name.agent_id)
         if name.agent_id in self._silent:
             last = self._silent[name.agent_id] - 1

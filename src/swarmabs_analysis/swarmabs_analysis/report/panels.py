@@ -34,7 +34,6 @@ from swarmabs_analysis.figures.style import (
 )
 from swarmabs_analysis.report.formatting import counted, joined, quantity, span
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
-from swarmabs_config import configure
 from swarmabs_core.messages import EventKind, Kind
 from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
 
@@ -446,7 +445,7 @@ def _drawing_of_state(
 def _space(figure: FigureBase, recorded: Recorded, masses: Sequence[float]) -> None:
     """Draw the path of the abstract state with the manifold and the constraint sets around it."""
     axes = figure.add_subplot()
-    arrays, plane, manifold = recorded.arrays, recorded.scenario.plane, configure.manifold(recorded.scenario)
+    arrays, plane, manifold = recorded.arrays, recorded.scenario.plane, recorded.scenario.manifold
     states = (arrays.abstract, arrays.desired)
     torques = np.concatenate([state.torque for state in states])
     inertias = np.concatenate([state.inertia for state in states])

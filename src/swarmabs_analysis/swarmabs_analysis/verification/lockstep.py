@@ -68,9 +68,9 @@ class LockstepVerification(Verification):
         self._scenario = scenario
         self._window = Window(scenario.step_ns, len(scenario.agents))
         self._digest = Digest()
-        model = configure.parent_model(scenario)
-        self._observer = Observer(configure.observer_config(scenario), model)
-        self._observer_watches_plane = model is not None
+        watching = configure.observer_config(scenario)
+        self._observer = Observer(watching)
+        self._observer_watches_plane = watching.parent_model is not None
         self._plane = Plane(configure.plane_config(scenario))
         self._controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)

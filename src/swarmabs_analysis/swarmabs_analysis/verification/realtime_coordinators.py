@@ -156,7 +156,7 @@ class PlaneCheck:
             return wrong
         if since == NEVER:
             self._history.states(Source.PLANE, basis)
-            begin = (self._config.angle, self._config.angular_velocity)
+            begin = (self._config.plane.angle, self._config.plane.angular_velocity)
             return [begin] if last is None else [begin, last[1:], (last[1], begin[1])]
         before = self._history.basis(Source.PLANE, since)
         start = None if before is None else self._start(since, last, held=before.begun == NEVER)
@@ -175,13 +175,13 @@ class PlaneCheck:
 
     def _start(self, since: int, last: tuple[int, float, float] | None, *, held: bool) -> tuple[float, float] | None:
         """Return the true state from which the plane went on; while it is held, it keeps what it begins with."""
-        if self._config.sensor.perfect:
+        if self._config.plane.sensor.perfect:
             stored = self._history.get(PLANE_STATE, since)
             if stored is None or self._history.is_ambiguous(PLANE_STATE, since):
                 return None
             state = stored.message
             assert isinstance(state, PlaneState)  # noqa: S101 - kept by topic
-            return state.angle, self._config.angular_velocity if held else state.angular_velocity
+            return state.angle, self._config.plane.angular_velocity if held else state.angular_velocity
         return last[1:] if last is not None and last[0] == since else None
 
     def _state(self, basis: Basis, place: tuple[float, float]) -> PlaneState:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.sweep.study import as_override, at_parameter, named_scenario
 from swarmabs_config.fleet.model import Fleet
-from swarmabs_config.fleet.names import LONGEST
 from swarmabs_config.fleet.robots import SimulatedDrive
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
+from swarmabs_config.scenario.texts import LONGEST
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 

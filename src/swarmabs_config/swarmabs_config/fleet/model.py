@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from swarmabs_analysis.sweep.model import DottedPath
 from swarmabs_config.fleet import checks
-from swarmabs_config.fleet.names import Name, Namespace
+from swarmabs_config.fleet.names import Namespace
 from swarmabs_config.fleet.parts import (
     LEVELS,
     Coordinators,
@@ -25,6 +25,7 @@ from swarmabs_config.fleet.parts import (
 from swarmabs_config.fleet.robots import ROBOT_KINDS, Robot
 from swarmabs_config.scenario.errors import show
 from swarmabs_config.scenario.fields import AsTuple, Model, Positive, Tagged, problem, raise_findings
+from swarmabs_config.scenario.texts import Name
 from swarmabs_config.scenario.versions import known_version
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")

@@ -14,9 +14,6 @@ from swarmabs_config.scenario.texts import WORD, matching
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-LONGEST = 32
-"""Of names of fleets and hosts, which become parts of names of units and folders."""
-
 
 def _address(*, loopback: bool) -> Callable[[str], str]:
     def check(text: str) -> str:
@@ -46,17 +43,6 @@ def _network(text: str) -> str:
         raise problem(f"{show(text)} is no IPv4 network", "write e.g. 192.168.1.5 or 192.168.1.0/24") from None
     return text
 
-
-Name: TypeAlias = Annotated[
-    str,
-    matching(
-        r"[A-Za-z0-9][A-Za-z0-9_-]*",
-        "name for folders and units",
-        f"use 1 to {LONGEST} letters, digits, - and _, first a letter or a digit",
-        LONGEST,
-    ),
-]
-"""A fleet or a host."""
 
 Address: TypeAlias = Annotated[str, AfterValidator(_address(loopback=True))]
 TunnelAddress: TypeAlias = Annotated[str, AfterValidator(_address(loopback=False))]

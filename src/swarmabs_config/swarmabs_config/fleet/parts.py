@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface, Name, Network, TunnelAddress
+from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface, Network, TunnelAddress
 from swarmabs_config.ports import LARGEST_DOMAIN
-from swarmabs_config.scenario.fields import AsTuple, Model, Number, Positive, Tagged, problem
-from swarmabs_config.scenario.texts import FrameName, TopicName
+from swarmabs_config.scenario.declared import model_of
+from swarmabs_config.scenario.fields import AsTuple, Model, Positive, Tagged
+from swarmabs_config.scenario.texts import Name
+from swarmabs_core.declaration import part, setting
+from swarmabs_core.realtime.plane_driver import PlaneInstrument
 
-Axis: TypeAlias = Literal["+x", "+y", "+z", "-x", "-y", "-z"]
-Stamp: TypeAlias = Literal["header", "arrival"]
 Ros: TypeAlias = Literal["wheels", "sourced"]
 
 
@@ -40,31 +42,17 @@ class SimulatedPlane(Model):
     host: Name = Field(description="host on which its node runs")
 
 
-class PlaneDriver(Model):
+@dataclass(frozen=True, slots=True)
+class MeasuredPlane:
     """A plane whose motion is measured."""
 
-    type: Literal["driver"] = Field(default="driver", description="the plane's motion is measured")
-    host: Name = Field(description="host on which its node runs")
-    source: Literal["joint_state", "imu"] = Field(
-        default="joint_state", description="message of angle and angular velocity: sensor_msgs/JointState or Imu"
-    )
-    topic: TopicName = Field(default="", description="its topic; '': ~/joint_states or ~/imu")
-    stamp: Stamp = Field(default="header", description="time of a reading: its header's, or that of its arrival")
-    joint: FrameName = Field(default="plane_tilt", description="joint of the encoder")
-    scale: Number = Field(default=1.0, description="turn of the plane per unit of the encoder, rad, not 0")
-    frame: FrameName = Field(default="imu_link", description="frame_id that the IMU must have; '': any")
-    axis: Axis = Field(default="-y", description="axis of the IMU about which the plane's angle is positive")
-    offset: Number = Field(default=0.0, description="angle of the plane where the sensor says 0, rad")
+    type: ClassVar[str] = "driver"
 
-    @field_validator("scale")
-    @classmethod
-    def _check_scale(cls, scale: float) -> float:
-        if scale == 0.0:
-            raise problem("a scale of 0 measures nothing", "give rad per unit; negative: it counts backwards")
-        return scale
+    host: str = setting("", "host on which its node runs", names="name", required=True)
+    instrument: PlaneInstrument = part(PlaneInstrument, name="")
 
 
-PLANES: dict[str, type[Model]] = {"simulated": SimulatedPlane, "driver": PlaneDriver}
+PLANES: dict[str, type[Model]] = {"simulated": SimulatedPlane, "driver": model_of(MeasuredPlane, tag="type")}
 
 
 class Observer(Model):
@@ -91,7 +79,7 @@ class Recorder(Model):
 class Coordinators(Model):
     """Where the nodes run that are not robots; they may share a host."""
 
-    plane: Annotated[SimulatedPlane | PlaneDriver, Tagged("type", PLANES, "simulated")] = Field(
+    plane: Annotated[SimulatedPlane | MeasuredPlane, Tagged("type", PLANES, "simulated")] = Field(
         description="the plane, simulated or measured"
     )
     observer: Observer = Field(description="the observer")

@@ -8,11 +8,13 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 from pydantic import Field, JsonValue, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from swarmabs_config.fleet.names import Name, PluginName, SettingName
+from swarmabs_config.fleet.names import PluginName, SettingName
 from swarmabs_config.scenario.agents import AgentId
 from swarmabs_config.scenario.declared import model_of
 from swarmabs_config.scenario.errors import describe
 from swarmabs_config.scenario.fields import LARGEST, Model, NonNegative, Number, Positive, Tagged, problem
+from swarmabs_config.scenario.texts import Name
+from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.topic_drive import TopicSettings
 
 
@@ -53,6 +55,11 @@ class PluginDrive(Model):
             if any(isinstance(item, float) and abs(item) > LARGEST for item in items):
                 raise problem(f"{name}: {describe(value)} is out of range", f"give a number within +-{LARGEST:g}")
         return settings
+
+    @property
+    def parameters(self) -> dict[str, Value]:
+        """What the drive is given, as parameters have it."""
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in self.settings.items()}  # type: ignore[misc]  # they are checked
 
 
 Drive: TypeAlias = SimulatedDrive | TopicSettings | PluginDrive

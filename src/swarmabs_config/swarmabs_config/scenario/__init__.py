@@ -1,5 +1,10 @@
 """Scenarios: the one description of a run that everything is started from (docs/design.md, Scenario)."""
 
+from swarmabs_core.behaviours.base import Lockstep
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.plant import Disturbance, Plane
+from swarmabs_core.robot_controller import Limits
+from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.theory.constraint_sets import largest_position
 
 from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
@@ -42,15 +47,14 @@ from .faults import (
     SingleRobotFault,
 )
 from .loader import load_scenario, parse_scenario
-from .model import Disturbance, Limits, Lockstep, Manifold, Plane, Scenario, Swarm, SwarmGains
-from .observers import OBSERVER_CONFIGS, ObserverConfig, ParentResponseObserver, SumObserver
+from .model import OBSERVERS, Scenario, Swarm
 from .schema import json_schema
 
 __all__ = [
     "AGENT_KINDS",
     "CONTROLLER_CONFIGS",
     "FAULT_KINDS",
-    "OBSERVER_CONFIGS",
+    "OBSERVERS",
     "TRAJECTORY_CONFIGS",
     "Agent",
     "AgentFault",
@@ -77,8 +81,6 @@ __all__ = [
     "LqrConfig",
     "Manifold",
     "MessageFault",
-    "ObserverConfig",
-    "ParentResponseObserver",
     "PdConfig",
     "Plane",
     "QuinticTrajectory",
@@ -92,7 +94,6 @@ __all__ = [
     "SineTrajectory",
     "SingleIntegratorAgent",
     "SingleRobotFault",
-    "SumObserver",
     "Swarm",
     "SwarmGains",
     "TrajectoryConfig",

@@ -21,8 +21,10 @@ from .fields import SMALLEST, Finding, Location
 from .timing import NANOSECONDS
 
 if TYPE_CHECKING:
+    from swarmabs_core.manifold import Manifold
+
     from .agents import Agent
-    from .model import Manifold, Scenario
+    from .model import Scenario
 
 SMALLEST_SPREAD = 1e-12
 """S3 must exceed this many S0^2 L^2: below, the robots cannot tell torque from inertia."""

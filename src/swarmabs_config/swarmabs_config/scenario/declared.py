@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, create_model
 from pydantic_core import CoreSchema, core_schema
 
-from swarmabs_core.declaration import Part, Setting, entries_of, tree_of
+from swarmabs_core.declaration import Part, Setting, attribute_of, entries_of, setting_of, tree_of
 from swarmabs_core.parameters import Parameter, Scalar, SettingError
 
 from .errors import show
@@ -45,15 +45,21 @@ class DeclaredModel(Model):
 
     def made(self) -> object:
         """Return the declaration's instance."""
+        return self._made(self.declaration)
+
+    def _made(self, declaration: type) -> object:
         values: dict[str, object] = {}
-        for name, attribute, declared in entries_of(self.declaration):
+        for name, attribute, declared in entries_of(declaration):
+            if not name and isinstance(declared, Part):
+                values[attribute] = self._made(declared.declaration)
+                continue
             value = getattr(self, _field_of(name))
-            values[attribute] = declared.default if value is None and isinstance(declared, Setting) else value
+            values[attribute] = attribute_of(declared, value) if isinstance(declared, Setting) else value
         try:
-            return self.declaration(**values)
+            return declaration(**values)
         except SettingError as error:
-            finding = Finding.of(tuple(error.name.split(".")), error.problem, error.remedy)
-            raise as_error(self.declaration.__name__, [finding]) from error
+            location = tuple(error.name.split(".")) if error.name else ()
+            raise as_error(declaration.__name__, [Finding.of(location, error.problem, error.remedy)]) from error
 
 
 @cache
@@ -71,20 +77,30 @@ def model_of(declaration: type, tag: str = "") -> type[Model]:
     fields: dict[str, Any] = {}
     if tag:
         name = getattr(declaration, tag)
-        fields[tag] = (Literal[name], Field(default=name, description=text))
-    for name, _, declared in entries_of(declaration):
-        if isinstance(declared, Part):
-            annotation: Any = Annotated[declared.declaration, Declared()]
-            field = declared_field(declared.declaration, declared.description, alias=name)
-        else:
-            assert isinstance(declared, Setting)  # noqa: S101 - nothing in a file is chosen by this way
-            annotation, default = _optional(declared)
-            said = f"{declared.description}; null: none" if declared.unset is not None else declared.description
-            field = Field(default=default, alias=name, description=said)
-        fields[_field_of(name)] = (annotation, field)
+        fields[tag] = (Literal[name], Field(default=name, description=f"{text[:1].lower()}{text[1:].rstrip('.')}"))
+    fields |= _fields_of(declaration)
     model = create_model(declaration.__name__, __base__=DeclaredModel, __doc__=text, **fields)
     model.declaration = declaration
     return model
+
+
+def _fields_of(declaration: type) -> dict[str, Any]:
+    """Return the fields of a declaration's model by name, each with its type."""
+    found: dict[str, Any] = {}
+    for name, _, declared in entries_of(declaration):
+        if isinstance(declared, Part):
+            inner = declared.declaration
+            if name:
+                annotation: Any = Annotated[inner, Declared()]
+                found[_field_of(name)] = (annotation, declared_field(inner, declared.description, alias=name))
+            else:
+                found |= _fields_of(inner)
+            continue
+        assert isinstance(declared, Setting)  # noqa: S101 - nothing in a file is chosen by this way
+        default = ... if declared.required else None if declared.unset is not None else declared.parameter.default
+        content = Field(default=default, alias=name, description=declared.in_file.description)
+        found[_field_of(name)] = (_type_of(declared), content)
+    return found
 
 
 def declared_field(declaration: type, description: str, alias: str | None = None) -> Any:
@@ -139,13 +155,28 @@ def _field_of(name: str) -> str:
     return f"setting_{name}"
 
 
-def _optional(declared: Setting) -> tuple[Any, object]:
-    """Return type and default of a setting in a file."""
-    limits = {"above": declared.above, "below": declared.below, "names": declared.names}
-    annotation = _of_parameter(declared.parameter, whole_nanoseconds=declared.whole_nanoseconds, **limits)
-    if declared.unset is None:
-        return annotation, declared.default
-    return annotation | None, None
+@dataclass(frozen=True, eq=False)
+class Like:
+    """Annotation of a field that is as a declaration has declared one of its settings."""
+
+    declaration: type
+    attribute: str
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate as the declaration says."""
+        return handler.generate_schema(_type_of(setting_of(self.declaration, self.attribute)))
+
+
+def like(declaration: type, attribute: str, *, required: bool = False) -> Any:
+    """Return the field of a model that is annotated by `Like`."""
+    declared = setting_of(declaration, attribute)
+    return Field(default=... if required else declared.parameter.default, description=declared.in_file.description)
+
+
+def _type_of(declared: Setting) -> Any:
+    """Return the type of a setting in a file."""
+    found = _of_parameter(declared.in_file, whole_nanoseconds=declared.whole_nanoseconds, names=declared.names)
+    return found if declared.unset is None else found | None
 
 
 def _of_parameter(setting: Parameter, **more: Any) -> Any:
@@ -168,12 +199,10 @@ def _scalar(
     setting: Parameter,
     model: Scalar,
     *,
-    above: float | None = None,
-    below: float | None = None,
     names: str = "",
     whole_nanoseconds: bool = False,
 ) -> Any:
-    low, high, above = setting.minimum, setting.maximum, setting.above if above is None else above
+    low, high, above, below = map(_whole, (setting.minimum, setting.maximum, setting.above, setting.below))
     if isinstance(model, bool):
         return bool
     if isinstance(model, str):
@@ -181,16 +210,19 @@ def _scalar(
             return Literal[setting.choices]
         return TEXTS[names] if names else Annotated[str, AfterValidator(_printable)]
     if isinstance(model, int):
-        whole = Field(
-            ge=-_LARGEST_INTEGER if low is None else low, le=_LARGEST_INTEGER if high is None else high, gt=above
-        )
-        return Annotated[int, whole]
+        most = None if below is not None else _LARGEST_INTEGER if high is None else high
+        return Annotated[int, Field(gt=above, ge=-_LARGEST_INTEGER if low is None else low, lt=below, le=most)]
     if whole_nanoseconds:
         return Annotated[float, Field(gt=above, le=LONGEST), WholeNanoseconds]
     least = None if above is not None else -LARGEST if low is None else low
     most = None if below is not None else LARGEST if high is None else high
     bounds = Field(gt=above, ge=least, lt=below, le=most)
     return Annotated[float, bounds, AfterValidator(not_tiny) if above == 0.0 else WithoutNegativeZero]
+
+
+def _whole(bound: float | None) -> float | None:
+    """Return a bound as a whole number if it is one, as schemas and errors show it."""
+    return int(bound) if bound is not None and bound == int(bound) else bound
 
 
 def _not_empty(values: tuple[Scalar, ...]) -> tuple[Scalar, ...]:

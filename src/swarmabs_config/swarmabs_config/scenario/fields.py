@@ -179,7 +179,7 @@ class Tagged:
 
     def validate(self, value: object) -> object:
         """Return what the registered model that `value` describes stands for."""
-        if is_dataclass(value):
+        if is_dataclass(value) and hasattr(value, self.tag):
             value = self._tree(value)
         if isinstance(value, Model):
             model = self._find(getattr(value, self.tag, None))

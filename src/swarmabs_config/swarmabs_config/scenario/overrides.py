@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from .controllers import DEFAULT_CONTROLLER, DEFAULT_TRAJECTORY
 from .errors import describe, shorten
 from .fields import Location
-from .model import Scenario
-from .observers import DEFAULT_OBSERVER
+from .model import DEFAULT_OBSERVER, Scenario
 from .plugins import DEFAULT_LAW
 from .yaml_tree import Entry, Mark, Node, read_tree
 

@@ -31,5 +31,18 @@ FrameName: TypeAlias = Annotated[
     str, matching(r"[A-Za-z0-9_./-]*", "name of a frame or joint", "use letters, digits, '_', '.', '-' and '/'")
 ]
 
-TEXTS: dict[str, Any] = {"topic": TopicName, "frame": FrameName}
+LONGEST = 32
+"""Of names of fleets and hosts, which become parts of names of units and folders."""
+Name: TypeAlias = Annotated[
+    str,
+    matching(
+        r"[A-Za-z0-9][A-Za-z0-9_-]*",
+        "name for folders and units",
+        f"use 1 to {LONGEST} letters, digits, - and _, first a letter or a digit",
+        LONGEST,
+    ),
+]
+"""A fleet or a host."""
+
+TEXTS: dict[str, Any] = {"name": Name, "topic": TopicName, "frame": FrameName}
 """Type of a setting by what its text names."""

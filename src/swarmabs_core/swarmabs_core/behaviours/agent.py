@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 from math import sin
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflict
+from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, refuse_conflict
 from swarmabs_core.behaviours.inbox import Inbox
+from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.faults import RobotFault, RobotFaults
-from swarmabs_core.law_registry import PAPER, Robot
+from swarmabs_core.law_registry import LAWS, PAPER, Robot
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -34,90 +35,83 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.parameters import SettingError, Settings
+from swarmabs_core.plant import Plane
 from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, Decision, Limits, RobotController
-from swarmabs_core.sensing import Sensor
+from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import Drive
-    from swarmabs_core.parameters import Settings
-    from swarmabs_core.swarm_law import SwarmGains
 
 
 @dataclass(frozen=True, slots=True)
 class LifeSpan:
     """When a robot takes part: its first step, and how and with which step it ends, if planned."""
 
-    first_step: int = 0
-    end: ChangeKind | None = None
-    end_step: int | None = None
+    first_step: int = setting(0, "step at which the robot joins", minimum=0)
+    end: ChangeKind | None = setting(
+        None,
+        "how the robot ends by plan",
+        choices=("none", *(kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN)),
+        unset="none",
+        make=ChangeKind,
+        say=lambda kind: kind.value,
+    )
+    end_step: int | None = setting(None, "step of the planned end", unset=-1)
 
 
 @dataclass(frozen=True, slots=True)
-class AgentConfig:
-    """Configuration of a robot.
+class RobotConfig:
+    """What a robot is and knows, whatever makes its steps."""
 
-    Parameters
-    ----------
-    agent_id : int
-        1 to 65535.
-    kind : Kind
-        Dynamics.
-    mass : float
-        kg.
-    position, velocity : float
-        Initial state, m and m/s.
-    gains : SwarmGains
-        Gains of the law.
-    period_ns : int
-        Control period, ns.
-    gravity : float
-        m/s^2.
-    plane_length : float
-        m.
-    damping : float
-        N s/m, of a double integrator.
-    limits : Limits
-        What the drive can do.
-    life : LifeSpan
-        When the robot takes part.
-    faults : tuple of RobotFault
-        What is injected into it.
-    seed : int
-        Seed of what is drawn of the faults and of the sensor's noise.
-    feels_gravity : bool
-        Whether a double integrator feels the plane's tilt and rotation, which the paper's model neglects.
-    law : str
-        Name of the law.
-    law_settings : Settings
-        Settings of the law besides the gains; those left out have their defaults.
-    last_step : int, optional
-        The step with which the run ends.
-    sensor : Sensor
-        What the robot knows of its own position (m) and velocity (m/s).
-    actuator_lag : float
-        Time constant with which its drive follows the command, s.
-    """
-
-    agent_id: int
-    kind: Kind
-    mass: float
-    position: float
-    velocity: float
-    gains: SwarmGains
-    period_ns: int
-    gravity: float
-    plane_length: float
-    damping: float = 0.0
-    limits: Limits = field(default_factory=Limits)
-    life: LifeSpan = field(default_factory=LifeSpan)
-    faults: tuple[RobotFault, ...] = ()
-    seed: int = 1
-    feels_gravity: bool = False
-    law: str = PAPER.name
+    agent_id: int = setting(1, "number of the robot, 1 to 65535", minimum=1, maximum=65535)
+    kind: Kind = setting(
+        Kind.SINGLE_INTEGRATOR,
+        "dynamics of the robot",
+        choices=tuple(kind.name.lower() for kind in Kind),
+        make=lambda name: Kind[name.upper()],
+        say=lambda kind: kind.name.lower(),
+    )
+    mass: float = setting(0.5, "mass, kg", above=0.0)
+    damping: float = setting(0.0, "viscous damping c of its motion, N s/m; 0 is legal", minimum=0.0)
+    position: float = setting(0.0, "initial position on the plane, 0 at the axis, m")
+    velocity: float = setting(0.0, "initial velocity, m/s")
+    gravity: float = same(Plane, "gravity")
+    plane_length: float = same(Plane, "length")
+    gains: SwarmGains = part(SwarmGains)
+    limits: Limits = part(Limits)
+    law: str = choice(LAWS.find, LAWS.built_in, PAPER.name, "law of the swarm")
     law_settings: Settings = field(default_factory=dict, hash=False)
-    last_step: int | None = None
-    sensor: Sensor = field(default_factory=Sensor)
-    actuator_lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what a robot of its kind does not have.
+
+        Raises
+        ------
+        SettingError
+            If a single integrator has a damping or a velocity.
+        """
+        if self.kind is Kind.SINGLE_INTEGRATOR:
+            for name, value in (("damping", self.damping), ("velocity", self.velocity)):
+                if value:
+                    raise SettingError(name, "a single integrator has none", "leave it out")
+
+
+@dataclass(frozen=True, slots=True)
+class AgentConfig(RobotConfig):
+    """Configuration of a robot."""
+
+    period_ns: int = same(Run, "period_ns")
+    life: LifeSpan = part(LifeSpan, name="")
+    faults: tuple[RobotFault, ...] = setting(
+        (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'", make=RobotFault.parse
+    )
+    seed: int = same(Run, "seed")
+    feels_gravity: bool = same(Plane, "robot_gravity")
+    last_step: int | None = same(Run, "last_step")
+    sensor: RobotSensor = part(RobotSensor)
+    actuator_lag: float = same(Run, "actuator_lag")
 
     def injected(self) -> RobotFaults:
         """Return what is injected into the robot."""

@@ -2,11 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 from swarmabs_core.cdr import encode
+from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
+from swarmabs_core.membership import Change
 from swarmabs_core.messages import Message, Messages, Topic
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What nodes must know of the run in which they take part; each declares of it what it needs."""
+
+    period_ns: int = setting(10_000_000, "control period, ns", minimum=1)
+    last_step: int | None = setting(None, "step with which the run ends", unset=-1)
+    members: tuple[int, ...] = setting((1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
+    schedule: tuple[Change, ...] = setting(
+        (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'", make=Change.parse
+    )
+    seed: int = setting(1, "seed of the losses and the noise drawn during the run", minimum=0, below=2**63)
+    actuator_lag: float = setting(
+        0.0, "time constant with which velocity or force follows the command, s; 0: at once", minimum=0.0
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Lockstep:
+    """What happens when a robot does not answer."""
+
+    on_stall: str = setting(
+        "fail",
+        "fail: the run fails; drop: the robot is taken out as if it had been killed",
+        choices=("fail", "drop"),
+    )
+    stall_timeout: float = setting(5.0, "wall time without an answer that is a stall, s", above=0.0)
 
 
 class Behaviour(Protocol):

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError, refuse_conflict
+from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessageError, refuse_conflict
+from swarmabs_core.controllers import ParentLaw
+from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator
+from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
     NEVER,
     PLANE_STATE,
@@ -24,33 +27,25 @@ from swarmabs_core.steering import REFERENCE, Stair, Staircase
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers.base import ParentController
-    from swarmabs_core.manifold import Manifold
     from swarmabs_core.messages import Steering
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerConfig:
-    """Configuration of the parent controller's node, whatever its law.
+    """Configuration of the parent controller's node."""
 
-    Parameters
-    ----------
-    period_ns : int
-        Control period, ns.
-    manifold : Manifold
-        Curve on which the desired abstract state lies.
-    recording_window : int
-        How many steps the run may be ahead of the recorder; 0 if it is not recorded.
-    last_step : int, optional
-        The step with which the run ends.
-    offsets : tuple of Stair
-        By how much the angle wanted is above the law's reference, rad, by step.
-    """
-
-    period_ns: int
-    manifold: Manifold
-    recording_window: int = 0
-    last_step: int | None = None
-    offsets: tuple[Stair, ...] = ()
+    period_ns: int = same(Run, "period_ns")
+    manifold: Manifold = part(Manifold)
+    recording_window: int = setting(
+        0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0
+    )
+    last_step: int | None = same(Run, "last_step")
+    offsets: tuple[Stair, ...] = setting(
+        (),
+        "what is added to the law's reference, rad, each 'STEP VALUE' from a step on: '500 0.1'",
+        make=Stair.parse,
+    )
+    law: ParentLaw = part(ParentLaw, name="")
 
 
 class Controller:

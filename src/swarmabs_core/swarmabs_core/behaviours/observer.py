@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import Weight, observed
-from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError, refuse_conflict
+from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessageError, refuse_conflict
 from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import RunError
+from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -23,41 +25,38 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.parent_response import TorqueEstimator
+from swarmabs_core.parent_response import ParentModel, ParentResponse, TorqueEstimator
+from swarmabs_core.plant import Plane
 from swarmabs_core.steering import change_of
+from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_core.parent_response import ParentModel
-
 
 @dataclass(frozen=True, slots=True)
 class ObserverConfig:
-    """Configuration of the observer.
+    """Configuration of the observer, and what it knows of the plane if it watches it."""
 
-    Parameters
-    ----------
-    members : tuple of int
-        Ids of all robots that ever take part.
-    period_ns : int
-        Control period, ns.
-    gravity : float
-        m/s^2.
-    ksd : float
-        Damping that the double integrators' law adds, N s/m.
-    schedule : tuple of Change
-        Scheduled changes of the membership.
-    last_step : int, optional
-        The step with which the run ends.
-    """
+    members: tuple[int, ...] = same(Run, "members")
+    period_ns: int = same(Run, "period_ns")
+    gravity: float = same(Plane, "gravity")
+    ksd: float = same(SwarmGains, "ksd")
+    schedule: tuple[Change, ...] = same(Run, "schedule")
+    last_step: int | None = same(Run, "last_step")
+    type: str = setting(
+        "sum",
+        "where the torque comes from: the sum over the robots, or the plane's motion",
+        choices=("sum", "parent_response"),
+    )
+    inertia: float = same(Plane, "inertia")
+    friction: Friction = same(Plane, "friction")
+    bandwidth: float = same(ParentResponse, "bandwidth")
 
-    members: tuple[int, ...]
-    period_ns: int
-    gravity: float
-    ksd: float
-    schedule: tuple[Change, ...] = ()
-    last_step: int | None = None
+    @property
+    def parent_model(self) -> ParentModel | None:
+        """What is known of the plane, if its motion says where the torque comes from."""
+        return None if self.type == "sum" else ParentModel(self.inertia, self.friction, self.bandwidth)
 
 
 class Observer:
@@ -66,13 +65,12 @@ class Observer:
     Parameters
     ----------
     config : ObserverConfig
-        Configuration.
-    model : ParentModel, optional
-        The plane, if the torque is to be taken from its response; inertia, sums and membership are those of the robots
-        all the same.
+        Configuration. If the torque is to be taken from the plane's response, inertia, sums and membership are those of
+        the robots all the same.
     """
 
-    def __init__(self, config: ObserverConfig, model: ParentModel | None = None) -> None:
+    def __init__(self, config: ObserverConfig) -> None:
+        model = config.parent_model
         self._config = config
         self._estimator = None if model is None else TorqueEstimator(model, config.period_ns / 1e9)
         self._plane: PlaneState | None = None

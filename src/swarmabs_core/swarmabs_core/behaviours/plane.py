@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from math import copysign, inf
+from dataclasses import dataclass
+from math import copysign
 from typing import NamedTuple
 
-from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
+from swarmabs_core import plant
+from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessageError
 from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.faults import Lie, truth
-from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -26,8 +27,8 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
-from swarmabs_core.sensing import Sensor, measured_plane
+from swarmabs_core.plant import PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
+from swarmabs_core.sensing import measured_plane
 from swarmabs_core.steering import DISTURBANCE, Stair, Staircase, change_of
 
 CURVED_FROM = 0.25
@@ -36,64 +37,23 @@ CURVED_FROM = 0.25
 
 @dataclass(frozen=True, slots=True)
 class PlaneConfig:
-    """Configuration of the simulated plane.
+    """Configuration of the simulated plane."""
 
-    Parameters
-    ----------
-    members : tuple of int
-        Ids of all robots that ever take part.
-    period_ns : int
-        Control period, ns.
-    inertia : float
-        Moment of inertia of the plane alone, kg m^2.
-    length : float
-        Length of the plane, m.
-    gravity : float
-        m/s^2.
-    friction : Friction
-        Friction of the bearing.
-    substep : float
-        Largest integration step, s.
-    angle, angular_velocity : float
-        Initial state, rad and rad/s.
-    disturbance : Disturbance
-        Disturbance torque.
-    schedule : tuple of Change
-        Scheduled changes of the membership.
-    last_step : int, optional
-        The step with which the run ends.
-    end_stop : float
-        Angle of the end stops on both sides, rad.
-    sensor : Sensor
-        What is published of angle (rad) and angular velocity (rad/s).
-    seed : int
-        Seed of the sensor's noise.
-    actuator_lag : float
-        Time constant of the robots' drives, s.
-    lies : tuple of Lie
-        Injected lies of robots about themselves, by which the weight on the plane does not go.
-    torques : tuple of Stair
-        Constant torque besides the disturbance, N m, by step.
-    """
-
-    members: tuple[int, ...]
-    period_ns: int
-    inertia: float
-    length: float
-    gravity: float
-    friction: Friction
-    substep: float
-    angle: float
-    angular_velocity: float
-    disturbance: Disturbance
-    schedule: tuple[Change, ...] = ()
-    last_step: int | None = None
-    end_stop: float = inf
-    sensor: Sensor = field(default_factory=Sensor)
-    seed: int = 1
-    actuator_lag: float = 0.0
-    lies: tuple[Lie, ...] = ()
-    torques: tuple[Stair, ...] = ()
+    members: tuple[int, ...] = same(Run, "members")
+    period_ns: int = same(Run, "period_ns")
+    plane: plant.Plane = part(plant.Plane, name="", without=("robot_gravity",))
+    schedule: tuple[Change, ...] = same(Run, "schedule")
+    last_step: int | None = same(Run, "last_step")
+    seed: int = same(Run, "seed")
+    actuator_lag: float = same(Run, "actuator_lag")
+    lies: tuple[Lie, ...] = setting(
+        (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Lie.parse
+    )
+    torques: tuple[Stair, ...] = setting(
+        (),
+        "constant torque, N m, that disturbs the plane, each 'STEP VALUE' from a step on: '500 0.1'",
+        make=Stair.parse,
+    )
 
 
 class _Load(NamedTuple):
@@ -111,21 +71,14 @@ class Plane:
     def __init__(self, config: PlaneConfig) -> None:
         self._config = config
         self._period = config.period_ns / 1e9
-        self._dynamics = PlaneDynamics(
-            inertia=config.inertia,
-            friction=config.friction,
-            disturbance=config.disturbance,
-            period=self._period,
-            substep=config.substep,
-            end_stop=config.end_stop,
-        )
+        self._dynamics = PlaneDynamics.of(config.plane, self._period)
         lagging = config.actuator_lag > 0.0 and config.actuator_lag >= CURVED_FROM * self._period
         self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
         self._torques = Staircase(config.torques)
         self._membership = Membership(config.members, config.schedule)
         self._gathering = Gathering(self._membership)
-        self._angle = config.angle
-        self._angular_velocity = config.angular_velocity
+        self._angle = config.plane.angle
+        self._angular_velocity = config.plane.angular_velocity
         self._loads: dict[int, _Load] = {}
         self._outside: set[int] = set()
 
@@ -198,19 +151,19 @@ class Plane:
             events.append(SwarmEvent(stamp, step, 0, EventKind.STEERING, torque, DISTURBANCE))
         if step > 0:
             time = (step - 1) * config.period_ns / 1e9
-            load = swarm_load(self._paths(states), config.gravity)
+            load = swarm_load(self._paths(states), config.plane.gravity)
             self._angle, self._angular_velocity = self._dynamics.advance(
                 self._angle, self._angular_velocity, time, load, self._torques.at(step - 1)
             )
             if self._dynamics.impact is not None:
                 events.append(self._hit(*self._dynamics.impact, step, stamp))
         self._keep(states)
-        measured = measured_plane(config.sensor, self._angle, self._angular_velocity, config.seed, step)
+        measured = measured_plane(config.plane.sensor, self._angle, self._angular_velocity, config.seed, step)
         return (*events, *self._limits(states, stamp), PlaneState(stamp, step, *measured))
 
     def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
         """Say that the plane has hit an end stop."""
-        angle = copysign(self._config.end_stop, rate)
+        angle = copysign(self._config.plane.end_stop, rate)
         detail = f"end stop hit at {time:.6g} s with {rate:.4g} rad/s"
         return SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, angle, detail)
 
@@ -240,7 +193,7 @@ class Plane:
 
     def _limits(self, states: list[AgentState], stamp: int) -> list[SwarmEvent]:
         """Say which robots have just crossed the end of the plane (eq. swarmStateConstraint)."""
-        half = 0.5 * self._config.length
+        half = 0.5 * self._config.plane.length
         events = []
         for state in states:
             outside = abs(state.position) > half

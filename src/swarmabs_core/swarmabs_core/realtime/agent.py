@@ -6,22 +6,29 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
-from swarmabs_core.law_registry import PAPER, Robot
-from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, Status, SwarmEvent
-from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
+from swarmabs_core.behaviours.agent import RobotConfig
+from swarmabs_core.declaration import choice, part, same, setting
+from swarmabs_core.law_registry import Robot
+from swarmabs_core.messages import NEVER, AgentState, EventKind, Status, SwarmEvent
+from swarmabs_core.parameters import Settings
+from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
+from swarmabs_core.realtime.drive_registry import DRIVES, SIMULATED
 from swarmabs_core.realtime.drives import Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
-from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, Limits, RobotController
+from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, RobotController
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
     from swarmabs_core.messages import Broadcast, Message, Messages
     from swarmabs_core.parameters import Settings
+
+if TYPE_CHECKING:
+    from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+    from swarmabs_core.messages import Message, Messages
     from swarmabs_core.realtime.drives import Drive, Measurement
-    from swarmabs_core.swarm_law import SwarmGains
 
 FAREWELLS = 10
 """Periods for which a robot that leaves says so."""
@@ -30,58 +37,36 @@ LANE_LIMITED = "command limited by the end of the lane"
 
 
 @dataclass(frozen=True, slots=True)
-class RealtimeAgentConfig:
-    """Configuration of a robot.
+class RealtimeAgentConfig(RobotConfig):
+    """Configuration of a robot."""
 
-    Parameters
-    ----------
-    agent_id : int
-        1 to 65535.
-    kind : Kind
-        Dynamics.
-    mass : float
-        kg.
-    gains : SwarmGains
-        Gains of the law.
-    schedule : Schedule
-        How time becomes steps.
-    bounds : Bounds
-        What is known of the swarm and its plane beforehand.
-    lane_limit : float
-        Distance from the axis within which the robot stays, m.
-    damping : float
-        N s/m, of a double integrator.
-    limits : Limits
-        What the drive can do.
-    deceleration : float
-        How hard the base of a single integrator brakes, m/s^2.
-    broadcast_age_limit : float
-        Age of the newest complete broadcasts from which on the robot stops, s.
-    measurement_age_limit : float
-        Age of its own measurement from which on it stops, s.
-    clock_tolerance : float
-        How far a broadcast may be from the future by the robot's clock, s.
-    law : str
-        Name of the law.
-    law_settings : Settings
-        Settings of the law besides the gains; those left out have their defaults.
-    """
+    schedule: Schedule = part(Schedule, name="")
+    swarm_mass: float = same(Bounds, "swarm_mass")
+    deceleration: float = setting(
+        inf,
+        "how hard the base of a single integrator brakes, at once without a limit, m/s^2",
+        name="limits.deceleration",
+        above=0.0,
+        unset=0.0,
+    )
+    lane_margin: float = same(Realtime, "lane_margin")
+    broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
+    measurement_age_limit: float = setting(
+        0.1, "age of the measurement of its own motion from which on the robot stops, s", above=0.0
+    )
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
+    drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "what moves the robot")
+    drive_settings: Settings = field(default_factory=dict, hash=False)
 
-    agent_id: int
-    kind: Kind
-    mass: float
-    gains: SwarmGains
-    schedule: Schedule
-    bounds: Bounds
-    lane_limit: float
-    damping: float = 0.0
-    limits: Limits = field(default_factory=Limits)
-    deceleration: float = inf
-    broadcast_age_limit: float = 0.1
-    measurement_age_limit: float = 0.1
-    clock_tolerance: float = 0.02
-    law: str = PAPER.name
-    law_settings: Settings = field(default_factory=dict, hash=False)
+    @property
+    def bounds(self) -> Bounds:
+        """What is known of the swarm and its plane beforehand."""
+        return Bounds(self.gravity, self.plane_length, self.swarm_mass, self.schedule.period)
+
+    @property
+    def lane_limit(self) -> float:
+        """Distance from the axis within which the robot stays, m."""
+        return max(0.0, 0.5 * self.plane_length - self.lane_margin)
 
 
 class RealtimeLaw:
@@ -99,10 +84,9 @@ class RealtimeLaw:
     """
 
     def __init__(self, config: RealtimeAgentConfig) -> None:
-        period = config.schedule.period_ns / 1e9
-        robot = Robot(config.kind, config.mass, config.damping, config.gains, config.bounds.gravity, period)
-        length = config.bounds.plane_length
-        self.controller = RobotController(robot, config.law, config.law_settings, config.limits, length)
+        period = config.schedule.period
+        robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
+        self.controller = RobotController(robot, config.law, config.law_settings, config.limits, config.plane_length)
         self._envelope = LaneEnvelope(self.controller, period, config.lane_limit, config.deceleration)
 
     def decide(self, position: float, velocity: float, heard: Broadcast) -> tuple[Decision, str]:

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
+from swarmabs_core.behaviours.base import Run
+from swarmabs_core.declaration import same, setting
 from swarmabs_core.messages import Message, Messages
+from swarmabs_core.parameters import SettingError
+
+FEWEST = 2
+"""Robots without which a swarm has no spread."""
 
 
 class Level(IntEnum):
@@ -49,21 +55,63 @@ class RealtimeBehaviour(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Realtime:
+    """What holds where the clock and not the last message makes the steps: on robots, and with `run --realtime`."""
+
+    broadcast_age_limit: float = setting(
+        0.1, "age of the newest complete broadcasts from which on a robot stops, s", above=0.0
+    )
+    state_age_limit: float = setting(
+        0.1, "age of a robot's state from which on it is taken to stand still, s", above=0.0
+    )
+    plane_age_limit: float = setting(
+        0.1, "age of the plane's state from which on the parent controller asks for nothing, s", above=0.0
+    )
+    clock_tolerance: float = setting(
+        0.02, "how far a message may come from the future by the receiver's clock, s", minimum=0.0
+    )
+    lane_margin: float = setting(
+        0.02, "distance from the plane's ends at which a robot must have come to rest, m", minimum=0.0
+    )
+    start: str = setting(
+        "wait",
+        "wait: all robots must have been heard before the swarm moves; quorum: as many as `quorum` says; proceed: two",
+        choices=("wait", "quorum", "proceed"),
+    )
+    quorum: int | None = setting(
+        None, "robots that must have been heard with start: quorum", minimum=FEWEST, maximum=65535, unset=0
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a quorum without its number, and a number without a quorum.
+
+        Raises
+        ------
+        SettingError
+            If one of them is missing.
+        """
+        if self.start == "quorum" and self.quorum is None:
+            problem = "start is 'quorum' and there is no number 'quorum'"
+            raise SettingError("", problem, "say how many robots must be there")
+        if self.start != "quorum" and self.quorum is not None:
+            problem = f"'quorum' has no meaning with start: {self.start}"
+            raise SettingError("", problem, "remove it, or use start: quorum")
+
+
+@dataclass(frozen=True, slots=True)
 class Schedule:
     """How time becomes steps: step k is the k-th period since an epoch that all nodes know.
 
     A node that starts late or again knows the step from its clock alone, so nobody has to be restarted with it.
-
-    Parameters
-    ----------
-    period_ns : int
-        Control period, ns.
-    epoch_ns : int
-        Time at which step 0 begins, ns since 1970.
     """
 
-    period_ns: int
-    epoch_ns: int = 0
+    period_ns: int = same(Run, "period_ns")
+    epoch_ns: int = setting(0, "time at which step 0 begins, ns since 1970", minimum=0)
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+        return self.period_ns / 1e9
 
     def step(self, now: int) -> int:
         """Return the step of a time; negative before the epoch."""

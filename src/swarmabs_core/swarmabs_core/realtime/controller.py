@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from swarmabs_core.controllers import ParentLaw
+from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator
 from swarmabs_core.errors import RunError
+from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
@@ -20,16 +23,16 @@ from swarmabs_core.messages import (
     Source,
     SwarmEvent,
 )
-from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.plant import Plane
+from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule
 from swarmabs_core.realtime.heard import Heard
+from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_core.controllers.base import ParentController
-    from swarmabs_core.manifold import Manifold
-    from swarmabs_core.realtime.plausibility import Bounds
 
 RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""
@@ -40,30 +43,27 @@ _LONG_AGO = -(2**62)
 
 @dataclass(frozen=True, slots=True)
 class RealtimeControllerConfig:
-    """Configuration of the parent controller's node, whatever its law.
+    """Configuration of the parent controller's node."""
 
-    Parameters
-    ----------
-    schedule : Schedule
-        How time becomes steps.
-    bounds : Bounds
-        What is known of the swarm and its plane beforehand.
-    manifold : Manifold
-        Curve on which the desired abstract state lies.
-    start_mode : Mode
-        RUN, or STOP: then the swarm waits for a reset.
-    plane_age_limit : float
-        Age of the plane's state from which on nothing is asked for, s.
-    clock_tolerance : float
-        How far a state of the plane may be from the future, s.
-    """
+    schedule: Schedule = part(Schedule, name="")
+    manifold: Manifold = part(Manifold)
+    law: ParentLaw = part(ParentLaw, name="")
+    gravity: float = same(Plane, "gravity")
+    plane_length: float = same(Plane, "length")
+    start_mode: Mode = setting(
+        Mode.RUN,
+        "run: the swarm moves as soon as it is there; stop: it waits for a reset",
+        choices=("run", "stop"),
+        make=lambda name: Mode[name.upper()],
+        say=lambda mode: mode.name.lower(),
+    )
+    plane_age_limit: float = same(Realtime, "plane_age_limit")
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
 
-    schedule: Schedule
-    bounds: Bounds
-    manifold: Manifold
-    start_mode: Mode = Mode.RUN
-    plane_age_limit: float = 0.1
-    clock_tolerance: float = 0.02
+    @property
+    def bounds(self) -> Bounds:
+        """What is known of the swarm and its plane beforehand."""
+        return Bounds(self.gravity, self.plane_length)
 
 
 class RealtimeController:
@@ -81,7 +81,7 @@ class RealtimeController:
     """
 
     def __init__(self, config: RealtimeControllerConfig, make_law: Callable[[], ParentController]) -> None:
-        self._config = config
+        self._config, self._bounds = config, config.bounds
         self._make_law = make_law
         self._age = config.schedule.steps(config.plane_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
@@ -190,7 +190,7 @@ class RealtimeController:
             return "plane/state: from the future; the clocks differ, or it is of another swarm"
         if message.step < step - self._age:
             return "plane/state: outdated"
-        problem = self._config.bounds.problem(message)
+        problem = self._bounds.problem(message)
         if problem:
             return f"plane/state: {problem}"
         if self._heard.add(None, message, step):

@@ -7,6 +7,8 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import Weight, observed
+from swarmabs_core.behaviours.base import Run
+from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
@@ -20,17 +22,16 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
+from swarmabs_core.parameters import SettingError
+from swarmabs_core.plant import Plane
+from swarmabs_core.realtime.base import FEWEST, Health, Level, Realtime, Schedule, StepCounter
 from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, MutableMapping
-
-FEWEST = 2
-"""Robots without which a swarm has no spread."""
-
 
 CARRIED_AWAY = "carried away"
 """What an operator says of a robot that is no longer on the plane and cannot say so itself."""
@@ -48,33 +49,42 @@ class Role(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RealtimeObserverConfig:
-    """Configuration of the observer.
+    """Configuration of the observer."""
 
-    Parameters
-    ----------
-    members : tuple of int
-        Ids of all robots that may ever take part.
-    schedule : Schedule
-        How time becomes steps.
-    bounds : Bounds
-        What is known of the swarm and its plane beforehand.
-    ksd : float
-        Damping that the double integrators' law adds, N s/m.
-    needed : int
-        Robots that must have been heard before anything is published.
-    state_age_limit : float
-        Age of a robot's state from which on it is taken to stand still, s.
-    clock_tolerance : float
-        How far a state may be from the future, s.
-    """
+    members: tuple[int, ...] = same(Run, "members")
+    schedule: Schedule = part(Schedule, name="")
+    gravity: float = same(Plane, "gravity")
+    ksd: float = same(SwarmGains, "ksd")
+    plane_length: float = same(Plane, "length")
+    swarm_mass: float = same(Bounds, "swarm_mass")
+    state_age_limit: float = same(Realtime, "state_age_limit")
+    start: str = same(Realtime, "start")
+    quorum: int | None = same(Realtime, "quorum")
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
 
-    members: tuple[int, ...]
-    schedule: Schedule
-    bounds: Bounds
-    ksd: float
-    needed: int
-    state_age_limit: float = 0.1
-    clock_tolerance: float = 0.02
+    def __post_init__(self) -> None:
+        """Refuse a quorum that these robots cannot have.
+
+        Raises
+        ------
+        SettingError
+            If there are not so many, or so few do not suffice.
+        """
+        robots, quorum = len(self.members), self.quorum or 0
+        if self.start == "quorum" and not FEWEST <= quorum <= robots:
+            raise SettingError("quorum", f"{quorum} of {robots} robots", f"give a number from {FEWEST} to {robots}")
+
+    @property
+    def needed(self) -> int:
+        """Robots that must have been heard before anything is published."""
+        if self.start == "quorum":
+            return self.quorum or FEWEST
+        return len(self.members) if self.start == "wait" else FEWEST
+
+    @property
+    def bounds(self) -> Bounds:
+        """What is known of the swarm and its plane beforehand."""
+        return Bounds(self.gravity, self.plane_length, self.swarm_mass, self.schedule.period)
 
 
 class RealtimeSums:
@@ -122,7 +132,7 @@ class RealtimeSums:
             weights.append(Weight(state.mass, state.position, 0.0 if stands else state.velocity))
             if state.status == Status.ACTIVE and not stands:
                 followers.append(state)
-        return observed(now, step, weights, followers, self._config.bounds.gravity, self._config.ksd)
+        return observed(now, step, weights, followers, self._config.gravity, self._config.ksd)
 
 
 class RealtimeObserver:
@@ -146,7 +156,7 @@ class RealtimeObserver:
     """
 
     def __init__(self, config: RealtimeObserverConfig, memory: MutableMapping[int, AgentState] | None = None) -> None:
-        self._config = config
+        self._config, self._bounds, self._needed = config, config.bounds, config.needed
         self._memory: MutableMapping[int, AgentState] = {} if memory is None else memory
         self._sums = RealtimeSums(config)
         self._age = config.schedule.steps(config.state_age_limit)
@@ -207,7 +217,7 @@ class RealtimeObserver:
         values = (*values, ("refused", str(self._refusals.total)), ("last refusal", self._refusals.latest))
         if not self._started:
             heard = self._known()
-            return Health(Level.WARN, f"waits for robots: {heard} heard, {self._config.needed} needed", values)
+            return Health(Level.WARN, f"waits for robots: {heard} heard, {self._needed} needed", values)
         if not count[Role.ACTIVE]:
             return Health(Level.ERROR, "no robot follows", values)
         missing = count[Role.STOPPED] + count[Role.SILENT]
@@ -222,7 +232,7 @@ class RealtimeObserver:
         who = f"robot {message.agent_id}"
         if message.step > step + self._ahead:
             return f"{who}: a state from the future; the clocks differ, or it is of another swarm"
-        problem = self._config.bounds.problem(message) or self._overweight(message)
+        problem = self._bounds.problem(message) or self._overweight(message)
         return f"{who}: {problem}" if problem else ""
 
     def _overweight(self, state: AgentState) -> str:
@@ -231,7 +241,7 @@ class RealtimeObserver:
         if known is not None and (known.mass, known.status) == (state.mass, state.status):
             return ""
         others = [s.mass for i, s in self._states.items() if i != state.agent_id and s.status != Status.LEFT]
-        if state.status != Status.LEFT and self._config.bounds.exceeds(sum(others) + state.mass):
+        if state.status != Status.LEFT and self._bounds.exceeds(sum(others) + state.mass):
             return f"a mass of {state.mass:.4g} kg: with the others more than the swarm's"
         return ""
 
@@ -267,7 +277,7 @@ class RealtimeObserver:
 
     def _may_start(self, step: int) -> bool:
         """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
-        if self._known() >= self._config.needed:
+        if self._known() >= self._needed:
             return True
         if self._under_way_since is None:
             if any(state.broadcast_step != NEVER for state in self._states.values()):

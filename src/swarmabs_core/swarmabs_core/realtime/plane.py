@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import copysign
 from typing import TYPE_CHECKING
 
-from swarmabs_core.desired_state import STEEPEST
-from swarmabs_core.friction import Friction
+from swarmabs_core.behaviours.base import Run
+from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import (
     NEVER,
     AgentState,
@@ -21,12 +21,21 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.plant import Disturbance, PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
-from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
+from swarmabs_core.plant import (
+    STEEPEST,
+    Plane,
+    PlaneDynamics,
+    RobotPath,
+    hermite,
+    standing,
+    straight,
+    swarm_load,
+)
+from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
 from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
-from swarmabs_core.sensing import Sensor, measured_plane
+from swarmabs_core.sensing import measured_plane
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,49 +48,23 @@ DOUBT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class RealtimePlaneConfig:
-    """Configuration of the simulated plane.
+    """Configuration of the simulated plane; the time of its disturbance begins when it is let go."""
 
-    Parameters
-    ----------
-    members : tuple of int
-        Ids of all robots that may ever take part.
-    schedule : Schedule
-        How time becomes steps.
-    bounds : Bounds
-        What is known of the swarm and its plane beforehand; of it, gravity.
-    inertia : float
-        Moment of inertia of the plane alone, kg m^2.
-    friction : Friction
-        Friction of the bearing.
-    substep : float
-        Largest integration step, s.
-    angle, angular_velocity : float
-        Initial state, rad and rad/s.
-    disturbance : Disturbance
-        Disturbance torque, whose time begins when the plane is let go.
-    end_stop : float
-        Angle of the end stops on both sides, rad.
-    sensor : Sensor
-        What is published of angle (rad) and angular velocity (rad/s).
-    seed : int
-        Seed of the sensor's noise.
-    clock_tolerance : float
-        How far a robot's state may be from the future, s.
-    """
+    members: tuple[int, ...] = same(Run, "members")
+    schedule: Schedule = part(Schedule, name="")
+    plane: Plane = part(Plane, name="", without=("robot_gravity",))
+    seed: int = same(Run, "seed")
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
 
-    members: tuple[int, ...]
-    schedule: Schedule
-    bounds: Bounds
-    inertia: float
-    friction: Friction
-    substep: float
-    angle: float
-    angular_velocity: float
-    disturbance: Disturbance
-    end_stop: float = STEEPEST
-    sensor: Sensor = field(default_factory=Sensor)
-    seed: int = 1
-    clock_tolerance: float = 0.02
+    @property
+    def bounds(self) -> Bounds:
+        """What is known of the swarm and its plane beforehand."""
+        return Bounds(self.plane.gravity, self.plane.length, period=self.schedule.period)
+
+    @property
+    def end_stop(self) -> float:
+        """Angle of the end stops on both sides, rad; a plane without any rests where a run in lockstep ends."""
+        return min(self.plane.end_stop, STEEPEST)
 
 
 class PlaneMotion:
@@ -100,15 +83,8 @@ class PlaneMotion:
 
     def __init__(self, config: RealtimePlaneConfig) -> None:
         self._config = config
-        self._period = config.schedule.period_ns / 1e9
-        self._dynamics = PlaneDynamics(
-            inertia=config.inertia,
-            friction=config.friction,
-            disturbance=config.disturbance,
-            period=self._period,
-            substep=config.substep,
-            end_stop=config.end_stop,
-        )
+        self._period = config.schedule.period
+        self._dynamics = PlaneDynamics.of(replace(config.plane, end_stop=config.end_stop), self._period)
         self.impact: float | None = None
 
     def advance(
@@ -139,14 +115,14 @@ class PlaneMotion:
         for index in range(passed):
             paths = [self._path(before.get(i, robot), robot, index, passed) for i, robot in sorted(newest.items())]
             time = max(0, since_release + index) * self._period
-            angle, rate = self._dynamics.advance(angle, rate, time, swarm_load(paths, config.bounds.gravity))
+            angle, rate = self._dynamics.advance(angle, rate, time, swarm_load(paths, config.plane.gravity))
             if self._dynamics.impact is not None:
                 self.impact = self._dynamics.impact[1]
         return angle, rate
 
     def measured(self, angle: float, angular_velocity: float, step: int) -> tuple[float, float]:
         """Return what the sensor tells of angle (rad) and angular velocity (rad/s) at a step."""
-        return measured_plane(self._config.sensor, angle, angular_velocity, self._config.seed, step)
+        return measured_plane(self._config.plane.sensor, angle, angular_velocity, self._config.seed, step)
 
     def _path(self, start: AgentState, end: AgentState, index: int, passed: int) -> RobotPath:
         """Return a robot's path over one of the periods that have passed since it was last looked at."""
@@ -172,9 +148,9 @@ class RealtimePlane:
     """
 
     def __init__(self, config: RealtimePlaneConfig) -> None:
-        self._config = config
+        self._config, self._bounds = config, config.bounds
         self._motion = PlaneMotion(config)
-        self._angle, self._angular_velocity = config.angle, config.angular_velocity
+        self._angle, self._angular_velocity = config.plane.angle, config.plane.angular_velocity
         self._newest: dict[int, AgentState] = {}
         self._before: dict[int, AgentState] = {}
         self._ahead = config.schedule.ahead(config.clock_tolerance)
@@ -192,7 +168,7 @@ class RealtimePlane:
         step = self._config.schedule.step(now)
         if not isinstance(message, AgentState) or message.agent_id not in self._members:
             return self._refusals.add("not a state of a robot of this swarm", step, now)
-        problem = self._config.bounds.problem(message)
+        problem = self._bounds.problem(message)
         if message.step > step + self._ahead:
             problem = "a state from the future; the clocks differ, or it is of another swarm"
         problem = problem or self._contradiction(message, step)
@@ -237,7 +213,7 @@ class RealtimePlane:
     def halt(self) -> None:
         """Hold the plane where it is."""
         self._released = self._last_step = None
-        self._angular_velocity = self._config.angular_velocity
+        self._angular_velocity = self._config.plane.angular_velocity
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - a simulation knows no age
         """Return where the plane is."""

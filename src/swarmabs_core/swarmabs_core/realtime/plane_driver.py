@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Literal
 
-from swarmabs_core.errors import InputError
+from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
-from swarmabs_core.realtime.base import Health, Level, Schedule, StepCounter
+from swarmabs_core.parameters import SettingError
+from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
 from swarmabs_core.realtime.readings import (
+    AXES,
+    STAMPS,
     Imu,
     Joints,
     Reading,
@@ -27,55 +29,50 @@ from swarmabs_core.realtime.tracking import Plausible, RefusedReadings, Track
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneDriverConfig:
-    """Configuration of the plane's driver.
+class PlaneInstrument:
+    """The plane's motion is measured."""
 
-    Parameters
-    ----------
-    schedule : Schedule
-        Control period and epoch.
-    source : str
-        ``joint_state`` (an encoder) or ``imu``.
-    joint : str
-        Joint of the encoder.
-    scale : float
-        Turn of the plane per unit of the encoder, rad; negative if it counts the other way.
-    frame : str
-        Frame that the IMU's messages must have; empty: any.
-    axis : str
-        Axis of the IMU, out of `AXES`, about which the plane's angle is positive.
-    offset : float
-        Angle of the plane where the sensor says 0, rad.
-    differentiate : bool
-        Whether an encoder's velocity is not used, even if it sends one.
-    bandwidth : float
-        Bandwidth of differentiation where there is no velocity, rad/s.
-    age_limit : float
-        Age from which on the sensor counts as silent, s.
-    clock_tolerance : float
-        How far a reading may come from the future, s.
-    angle_limit : float
-        Largest angle that is believed, rad.
-    max_rate : float
-        Largest angular velocity that is believed, rad/s.
-    max_jump : float
-        Angle beyond it by which two readings may differ, rad.
-    """
+    source: str = setting(
+        "joint_state", "what says how the plane is: an encoder or an IMU", choices=("joint_state", "imu")
+    )
+    topic: str = setting(
+        "", "topic of sensor_msgs/JointState or sensor_msgs/Imu; '': ~/joint_states or ~/imu", names="topic"
+    )
+    stamp: str = setting("header", "time of a reading: its header's, or that of its arrival", choices=STAMPS)
+    joint: str = setting("plane_tilt", "joint of the encoder", names="frame")
+    scale: float = setting(1.0, "turn of the plane per unit of the encoder, rad, not 0; negative: it counts backwards")
+    frame: str = setting("imu_link", "frame_id that the IMU must have; '': any", names="frame")
+    axis: str = setting("-y", "axis of the IMU about which the plane's angle is positive", choices=AXES)
+    offset: float = setting(0.0, "angle of the plane where the sensor says 0, rad")
+    differentiate: bool = setting(
+        default=False, description="whether the encoder's velocity is not used even if there is one"
+    )
+    bandwidth: float = setting(100.0, "bandwidth of differentiation where there is no velocity, rad/s", above=0.0)
+    age_limit: float = setting(0.05, "age from which on the sensor counts as silent, s", above=0.0)
+    angle_limit: float = setting(1.5, "largest angle that is believed, rad", above=0.0, maximum=1.5)
+    max_rate: float = setting(10.0, "largest angular velocity that is believed, rad/s", above=0.0)
+    max_jump: float = setting(0.05, "angle beyond it by which two readings may differ, rad", minimum=0.0)
 
-    schedule: Schedule
-    source: Literal["joint_state", "imu"] = "joint_state"
-    joint: str = "plane_tilt"
-    scale: float = 1.0
-    frame: str = "imu_link"
-    axis: str = "-y"
-    offset: float = 0.0
-    differentiate: bool = False
-    bandwidth: float = 100.0
-    age_limit: float = 0.05
-    clock_tolerance: float = 0.02
-    angle_limit: float = 1.5
-    max_rate: float = 10.0
-    max_jump: float = 0.05
+    def __post_init__(self) -> None:
+        """Refuse an encoder that measures nothing.
+
+        Raises
+        ------
+        SettingError
+            If the scale is 0.
+        """
+        if self.scale == 0.0:
+            raise SettingError(
+                "scale", "a scale of 0 measures nothing", "give rad per unit; negative: it counts backwards"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneDriverConfig(PlaneInstrument):
+    """Configuration of the plane's driver."""
+
+    schedule: Schedule = part(Schedule, name="")
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
 
 
 class PlaneDriver:
@@ -95,16 +92,9 @@ class PlaneDriver:
     ----------
     refused : RefusedReadings
         What was refused.
-
-    Raises
-    ------
-    InputError
-        If the scale is 0.
     """
 
     def __init__(self, config: PlaneDriverConfig, take: Callable[[], Sequence[Reading]] = tuple) -> None:
-        if config.scale == 0.0:
-            raise InputError("parameter scale: 0 is not allowed; give the turn of the plane per unit of the encoder")
         self._config = config
         self._take = take
         self._axis, self._sign = signed_axis(config.axis)

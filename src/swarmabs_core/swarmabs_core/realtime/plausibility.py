@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf, isfinite
 
+from swarmabs_core.declaration import setting
 from swarmabs_core.messages import (
     AbstractState,
     AgentState,
@@ -44,7 +45,9 @@ class Bounds:
 
     gravity: float
     plane_length: float
-    swarm_mass: float = inf
+    swarm_mass: float = setting(
+        inf, "mass of all robots that ever take part, kg, which bounds what is believed", above=0.0, unset=0.0
+    )
     period: float = 0.001
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import hypot, inf
 from typing import TYPE_CHECKING
 
-from swarmabs_core.desired_state import STEEPEST
+from swarmabs_core.plant import STEEPEST
 from swarmabs_core.theory.constrained_region import Ball, constrained_region, manifold_clearance
 from swarmabs_core.theory.constraint_sets import classify, largest_position, manifold_reach
 from swarmabs_core.theory.error_dynamics import deepest_swing

@@ -21,10 +21,11 @@ from swarmabs_core.theory.error_dynamics import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_core.behaviours import AgentConfig, PlaneConfig
+    from swarmabs_core.behaviours import AgentConfig
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.friction import Friction
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.plant import Plane
     from swarmabs_core.swarm_law import SwarmGains
 
 SwarmKind = Literal["SI", "DI", "noHomo"]
@@ -45,8 +46,10 @@ class Setting:
         Makes the parent controller.
     manifold : Manifold
         Of the desired abstract state.
-    plane : PlaneConfig
+    plane : Plane
         The plane.
+    period : float
+        The control period, s.
     robots : tuple of AgentConfig
         The robots. Those that join later are not in the initial state.
     duration : float
@@ -63,7 +66,8 @@ class Setting:
     controller: str
     make_law: Callable[[], ParentController]
     manifold: Manifold
-    plane: PlaneConfig
+    plane: Plane
+    period: float
     robots: tuple[AgentConfig, ...]
     duration: float
     delay: int
@@ -84,11 +88,6 @@ class Setting:
     def gains(self) -> SwarmGains:
         """The gains of the swarm."""
         return self.robots[0].gains
-
-    @property
-    def period(self) -> float:
-        """The control period, s."""
-        return self.plane.period_ns / 1e9
 
     @cached_property
     def initial_robots(self) -> tuple[AgentConfig, ...]:

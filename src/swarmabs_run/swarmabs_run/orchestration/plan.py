@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from dataclasses import dataclass
-from math import isinf
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.splitting import ONE_FILE, Split
@@ -26,9 +25,9 @@ from swarmabs_config.graph import (
     endpoints,
     options_of,
 )
+from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import Kind, Topic
-from swarmabs_core.steering import DISTURBANCE, REFERENCE
 from swarmabs_ros.repeat import FIRST, WINDOW
 
 if TYPE_CHECKING:
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.behaviours import AgentConfig
 
 PATIENCE = 1e-4
 """Time, s, per robot that a node waits at least for an answer before it repeats itself."""
@@ -144,32 +142,13 @@ def plan(
     }
     # Who begins each step with what is ordered for it.
     obeying = common | ({"steered": True} if steered else {})
-    swarm: dict[str, object] = {
-        "members": configure.members(scenario),
-        "schedule": tuple(str(change) for change in configure.schedule(scenario)),
-        "gravity": scenario.plane.gravity,
-    }
+    window = configure.recording_window(scenario)
     coordinators = {
-        PLANE: obeying
-        | swarm
-        | plane_parameters(scenario)
-        | {
-            "length": scenario.plane.length,
-            "actuator_lag": scenario.swarm.actuator_lag,
-            "lies": tuple(map(str, configure.lies(scenario))),
-            "torques": tuple(map(str, configure.stairs(scenario, DISTURBANCE))),
-        },
-        OBSERVER: obeying
-        | swarm
-        | {"ksd": scenario.swarm.gains.ksd, "on_stall": scenario.lockstep.on_stall}
-        | _observer_parameters(scenario),
+        PLANE: obeying | values_of(configure.plane_config(scenario)),
+        OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
         CONTROLLER: obeying
-        | controller_parameters(scenario)
-        | {
-            "recording_window": configure.recording_window(scenario),
-            "offsets": tuple(map(str, configure.stairs(scenario, REFERENCE))),
-            "packed": packed,
-        },
+        | values_of(configure.controller_config(scenario, recording_window=window))
+        | {"packed": packed},
         RECORDER: obeying
         | {
             "scenario_file": str(scenario_file),
@@ -199,47 +178,6 @@ def coordinator(node: str, driver: Driver, parameters: dict[str, object], scenar
     )
 
 
-def plane_parameters(scenario: Scenario) -> dict[str, object]:
-    """Return the parameters of a simulated plane, whatever makes its steps."""
-    plane = scenario.plane
-    return {
-        "inertia": plane.inertia,
-        "friction": plane.friction,
-        "substep": plane.substep,
-        "angle": plane.angle,
-        "angular_velocity": plane.angular_velocity,
-        "disturbance.amplitude": plane.disturbance.amplitude,
-        "disturbance.angular_frequency": plane.disturbance.angular_frequency,
-        "end_stop": plane.end_stop or 0.0,
-        "sensor.noise": plane.sensor.noise,
-        "sensor.resolution": plane.sensor.resolution,
-        "seed": scenario.seed,
-    }
-
-
-def controller_parameters(scenario: Scenario) -> dict[str, object]:
-    """Return the parameters of the parent controller, whatever makes its steps."""
-    plane, manifold = scenario.plane, scenario.manifold
-    return {
-        "plane.inertia": plane.inertia,
-        "plane.friction": plane.friction,
-        "manifold.curvature": manifold.curvature,
-        "manifold.offset": manifold.offset,
-        "manifold.torque_max": manifold.torque_max,
-        "controller.type": scenario.controller.type,
-        **{f"controller.{name}": value for name, value in configure.controller_settings(scenario).items()},
-    }
-
-
-def _observer_parameters(scenario: Scenario) -> dict[str, object]:
-    """Return what the observer knows of the plane, if it watches it."""
-    model = configure.parent_model(scenario)
-    if model is None:
-        return {}
-    friction = scenario.plane.friction
-    return {"type": "parent_response", "inertia": model.inertia, "friction": friction, "bandwidth": model.bandwidth}
-
-
 def _agent_processes(
     scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int, *, steered: bool
 ) -> list[ProcessPlan]:
@@ -253,7 +191,8 @@ def _agent_processes(
         ids = tuple(config.agent_id for config in hosted)
         feels = any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted)
         if per_process == 1:
-            name, module, parameters = agent_name(ids[0]), NODES[ROBOT].modules[LOCKSTEP], _agent_parameters(hosted[0])
+            name, module = agent_name(ids[0]), NODES[ROBOT].modules[LOCKSTEP]
+            parameters: dict[str, object] = {**values_of(hosted[0])}
         else:
             name, module = group_name(ids), "agent_node.group"
             parameters = {"scenario_file": str(scenario_file), "agent_ids": ids}
@@ -268,45 +207,6 @@ def _agent_processes(
             )
         )
     return processes
-
-
-def agent_parameters(config: AgentConfig) -> dict[str, object]:
-    """Return the parameters of a robot, whatever makes its steps."""
-    gains, limits = config.gains, config.limits
-    return {
-        "agent_id": config.agent_id,
-        "kind": config.kind.name.lower(),
-        "mass": config.mass,
-        "damping": config.damping,
-        "position": config.position,
-        "velocity": config.velocity,
-        "gravity": config.gravity,
-        "plane_length": config.plane_length,
-        "gains.k": gains.k,
-        "gains.kp": gains.kp,
-        "gains.kd": gains.kd,
-        "gains.ksd": gains.ksd,
-        "limits.velocity": 0.0 if isinf(limits.velocity) else limits.velocity,
-        "limits.force": 0.0 if isinf(limits.force) else limits.force,
-        "law.type": config.law,
-        **{f"law.{name}": value for name, value in config.law_settings.items()},
-    }
-
-
-def _agent_parameters(config: AgentConfig) -> dict[str, object]:
-    life = config.life
-    parameters = agent_parameters(config) | {
-        "first_step": life.first_step,
-        "faults": tuple(map(str, config.faults)),
-        "seed": config.seed,
-        "feels_gravity": config.feels_gravity,
-        "sensor.noise": config.sensor.noise,
-        "sensor.resolution": config.sensor.resolution,
-        "actuator_lag": config.actuator_lag,
-    }
-    if life.end is not None:
-        parameters |= {"end": life.end.value, "end_step": life.end_step}
-    return parameters
 
 
 def expect_counterparts(processes: Collection[ProcessPlan]) -> None:

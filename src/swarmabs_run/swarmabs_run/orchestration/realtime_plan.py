@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.splitting import ONE_FILE, Split
-from swarmabs_config import configure
+from swarmabs_config import realtime
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
@@ -18,13 +18,10 @@ from swarmabs_config.graph import (
     agent_name,
     endpoints,
 )
-from swarmabs_config.realtime import bounds
+from swarmabs_core.declaration import values_of
 from swarmabs_run.orchestration.plan import (
     ProcessPlan,
-    agent_parameters,
-    controller_parameters,
     coordinator,
-    plane_parameters,
 )
 
 if TYPE_CHECKING:
@@ -53,31 +50,11 @@ def realtime_plan(
     split : Split
         When the bag goes on in a new file.
     """
-    realtime = scenario.realtime
-    swarm_mass = bounds(scenario).swarm_mass
-    clock: dict[str, object] = {
-        "period_ns": scenario.step_ns,
-        "await_epoch": True,
-        "clock_tolerance": realtime.clock_tolerance,
-    }
-    swarm: dict[str, object] = {"members": configure.members(scenario), "gravity": scenario.plane.gravity}
-    length: dict[str, object] = {"plane_length": scenario.plane.length}
+    schedule = realtime.schedule(scenario, 0)
     coordinators = {
-        PLANE: clock | swarm | plane_parameters(scenario) | {"length": scenario.plane.length},
-        OBSERVER: clock
-        | swarm
-        | length
-        | {
-            "ksd": scenario.swarm.gains.ksd,
-            "swarm_mass": swarm_mass,
-            "state_age_limit": realtime.state_age_limit,
-            "start": realtime.start,
-            "quorum": min(realtime.quorum or 0, len(scenario.agents)),
-        },
-        CONTROLLER: clock
-        | length
-        | controller_parameters(scenario)
-        | {"gravity": scenario.plane.gravity, "plane_age_limit": realtime.plane_age_limit},
+        PLANE: _told(realtime.plane_config(scenario, schedule)),
+        OBSERVER: _told(realtime.observer_config(scenario, schedule)),
+        CONTROLLER: _told(realtime.controller_config(scenario, schedule)),
         RECORDER: {
             "period_ns": scenario.step_ns,
             "await_epoch": True,
@@ -89,11 +66,6 @@ def realtime_plan(
             "logs": str(logs),
         },
     }
-    told = {
-        "swarm_mass": swarm_mass,
-        "lane_margin": realtime.lane_margin,
-        "broadcast_age_limit": realtime.broadcast_age_limit,
-    }
     robot = endpoints(ROBOT, REALTIME)
     return (
         *(coordinator(node, REALTIME, parameters, scenario) for node, parameters in coordinators.items()),
@@ -102,11 +74,18 @@ def realtime_plan(
                 agent_name(config.agent_id),
                 NODES[ROBOT].modules[REALTIME],
                 COORDINATORS + index,
-                clock | agent_parameters(config) | told,
+                _told(config),
                 robot.publications,
                 tuple(robot.subscriptions),
                 (config.agent_id,),
             )
-            for index, config in enumerate(configure.agent_configs(scenario))
+            for index, config in enumerate(realtime.agent_configs(scenario, schedule))
         ),
     )
+
+
+def _told(config: object) -> dict[str, object]:
+    """Return the parameters of a node that is told the epoch when all are there."""
+    values: dict[str, object] = {**values_of(config)}
+    del values["epoch_ns"]
+    return values | {"await_epoch": True}

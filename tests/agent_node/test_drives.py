@@ -14,36 +14,38 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64
 from tests.plugin_packages import install
 from tests.swarmabs_core.realtime.test_drive_registry import STANDING
-from tests.swarmabs_ros.nodes import given, settings_from, started_node
+from tests.swarmabs_ros.nodes import given, realtime_settings_from, started_node
 
-from agent_node.drives import DRIVE, make_drive, with_drive
-from agent_node.drives.topic import TopicLink
-from agent_node.realtime import PARAMETERS, config
+from agent_node.realtime import PARAMETERS, drive_of
+from agent_node.topic_link import TopicLink
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter
+from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
 from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive, Wiring
 from swarmabs_ros.endpoints import LoopGroup
+from swarmabs_ros.parameters import given_values, table_of
 
-ONLY = (DRIVE,)
 TOPICS = {"odom": Odometry, "imu": Imu, "joint_states": JointState}
 
 
-def declared(*words: str) -> tuple[Parameter, ...]:
+def declared(*words: str) -> dict[str, Parameter]:
     with started_node(*words) as node:
-        return with_drive(node, ONLY)
+        table = table_of(given_values(node), (), PARAMETERS)
+    return {parameter.name: parameter for parameter in table if parameter.name.startswith("drive.")}
 
 
 @pytest.mark.usefixtures("ros")
 def test_the_drive_brings_its_settings_as_parameters(packages: Path) -> None:
     install(packages, "drive", "standing", STANDING)
-    assert declared() == ONLY
+    assert list(declared()) == ["drive.type"]
     topic = declared(*given(drive__type="topic"))
-    assert [parameter.name for parameter in topic[1:]] == [f"drive.{setting.name}" for setting in SETTINGS]
+    assert list(topic)[1:] == [f"drive.{setting.name}" for setting in SETTINGS]
     standing = declared(*given(drive__type="standing"))
-    assert standing[0].choices == ("simulated", "topic", "standing")
-    assert [parameter.name for parameter in standing[1:]] == ["drive.place"]
-    with pytest.raises(InputError, match="no drive 'wheels'"):
+    assert standing["drive.type"].choices == ("simulated", "topic", "standing")
+    assert list(standing)[1:] == ["drive.place"]
+    with pytest.raises(InputError, match=r"parameter drive\.type: no drive 'wheels'"):
         declared(*given(drive__type="wheels"))
 
 
@@ -57,37 +59,32 @@ class Node:
 
 
 def test_a_simulated_drive_begins_where_the_parameters_say() -> None:
-    settings = settings_of(kind="double_integrator", damping=0.5, position=0.2, velocity=-0.1)
-    drive = make_drive(settings, config(settings), None)  # type: ignore[arg-type]
+    config = RealtimeAgentConfig(kind=Kind.DOUBLE_INTEGRATOR, damping=0.5, position=0.2, velocity=-0.1)
+    drive = drive_of(config, None)  # type: ignore[arg-type]
     assert isinstance(drive, SimulatedDrive)
     assert drive.read(5) == Measurement(5, 0.2, -0.1)
 
 
-def settings_of(**values: Any) -> Any:
-    drive = tuple(Parameter(f"drive.{s.name}", s.default, s.description, s.minimum) for s in SETTINGS)
-    table = (*PARAMETERS, *(drive if values.get("drive__type") == "topic" else ()))
-    return settings_from(REALTIME + table, **values)
-
-
-REALTIME = (
-    Parameter("epoch_ns", 0, "epoch"),
-    Parameter("clock_tolerance", 0.02, "tolerance"),
-)
-
-
 @pytest.mark.usefixtures("ros")
 def test_a_topic_drive_gets_the_robot_s_constants() -> None:
-    settings = settings_of(
-        kind="double_integrator", mass=0.7, gravity=1.62, limits__force=0.1, drive__type="topic", drive__offset=0.25
+    settings = realtime_settings_from(
+        PARAMETERS,
+        kind="double_integrator",
+        mass=0.7,
+        gravity=1.62,
+        limits__force=0.1,
+        drive__type="topic",
+        drive__offset=0.25,
     )
+    config = settings.made(RealtimeAgentConfig)
     with started_node(name="agent_007") as node:
-        drive = make_drive(settings, config(settings), Node(node))  # type: ignore[arg-type]
+        drive = drive_of(config, Node(node))  # type: ignore[arg-type]
         assert isinstance(drive, TopicDrive)
         assert (drive._mass, drive._gravity, drive._force) == (0.7, 1.62, 0.1)
         assert drive.read(time.time_ns()) is None
         subscribed = {subscription.topic_name for subscription in node.subscriptions}
         assert subscribed == {"/agent_007/odom", "/agent_007/imu"}  # nothing of the swarm
-    assert config(settings).limits.velocity == inf
+    assert config.limits.velocity == inf
 
 
 class Base:
