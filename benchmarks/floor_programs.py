@@ -22,7 +22,7 @@ from swarmabs_core.errors import RunError
 from swarmabs_run.orchestration.dds_environment import dds_environment
 from swarmabs_run.orchestration.dds_profile import profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

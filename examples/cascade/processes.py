@@ -22,7 +22,7 @@ from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.orchestration.supervision import how_it_ended
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

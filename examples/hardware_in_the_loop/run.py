@@ -24,8 +24,8 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.dds_environment import PARTICIPANT_VARIABLE, dds_environment
 from swarmabs_run.orchestration.dds_profile import profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_run.parent_death import die_with_parent
+from swarmabs_run.tracing_files import tracing_files_removed
 
 FOLDER = Path(__file__).parent
 PATIENCE = 60.0

@@ -195,12 +195,15 @@ def test_a_folder_without_permission(command: str, below: str, here: Path) -> No
 
 
 def test_a_refused_command_has_started_nothing(here: Path) -> None:
-    """As a process of its own: no ROS was loaded, let alone a node started."""
+    """As a process of its own: it has no children and leaves nothing, not even the files of the tracing library."""
     program = (
-        "import sys; from swarmabs_cli import main; code = main(sys.argv[1:]);"
-        "sys.exit(code if 'rclpy' not in sys.modules else 99)"
+        "import sys, psutil; from swarmabs_cli import main; code = main(sys.argv[1:]);"
+        "sys.exit(99 if psutil.Process().children() else code)"
     )
+    before = set(Path("/dev/shm").iterdir())
     done = subprocess.run(
         [sys.executable, "-c", program, "run", "pd_het4"], cwd=here, env=os.environ, timeout=20, check=False
     )
     assert done.returncode == 2
+    assert {path.name for path in here.iterdir()} == {"good.yaml", "used"}
+    assert set(Path("/dev/shm").iterdir()) <= before

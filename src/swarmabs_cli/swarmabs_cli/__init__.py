@@ -1,75 +1,77 @@
-"""The command line ``swarm``. It parses, calls the library and prints; it decides nothing."""
+"""The command line ``swarm``. It parses, calls the library and prints; it decides nothing.
+
+Each command is a file in the folder of its section, with a function of the same name.
+"""
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
 
 import click
 
-from swarmabs_cli.bench import bench
-from swarmabs_cli.check import check
-from swarmabs_cli.compare import compare
-from swarmabs_cli.deploy import deploy
-from swarmabs_cli.environment import doctor, env
-from swarmabs_cli.export import export
-from swarmabs_cli.figures import figures
-from swarmabs_cli.info import info
 from swarmabs_cli.interrupts import interrupt_once
-from swarmabs_cli.markers import markers
-from swarmabs_cli.operate import drain, join, remove, reset, status, stop
-from swarmabs_cli.repair import repair
-from swarmabs_cli.replay import replay
-from swarmabs_cli.report import report
-from swarmabs_cli.run import run, simulate
-from swarmabs_cli.scenario import scenario
-from swarmabs_cli.steer import steer
-from swarmabs_cli.sweep import sweep
-from swarmabs_cli.test import test
-from swarmabs_cli.top import top
-from swarmabs_cli.verify import verify
-from swarmabs_cli.view import view
 from swarmabs_core.errors import InputError, SwarmabsError
+from swarmabs_run.tracing_files import tracing_files_removed
+
+SECTIONS = {
+    "run": "Run swarms",
+    "bags": "Use recordings",
+    "study": "Study scenarios",
+    "fleet": "Operate swarms in real time",
+    "develop": "Set up and develop",
+}
+"""Folders of commands, in the order in which they are listed, and their titles."""
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+class LazyGroup(click.Group):
+    """Commands that are loaded when they are called: what some of them need takes a second to load."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - given by click
+        """Return the names of all commands, section by section."""
+        return [name for section in SECTIONS for name in _files(section)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Load a command; None if there is none of this name."""
+        section = next((section for section in SECTIONS if cmd_name in _files(section)), None)
+        if section is None:
+            return None
+        if not ctx.resilient_parsing:
+            ctx.with_resource(tracing_files_removed())
+        command: click.Command = getattr(import_module(f"{__name__}.{section}.{cmd_name}"), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the commands by section, without loading them."""
+        for section, title in SECTIONS.items():
+            files = _files(section)
+            width = formatter.width - 6 - max(map(len, files))
+            with formatter.section(title):
+                formatter.write_dl([(name, _summary(name, path, width)) for name, path in files.items()])
+
+
+def _files(section: str) -> dict[str, Path]:
+    """Return the files of a section by the names of their commands."""
+    found = sorted((Path(__file__).parent / section).glob("[!_]*.py"))
+    return {path.stem: path for path in found}
+
+
+def _summary(name: str, path: Path, width: int) -> str:
+    """Read in its source how a command is described."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef) and node.name == name:
+            return click.Command(name, help=ast.get_docstring(node)).get_short_help_str(width)
+    raise ValueError(f"{path}: no function {name}")
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 def swarm() -> None:
     """Run swarms that balance a tilting plane, as one ROS 2 process per robot, and record them.
 
     Exit codes: 0 fine, 1 started and failed, 2 refused before anything was started.
     """
-
-
-for command in (
-    run,
-    simulate,
-    steer,
-    check,
-    info,
-    verify,
-    replay,
-    repair,
-    compare,
-    report,
-    view,
-    export,
-    markers,
-    scenario,
-    env,
-    doctor,
-    bench,
-    sweep,
-    figures,
-    deploy,
-    status,
-    stop,
-    reset,
-    drain,
-    join,
-    remove,
-    top,
-    test,
-):
-    swarm.add_command(command)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.orchestration.progress import Outcome
 
 SETUP = "SWARMABS_SETUP"
 """Environment variable in which ``scripts/swarm`` says which process it became, and after how many seconds."""

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import click
+from rich.console import Console, Group, RenderableType
 
-if TYPE_CHECKING:
-    from rich.console import RenderableType
+from swarmabs_bag.run_folder import RunFolder, new_run_folder, next_run_folder
+from swarmabs_cli.options import RUNS
 
 _WIDEST = 1000
 """Of what is printed into a file or pipe, characters."""
+_SIGNS = {"ok": "ok  ", "note": "note", "bad": "BAD "}
 
 
 def print_json(document: object) -> None:
@@ -19,14 +24,40 @@ def print_json(document: object) -> None:
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
+def print_documents(documents: Sequence[object]) -> None:
+    """Print the JSON document of one thing, or a list of those of several."""
+    print_json(documents[0] if len(documents) == 1 else documents)
+
+
 def print_tables(*tables: RenderableType) -> None:
     """Print tables to standard output, in the width of the terminal; elsewhere in as much width as they need."""
-    from rich.console import Console, Group  # noqa: PLC0415 - slow to import
-
     console, shown = Console(highlight=False), Group(*tables)
     if not console.is_terminal:
         console.width = console.measure(shown, options=console.options.update(max_width=_WIDEST)).maximum
     console.print(shown)
 
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
+def print_warnings(warnings: Iterable[object]) -> None:
+    """Print warnings to standard error."""
+    for warning in warnings:
+        click.echo(f"warning: {warning}", err=True)
+
+
+def print_findings(findings: Sequence[Any], *, as_json: bool) -> int:
+    """Print the findings of an examination; return the exit code, 1 if one of them is bad."""
+    if as_json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        for finding in findings:
+            click.echo(f"{_SIGNS[finding.verdict]}  {finding.check}: {finding.text}")
+    return 1 if any(finding.verdict == "bad" for finding in findings) else 0
+
+
+def printable(line: str) -> str:
+    """Return a line such that text from a file cannot steer the terminal."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
+
+
+def results_folder(output: Path | None, name: str) -> RunFolder:
+    """Make the folder of results that the user has named, or the next free one after a name."""
+    return new_run_folder(output) if output is not None else next_run_folder(RUNS, name)

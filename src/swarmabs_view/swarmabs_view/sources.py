@@ -22,7 +22,7 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.swarm_state import SwarmState
 from swarmabs_run.orchestration.looking_in import RunOverError, environment_of_run, goes_on, read_processes
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.health import ProcessWatch
 from swarmabs_view.live import LiveSession, LiveView

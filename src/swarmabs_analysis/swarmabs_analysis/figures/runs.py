@@ -4,31 +4,27 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.places import find_bag
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.run_folder import RunFolder, new_run_folder
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenario.errors import printable, shorten
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
+from swarmabs_run.orchestration.progress import Outcome
 from swarmabs_run.summary import Times, summarise
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
-
-    from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_run.orchestration.progress import Outcome
-
-    Execute = Callable[[Scenario, RunFolder], Outcome]
+Execute = Callable[[Scenario, RunFolder], Outcome]
+"""Carries a run out and leaves its results in a folder."""
 
 _LONGEST_REASON = 400
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -26,8 +26,8 @@ from swarmabs_core.messages import TOPICS
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_run.parent_death import die_with_parent
+from swarmabs_run.tracing_files import tracing_files_removed
 
 PACKAGES = ("plane_sim", "abstraction_observer", "parent_controller", "agent_node")
 _PR_SET_NAME = 15

@@ -24,7 +24,7 @@ from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.progress import Outcome, Progress
 from swarmabs_run.orchestration.progress_file import ProgressFile
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

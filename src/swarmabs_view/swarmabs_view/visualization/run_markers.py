@@ -10,8 +10,8 @@ from pathlib import Path
 
 from swarmabs_run.orchestration.looking_in import RunOverError, environment_of_run
 from swarmabs_run.orchestration.progress_file import OVER, read_progress
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
 from swarmabs_run.parent_death import die_with_parent
+from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.viewer_process import MARKERS_LOG
 
 with tracing_files_removed():

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from swarmabs_bag.repair_report import RepairReport
+from swarmabs_bag.repair import repair_bag
+from swarmabs_bag.repair_report import RepairReport
+from swarmabs_cli.options import bag_argument, json_option, output_option
+from swarmabs_cli.output import print_json, printable
 
 
 @click.command()
-@click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the whole bag.  [default: BAG_repaired]"
-)
+@bag_argument
+@output_option("Folder of the whole bag.  [default: BAG_repaired]")
 @click.option("--in-place", is_flag=True, help="Replace the damaged files; they are kept as NAME.damaged.")
 @json_option
 def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> int:
@@ -28,14 +24,12 @@ def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> 
     BAG is a run's folder, its bag folder, or an .mcap file. A bag that is whole stays as it is. The exit code is 0
     whenever there is a whole bag afterwards, also if something was lost.
     """
-    from swarmabs_bag.repair import repair_bag  # noqa: PLC0415 - slow, not for --help
-
     report = repair_bag(bag, output, in_place=in_place)
     if as_json:
         print_json(report.to_dict())
     else:
         for line in _lines(report):
-            click.echo("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line))
+            click.echo(printable(line))
     return 0
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_cli.options import json_option
+from swarmabs_cli.output import print_json
+from swarmabs_run.orchestration.looking_in import environment_of_run
 
 WORKSPACE = (
     "PATH",
@@ -38,8 +40,6 @@ def env(run: Path | None, *, as_json: bool) -> None:
 
     Use it as: eval "$(./scripts/swarm env RUN)"
     """
-    from swarmabs_run.orchestration.looking_in import environment_of_run  # noqa: PLC0415 - slow, not for --help
-
     variables = {name: os.environ[name] for name in WORKSPACE if name in os.environ}
     if run is not None:
         sourced = {name[len(SOURCED) :]: value for name, value in os.environ.items() if name.startswith(SOURCED)}
@@ -49,23 +49,3 @@ def env(run: Path | None, *, as_json: bool) -> None:
         return
     for name, value in variables.items():
         click.echo(f"export {name}={shlex.quote(value)}")
-
-
-@click.command()
-@json_option
-def doctor(*, as_json: bool) -> int:
-    """Check whether this machine can run swarms, and say what to do where it cannot."""
-    from dataclasses import asdict  # noqa: PLC0415 - slow, not for --help
-
-    from swarmabs_run.doctor import examine  # noqa: PLC0415
-    from swarmabs_run.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
-
-    with tracing_files_removed():
-        findings = examine()
-    if as_json:
-        print_json([asdict(finding) for finding in findings])
-    else:
-        signs = {"ok": "ok  ", "note": "note", "bad": "BAD "}
-        for finding in findings:
-            click.echo(f"{signs[finding.verdict]}  {finding.check}: {finding.text}")
-    return 1 if any(finding.verdict == "bad" for finding in findings) else 0

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_run.orchestration import tracing_files
-from swarmabs_run.orchestration.tracing_files import tracing_files_removed
+from swarmabs_run import tracing_files
+from swarmabs_run.tracing_files import tracing_files_removed
 
 _MAPPER = (
     "import mmap, sys; f = open(sys.argv[1], 'r+b'); m = mmap.mmap(f.fileno(), 0); f.close();"

@@ -7,13 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import click
+from rich.console import Console
 
+from swarmabs_analysis.replay.pace import Pace
+from swarmabs_analysis.replay.playback import choose_topics, play, shown
+from swarmabs_analysis.replay.run import ReplayRun
+from swarmabs_analysis.replay.source import open_source
+from swarmabs_analysis.replay.table import result_parts
+from swarmabs_bag.reader import open_bag
 from swarmabs_cli.elapsed import setup_seconds, since_start, startup_seconds
 from swarmabs_cli.interrupts import no_more_interrupts
-from swarmabs_cli.namespace import namespace_option
-from swarmabs_cli.output import json_option, print_json, print_tables
-from swarmabs_cli.run import RUNS
+from swarmabs_cli.options import bag_argument, json_option, namespace_option, output_option, set_option
+from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.publishers import NodeName
+from swarmabs_run.interruption import end_asked
+from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.display import shown_progress
 
 _POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
@@ -22,18 +31,14 @@ _WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 
 
 @click.command()
-@click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
+@bag_argument
 @click.option(
     "--node", "nodes", multiple=True, metavar="NODE", help="controller, observer, plane or agent:N; repeatable."
 )
 @click.option("--in-process", is_flag=True, help="Replay in one process without DDS, as fast as possible.")
-@click.option(
-    "--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value for the nodes; repeatable."
-)
+@set_option("Change a value for the nodes; repeatable.")
 @click.option("--expect-same", is_flag=True, help="Exit with code 1 if the digest is another one.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the replay.  [default: runs/NAME-replay-NNN]"
-)
+@output_option("Folder of the replay.  [default: runs/NAME-replay-NNN]")
 @click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="How much to replay, in recorded time.")
 @click.option("--rate", type=_POSITIVE, help="Without --node: recorded time per real time.  [default: 1]")
 @click.option(
@@ -75,19 +80,13 @@ def _replay(
     **_: object,
 ) -> int:
     """Try nodes out on a recording; return the exit code."""
-    from swarmabs_analysis.replay.run import ReplayRun  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_analysis.replay.source import open_source  # noqa: PLC0415
-    from swarmabs_bag.run_folder import new_run_folder, next_run_folder  # noqa: PLC0415
-    from swarmabs_core.publishers import NodeName  # noqa: PLC0415
-    from swarmabs_run.summary import Times, summarise, summary_table  # noqa: PLC0415
-
     nodes = tuple(dict.fromkeys(NodeName.parse(name) for name in names))
     source = open_source(bag, namespace=namespace)
     if duration is not None:
         overrides = (*overrides, f"duration={duration!r}")
     made = ReplayRun(source, nodes, overrides, source.scenario(nodes, overrides))
     scenario = made.scenario
-    folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, f"{scenario.name}-replay")
+    folder = results_folder(output, f"{scenario.name}-replay")
     try:
         loading = since_start()
         with shown_progress(scenario) as show:
@@ -108,10 +107,6 @@ def _replay(
     if as_json:
         print_json(summary)
     else:
-        from rich.console import Console  # noqa: PLC0415 - slow to import
-
-        from swarmabs_analysis.replay.table import result_parts  # noqa: PLC0415
-
         Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
         if result is not None:
             print_tables(*result_parts(result))
@@ -136,32 +131,19 @@ def _play(
     **_: object,
 ) -> int:
     """Play a bag to whoever listens; return the exit code."""
-    from swarmabs_analysis.replay.pace import Pace  # noqa: PLC0415
-    from swarmabs_bag.reader import open_bag  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_run.interruption import end_asked  # noqa: PLC0415
-    from swarmabs_run.orchestration.tracing_files import tracing_files_removed  # noqa: PLC0415
-
     pace = Pace(1.0 if rate is None else rate, start or 0.0, duration, loop)
     bag = open_bag(path, namespace=namespace, several=True)
     if not network:  # who has set a range has decided already, such as the environment of a run
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with tracing_files_removed():
-        from swarmabs_analysis.replay.playback import (  # noqa: PLC0415 - needs the whole of ROS
-            choose_topics,
-            play,
-            shown,
+    wanted = topics.split(",") if topics else ()
+    playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)
+    print_warnings(warnings)
+    names = [topic.channel.name for topic in playable]
+    with end_asked() as asked:
+        click.echo(
+            f"playing {', '.join(map(shown, names))} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True
         )
-
-        wanted = topics.split(",") if topics else ()
-        playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)
-        for warning in warnings:
-            click.echo(f"warning: {warning}", err=True)
-        names = [topic.channel.name for topic in playable]
-        with end_asked() as asked:
-            click.echo(
-                f"playing {', '.join(map(shown, names))} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True
-            )
-            count = play(bag, playable, pace, wait=wait, asked_to_end=asked)
+        count = play(bag, playable, pace, wait=wait, asked_to_end=asked)
     if as_json:
         print_json({"bag": str(bag.path), "topics": names, "messages": count})
     else:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_cli.options import json_option, set_option
+from swarmabs_cli.output import print_json, print_warnings
+from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario
+from swarmabs_config.scenarios import builtin_scenarios, find_scenario
 
 
 @click.group()
@@ -16,9 +19,6 @@ def scenario() -> None:
 @json_option
 def list_scenarios(*, as_json: bool) -> None:
     """List the built-in scenarios."""
-    from swarmabs_config.scenario import load_scenario  # noqa: PLC0415
-    from swarmabs_config.scenarios import builtin_scenarios  # noqa: PLC0415 - slow, not for --help
-
     rows = []
     for name, path in builtin_scenarios().items():
         loaded = load_scenario(path)
@@ -47,16 +47,12 @@ def list_scenarios(*, as_json: bool) -> None:
 
 @scenario.command("show")
 @click.argument("name", metavar="SCENARIO|FILE.yaml|BAG")
-@click.option("--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value; repeatable.")
+@set_option("Change a value; repeatable.")
 @json_option
 def show(name: str, overrides: tuple[str, ...], *, as_json: bool) -> None:
     """Print a scenario with every default filled in and every robot listed."""
-    from swarmabs_config.scenario import dump_scenario  # noqa: PLC0415
-    from swarmabs_config.scenarios import find_scenario  # noqa: PLC0415 - slow, not for --help
-
     loaded = find_scenario(name, overrides).resolved()
-    for warning in loaded.warnings():
-        click.echo(f"warning: {warning}", err=True)
+    print_warnings(loaded.warnings())
     if as_json:
         print_json(loaded.model_dump(mode="json", by_alias=True))
     else:
@@ -66,6 +62,4 @@ def show(name: str, overrides: tuple[str, ...], *, as_json: bool) -> None:
 @scenario.command("schema")
 def schema() -> None:
     """Print the JSON Schema of scenario files."""
-    from swarmabs_config.scenario import json_schema  # noqa: PLC0415 - slow, not for --help
-
     print_json(json_schema())

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.namespace import namespace_option
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_analysis.report import make_report
+from swarmabs_analysis.report.files import check_target, default_folder, write_file
+from swarmabs_cli.options import bag_argument, json_option, namespace_option
+from swarmabs_cli.output import print_json
 
 
 @click.command()
-@click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
+@bag_argument
 @click.option("--html", type=click.Path(path_type=Path), metavar="FILE", help="Write the page to this file.")
 @click.option("--png", type=click.Path(path_type=Path), metavar="FILE", help="Write the overview to this file.")
 @click.option(
@@ -31,9 +33,6 @@ def report(
     BAG is a run's folder, its bag folder, or an .mcap file. Both files are written as report.html and report.png into
     the run's folder, or beside a lone .mcap file. With --html or --png alone, only what they name is written.
     """
-    from swarmabs_analysis.report import make_report  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_analysis.report.files import check_target, default_folder, write_file  # noqa: PLC0415
-
     folder = default_folder(bag) if output is None else output
     if output is not None or (html is None and png is None):
         html, png = html or folder / "report.html", png or folder / "report.png"

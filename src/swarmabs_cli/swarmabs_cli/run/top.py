@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
-from swarmabs_cli.output import json_option, print_json, print_tables
-from swarmabs_cli.run import RUNS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rich.console import Group
-
-    from swarmabs_run.processes import Snapshot
+from swarmabs_cli.options import RUNS, json_option
+from swarmabs_cli.output import print_json, print_tables
+from swarmabs_run.processes import RunProcesses, Snapshot, document, newest_run
 
 SAMPLE = 0.5
 """Time, s, over which a single snapshot takes the processor time."""
@@ -41,8 +39,6 @@ def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None
 
     RUN is the folder of the run; without it, the newest one in runs/ that goes on. With --json the command looks once.
     """
-    from swarmabs_run.processes import RunProcesses, document, newest_run  # noqa: PLC0415 - slow
-
     folder = newest_run(RUNS) if run is None else run
     processes = RunProcesses(folder)
     processes.snapshot(time.monotonic(), shares=0)  # from here on processor time counts
@@ -58,7 +54,6 @@ def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None
         while _wait(processes.going_on, interval):
             print_tables(_table(folder, processes.snapshot(time.monotonic())))
         return
-    from rich.live import Live  # noqa: PLC0415 - as above
 
     with Live(auto_refresh=False, transient=True) as live:
         wait = SAMPLE
@@ -80,10 +75,6 @@ def _wait(going_on: Callable[[], bool], seconds: float) -> bool:
 
 
 def _table(folder: Path, snapshot: Snapshot) -> Group:
-    from rich.console import Group  # noqa: PLC0415 - slow to import
-    from rich.table import Table  # noqa: PLC0415
-    from rich.text import Text  # noqa: PLC0415
-
     table = Table(box=None, pad_edge=False)
     table.add_column("process", no_wrap=True)
     for name in ("pid", "CPU %", "PSS MB", "RSS MB"):

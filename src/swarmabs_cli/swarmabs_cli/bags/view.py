@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import webbrowser
 from pathlib import Path
 
 import click
 
-from swarmabs_cli.namespace import namespace_option
+from swarmabs_cli.options import namespace_option
+from swarmabs_view.main import view_bag, view_live
 
 
 def open_page(url: str) -> None:
     """Show the page in the user's browser, where there is one."""
-    import webbrowser  # noqa: PLC0415 - slow, not for --help
-
     if not webbrowser.open(url):
         click.echo("warning: no browser could be started; open the address yourself", err=True)
 
@@ -35,7 +35,6 @@ def view(bag: Path | None, live: str | None, port: int, *, open_browser: bool, n
         raise click.UsageError("Name a bag, or a swarm by --live.")
     if live is not None and namespace is not None:
         raise click.UsageError("--namespace is for bags; give --live the namespace itself.")
-    from swarmabs_view.main import view_bag, view_live  # noqa: PLC0415 - slow, not for --help
 
     def ready(url: str) -> None:
         click.echo(url)

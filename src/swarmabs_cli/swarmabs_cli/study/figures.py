@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_analysis.figures import FIGURES, draw_files
+from swarmabs_analysis.figures.runs import Execute, find_made, find_runs, make_run, missing_text
+from swarmabs_analysis.figures.style import FORMATS, Format
+from swarmabs_bag.run_folder import RunFolder
+from swarmabs_cli.options import json_option
+from swarmabs_cli.output import print_json
+from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_run.orchestration import LockstepRun
+from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.simulated_run import simulate_run
 from swarmabs_view.display import shown_progress
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from swarmabs_analysis.figures.runs import Execute
-    from swarmabs_analysis.figures.style import Format
-    from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.progress import Outcome, Progress
 
 
 @click.command()
@@ -56,11 +57,6 @@ def figures(
     the runs are simulated, which gives the same bits as `run`, and kept in DIR/runs for the next time. With --from
     every run that a figure needs must be there, unless --simulate or --run makes those that are missing.
     """
-    from swarmabs_analysis.figures import FIGURES, draw_files  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_analysis.figures.runs import find_made, find_runs, make_run, missing_text  # noqa: PLC0415
-    from swarmabs_analysis.figures.style import FORMATS  # noqa: PLC0415
-    from swarmabs_config.scenarios import find_scenario  # noqa: PLC0415
-
     for name in names:
         if name not in FIGURES:
             raise click.UsageError(f"no figure {name!r}; there are {', '.join(FIGURES)}")
@@ -107,10 +103,7 @@ def _executed(processes: bool, show: Callable[[Progress], None]) -> Execute:  # 
 
     def execute(scenario: Scenario, folder: RunFolder) -> Outcome:
         if processes:
-            from swarmabs_run.orchestration import LockstepRun  # noqa: PLC0415 - needs the whole of ROS
-
             return LockstepRun(scenario, folder, on_progress=show).run()
-        from swarmabs_run.simulated_run import simulate_run  # noqa: PLC0415 - as above
 
         return simulate_run(scenario, folder, on_progress=show)
 

@@ -4,34 +4,36 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_cli.options import RUNS, json_option, output_option, set_option
+from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
+try:
     from swarmabs_analysis.sweep.engine import Engine
-    from swarmabs_analysis.sweep.run import SweepProgress
+    from swarmabs_analysis.sweep.folder import find_folder, make_folder
+    from swarmabs_analysis.sweep.local import LocalEngine
+    from swarmabs_analysis.sweep.run import SweepProgress, run_sweep
+    from swarmabs_analysis.sweep.scheduler import SchedulerEngine
+    from swarmabs_analysis.sweep.study import load_sweep
+except ModuleNotFoundError as missing:
+    raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
 
-RUNS = Path("runs")
 _TERMINAL_INTERVAL = 0.1
 _LINE_INTERVAL = 5.0
 
 
 @click.command()
 @click.argument("file", metavar="SWEEP.yaml", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the results.  [default: runs/NAME-NNN]"
-)
-@click.option(
-    "--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value of the scenario; repeatable."
-)
+@output_option("Folder of the results.  [default: runs/NAME-NNN]")
+@set_option()
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes on this machine.  [default: one per core]")
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler, tcp://HOST:PORT.")
 @click.option("--resume", is_flag=True, help="Go on with the sweep in the folder, if there is one.")
@@ -55,15 +57,8 @@ def sweep(
         raise click.UsageError("--resume needs the folder of the sweep: -o DIR")
     if jobs is not None and scheduler is not None:
         raise click.UsageError("--jobs is for this machine; a scheduler has workers of its own")
-    try:
-        from swarmabs_analysis.sweep.folder import find_folder, make_folder  # noqa: PLC0415 - slow, not for --help
-        from swarmabs_analysis.sweep.run import run_sweep  # noqa: PLC0415
-        from swarmabs_analysis.sweep.study import load_sweep  # noqa: PLC0415
-
-        study = load_sweep(file, overrides)
-        engine = _engine(jobs, scheduler)
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error}; `swarm sweep` needs dask, distributed and pyarrow: install them") from error
+    study = load_sweep(file, overrides)
+    engine = _engine(jobs, scheduler)
     try:
         begun = resume and output is not None and output.exists() and any(output.iterdir())
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
@@ -87,11 +82,7 @@ def sweep(
 def _engine(jobs: int | None, scheduler: str | None) -> Engine:
     """Return what the user has asked to compute with."""
     if scheduler is None:
-        from swarmabs_analysis.sweep.local import LocalEngine  # noqa: PLC0415 - as above
-
         return LocalEngine(jobs)
-    from swarmabs_analysis.sweep.scheduler import SchedulerEngine  # noqa: PLC0415
-
     engine = SchedulerEngine(scheduler)
     if engine.differing:
         workers = ", ".join(engine.differing)
@@ -103,15 +94,6 @@ def _engine(jobs: int | None, scheduler: str | None) -> Engine:
 def _shown(name: str) -> Iterator[Callable[[SweepProgress], None]]:
     """Show how far a sweep is on standard error: a bar on a terminal, now and then a line elsewhere."""
     if sys.stderr.isatty():
-        from rich.console import Console  # noqa: PLC0415 - slow to import, and needed on a terminal only
-        from rich.progress import (  # noqa: PLC0415
-            BarColumn,
-            MofNCompleteColumn,
-            Progress as Bar,
-            TextColumn,
-            TimeRemainingColumn,
-        )
-
         columns = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn())
         text = TextColumn("{task.description}", markup=False)
         with Bar(*columns, text, console=Console(stderr=True), auto_refresh=False, transient=True) as bar:

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from swarmabs_cli.checkout import checkout
-from swarmabs_cli.output import json_option
+from swarmabs_cli.options import json_option, output_option
 
 SUITES = ("product", "start", "memory", "large", "simulate", "recorder", "reading")
 _LONGEST_WARM_UP = 2.0
@@ -76,9 +76,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     metavar="OLD NEW",
     help="Measure nothing; compare two results, each a folder or its bench.json.",
 )
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Folder of the result.  [default: runs/bench-NNN]"
-)
+@output_option("Folder of the result.  [default: runs/bench-NNN]")
 @json_option
 def bench(
     suites: tuple[str, ...],

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 
 import click
+from rich.console import Console
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_analysis.theory_table import render
+from swarmabs_cli.options import duration_option, json_option, scenario_argument, set_option
+from swarmabs_cli.output import print_json, print_warnings
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.theory import check_scenario
 
 
 @click.command()
-@click.argument("scenario", default="pd_het_4", metavar="[SCENARIO|FILE.yaml|BAG]")
-@click.option(
-    "--set", "overrides", multiple=True, metavar="A.B=VALUE", help="Change a value of the scenario; repeatable."
-)
-@click.option("--duration", metavar="SECONDS", help="Simulated time; the same as --set duration=SECONDS.")
+@scenario_argument
+@set_option()
+@duration_option
 @click.option(
     "--angle-max",
     type=click.FloatRange(0.0, math.pi / 2, min_open=True, max_open=True),
@@ -32,17 +35,10 @@ def check(
 
     Nothing is run. SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag.
     """
-    from rich.console import Console  # noqa: PLC0415 - slow, not for --help
-
-    from swarmabs_analysis.theory_table import render  # noqa: PLC0415
-    from swarmabs_config.scenarios import find_scenario  # noqa: PLC0415
-    from swarmabs_config.theory import check_scenario  # noqa: PLC0415
-
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     loaded = find_scenario(scenario, overrides)
-    for warning in loaded.warnings():
-        click.echo(f"warning: {warning}", err=True)
+    print_warnings(loaded.warnings())
     report = check_scenario(loaded, angle_max)
     if as_json:
         print_json(report.document())

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.output import json_option, print_json, print_tables
+from swarmabs_analysis.comparison import compare_bags
+from swarmabs_analysis.comparison.table import render
+from swarmabs_cli.options import json_option
+from swarmabs_cli.output import print_json, print_tables
 
 
 @click.command()
@@ -27,9 +30,6 @@ def compare(a: Path, b: Path, *, namespaces: tuple[str, ...], as_json: bool) -> 
     """
     if len(namespaces) > 2:
         raise click.UsageError("--namespace may be given once or twice: there are two bags.")
-
-    from swarmabs_analysis.comparison import compare_bags  # noqa: PLC0415 - slow, not for --help
-    from swarmabs_analysis.comparison.table import render  # noqa: PLC0415
 
     of_a, of_b = (namespaces[0], namespaces[-1]) if namespaces else (None, None)
     comparison = compare_bags(a, b, namespaces=(of_a, of_b))

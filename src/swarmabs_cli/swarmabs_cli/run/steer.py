@@ -7,8 +7,10 @@ from typing import Any
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
+from swarmabs_cli.options import json_option
+from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
+from swarmabs_run.steering.client import SteeringClient
 
 ACTIONS = ("reference", "disturbance", "kill", "freeze", "remove", "leave", "add", "status")
 
@@ -25,8 +27,6 @@ def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
     hold until they are set again. The others take the id of a robot; `leave` is the same as `remove`. `status` says
     what holds.
     """
-    from swarmabs_run.steering.client import SteeringClient  # noqa: PLC0415 - slow, not for --help
-
     wish = {"action": action, **_argument(action, value)}
     with SteeringClient(run) as client:
         answer = client.ask(wish)

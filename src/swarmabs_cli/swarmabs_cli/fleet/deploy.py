@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from swarmabs_cli.output import json_option, print_json
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from swarmabs_config.fleet.loader import LoadedFleet
+from swarmabs_cli.options import json_option
+from swarmabs_cli.output import print_findings, print_json, print_warnings
+from swarmabs_config.fleet.loader import LoadedFleet, json_schema, load_fleet
+from swarmabs_fleet.bundle import deploy as write
+from swarmabs_fleet.check import check
 
 
 @click.command()
@@ -43,8 +42,6 @@ def deploy(
     With --check any number of fleet files, folders of bundles and installed bundles are looked at instead.
     """
     if schema:
-        from swarmabs_config.fleet.loader import json_schema  # noqa: PLC0415 - slow, not for --help
-
         print_json(json_schema())
         return 0
     if not paths:
@@ -52,20 +49,17 @@ def deploy(
     if checks:
         if output is not None or keys is not None:
             raise click.UsageError("--check writes nothing; leave out -o and --keys")
-        return _check(paths, host, as_json=as_json)
+        return print_findings(check(paths, host), as_json=as_json)
     if host is not None:
         raise click.UsageError("--host goes with --check")
     if len(paths) > 1:
         raise click.UsageError("one fleet at a time; several go with --check")
     if output is None:
         raise click.UsageError("name the folder of the bundles: -o DIR")
-    from swarmabs_config.fleet.loader import load_fleet  # noqa: PLC0415
-    from swarmabs_fleet.bundle import deploy as write  # noqa: PLC0415 - slow, not for --help
 
     loaded = load_fleet(paths[0])
     warnings = (*loaded.fleet.warnings(), *loaded.scenario.warnings())
-    for warning in warnings:
-        click.echo(f"warning: {warning}", err=True)
+    print_warnings(warnings)
     _show(loaded, output, write(loaded, output, keys), as_json=as_json)
     return 0
 
@@ -89,18 +83,3 @@ def _show(loaded: LoadedFleet, output: Path, folders: Sequence[Path], *, as_json
     for folder in folders:
         click.echo(f"{folder.name:<16} {fleet.host(folder.name).address:<16} {folder}")
     click.echo("copy each to its host, and start there as root: install.sh")
-
-
-def _check(paths: Sequence[Path], host: str | None, *, as_json: bool) -> int:
-    from dataclasses import asdict  # noqa: PLC0415 - slow, not for --help
-
-    from swarmabs_fleet.check import check  # noqa: PLC0415
-
-    findings = check(paths, host)
-    if as_json:
-        print_json([asdict(finding) for finding in findings])
-    else:
-        signs = {"ok": "ok  ", "note": "note", "bad": "BAD "}
-        for finding in findings:
-            click.echo(f"{signs[finding.verdict]}  {finding.check}: {finding.text}")
-    return 1 if any(finding.verdict == "bad" for finding in findings) else 0

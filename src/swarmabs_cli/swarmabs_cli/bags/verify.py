@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from swarmabs_cli.namespace import namespace_option
-from swarmabs_cli.output import json_option, print_json
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from swarmabs_analysis.verify import Verdict
+from swarmabs_analysis.verify import Verdict, open_to_verify
+from swarmabs_cli.options import bags_argument, json_option, namespace_option
+from swarmabs_cli.output import print_documents, printable
 
 _LINE_INTERVAL = 2.0
 
 
 @click.command()
-@click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="BAG...")
+@bags_argument
 @click.option(
     "--tolerance",
     type=click.FloatRange(min=0.0, max=1.0, max_open=True),
@@ -36,8 +32,6 @@ def verify(bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, a
     BAG is a run's folder, its bag folder, or an .mcap file. The first difference is named by topic, step, robot and
     field.
     """
-    from swarmabs_analysis.verify import Verdict, open_to_verify  # noqa: PLC0415 - slow, not for --help
-
     # What is refused is refused before anything is started.
     opened = [open_to_verify(path, namespace=namespace) for path in bags]
     verdicts = [
@@ -46,7 +40,7 @@ def verify(bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, a
     ]
     if as_json:
         documents = [verdict.to_dict() for verdict in verdicts]
-        print_json(documents[0] if len(documents) == 1 else documents)
+        print_documents(documents)
     else:
         for verdict in verdicts:
             click.echo(describe(verdict))
@@ -72,12 +66,7 @@ def describe(verdict: Verdict) -> str:
     if verdict.digest is not None:
         lines.append(f"  digest {verdict.digest}")
     lines.extend(f"  note: {note}" for note in verdict.notes)
-    return "\n".join(_printable(line) for line in lines)
-
-
-def _printable(line: str) -> str:
-    """Return a line such that text from a file cannot steer the terminal."""
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
+    return "\n".join(printable(line) for line in lines)
 
 
 def _shown(name: str, steps: int) -> Callable[[int], None]:

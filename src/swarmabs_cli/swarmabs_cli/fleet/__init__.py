@@ -1,0 +1,1 @@
+"""Commands that operate swarms in real time."""

@@ -1,0 +1,163 @@
+"""``swarm run``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import click
+
+from swarmabs_bag.run_folder import RunFolder
+from swarmabs_bag.splitting import Split
+from swarmabs_cli.browser import open_page
+from swarmabs_cli.interrupts import interrupt_once
+from swarmabs_cli.runs import carry_out, run_options
+from swarmabs_config.scenario import Scenario
+from swarmabs_core.errors import InputError
+from swarmabs_run.orchestration import LockstepRun, RealtimeRun
+from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.steering.pace import SLOWEST
+from swarmabs_view.ports import check_foxglove
+from swarmabs_view.viewer_process import PageViewer, markers_viewer
+
+FOXGLOVE_PORT = 8765
+"""The one that Foxglove offers by itself."""
+
+
+@click.command()
+@run_options
+@click.option(
+    "--agents-per-process",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Robots that share a process, for large simulations.",
+)
+@click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
+@click.option("--realtime", is_flag=True, help="Let the clock make the steps, as on robots, with simulated bodies.")
+@click.option("--steer", is_flag=True, help="Let the run be changed while it goes on, by the command `steer`.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(0.0, min_open=True, max=1e6),
+    help="With --steer: simulated time per real time, at most.  [default: as fast as possible]",
+)
+@click.option("--view", is_flag=True, help="Show the run as a page in the browser.")
+@click.option("--view-port", type=click.IntRange(0, 65535), help="With --view: port of the page.  [default: any]")
+@click.option("--open", "open_browser", is_flag=True, help="With --view: open the page in the browser.")
+@click.option("--markers", is_flag=True, help="Publish markers, joint state and URDF for RViz and Foxglove.")
+@click.option("--foxglove", is_flag=True, help="Serve the run to Foxglove by WebSocket, on this machine.")
+@click.option(
+    "--foxglove-port",
+    type=click.IntRange(1, 65535),
+    default=FOXGLOVE_PORT,
+    show_default=True,
+    help="With --foxglove: TCP port.",
+)
+def run(
+    *,
+    agents_per_process: int,
+    packed: bool,
+    realtime: bool,
+    steer: bool,
+    rate: float | None,
+    view: bool,
+    view_port: int | None,
+    open_browser: bool,
+    **options: Any,
+) -> int:
+    """Run a scenario as one process per robot over DDS, in lockstep or in real time.
+
+    SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
+
+    With --view, on a terminal, the page stays when the run is over, and plays its bag, until Ctrl-C.
+    """
+    given = {"--packed": packed, "--agents-per-process": agents_per_process > 1, "--steer": steer}
+    if realtime and any(given.values()):
+        option = next(name for name, there in given.items() if there)
+        raise InputError(f"{option} is for runs in lockstep; leave it or --realtime out")
+    if rate is not None and not steer:
+        raise InputError("--rate is for a run with --steer; leave one of them out, or add the other")
+    if steer and options["no_bag"]:
+        raise InputError("--steer with --no-bag: what is done to a run is recorded; leave one of them out")
+    if not view and (view_port is not None or open_browser):
+        raise click.UsageError(f"{'--open' if open_browser else '--view-port'} is for a run with --view.")
+    with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
+
+        def execute(
+            scenario: Scenario,
+            folder: RunFolder,
+            record: bool,  # noqa: FBT001
+            split: Split,
+            show: Callable[[Progress], None],
+        ) -> Outcome:
+            if viewer is not None:
+                viewer.start(folder.path)
+                click.echo(f"view: {viewer.url}", err=True)
+                if viewer.steering_url is not None:
+                    click.echo(f"view, to steer: {viewer.steering_url}", err=True)
+                if open_browser:
+                    open_page(viewer.url)
+            with shown(folder.path):
+                if realtime:
+                    return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
+                return LockstepRun(
+                    scenario,
+                    folder,
+                    record=record,
+                    on_progress=show,
+                    agents_per_process=agents_per_process,
+                    packed=packed,
+                    split=split,
+                    steered=steer,
+                    step_seconds=_step_seconds(scenario, rate),
+                ).run()
+
+        shown = _shown_beside(options, clock=not realtime)
+        code = carry_out(
+            execute,
+            realtime=realtime,
+            check=lambda scenario: _step_seconds(scenario, rate),
+            steered=steer,
+            **options,
+        )
+        if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
+            interrupt_once()
+            click.echo(f"view: {viewer.url} plays the bag until Ctrl-C", err=True)
+            viewer.wait()
+        return code
+
+
+def _step_seconds(scenario: Scenario, rate: float | None) -> float:
+    """Return the shortest wall time of a step, s; 0 for none.
+
+    Raises
+    ------
+    InputError
+        If a run that is as slow could not be told from one that stalls.
+    """
+    seconds = 0.0 if rate is None else scenario.period / rate
+    slowest = min(SLOWEST, 0.5 * scenario.lockstep.stall_timeout)
+    if seconds > slowest:
+        raise InputError(
+            f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s looks like a stall; use "
+            f"at least {scenario.period / slowest:g}"
+        )
+    return seconds
+
+
+def _shown_beside(options: dict[str, Any], *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
+    """Take these options out of those of a run; return what shows a run in a folder for the time of a block.
+
+    With `clock` the run's time is not that of the machine, and is published.
+    """
+    markers, foxglove, port = (options.pop(name) for name in ("markers", "foxglove", "foxglove_port"))
+    if not (markers or foxglove):
+        return lambda _: nullcontext()
+    if foxglove:
+        check_foxglove(port)
+        click.echo(f"Foxglove: open a connection to ws://127.0.0.1:{port}", err=True)
+    served = port if foxglove else None
+    return lambda folder: markers_viewer(folder, ros=markers, foxglove_port=served, clock=clock)
