@@ -4,62 +4,97 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
 from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.errors import RunError
+from swarmabs_core.membership import with_ends
 from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, TOPIC_OF
-from swarmabs_core.parent_response import SumObserver
+from swarmabs_core.publishers import NodeKind, NodeName
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from os import PathLike
 
     from swarmabs_bag.recording import RecordedStep, Step
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.arrays import RunArrays
-    from swarmabs_core.behaviours import Behaviour
+    from swarmabs_core.behaviours import AgentConfig, Behaviour
+    from swarmabs_core.membership import Change
     from swarmabs_core.messages import Message, Messages, Topic
 
 
+class NodeInProcess(NamedTuple):
+    """A node as part of this process: its state machine and the topics that it hears."""
+
+    behaviour: Behaviour
+    hears: Collection[Topic]
+
+
+def nodes_in_process(scenario: Scenario) -> dict[NodeName, NodeInProcess]:
+    """Return all nodes of a scenario by name: observer, plane, parent controller, robots."""
+    controller = Controller(
+        configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
+    )
+    watching = configure.observer_config(scenario)
+    options = () if watching.parent_model is None else (Option.WATCHING,)
+    nodes = {
+        NodeName(NodeKind.OBSERVER): _node(Observer(watching), OBSERVER, *options),
+        NodeName(NodeKind.PLANE): _node(Plane(configure.plane_config(scenario)), PLANE),
+        NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER),
+    }
+    for config in configure.agent_configs(scenario):
+        nodes[NodeName(NodeKind.AGENT, config.agent_id)] = robot_in_process(config)
+    return nodes
+
+
+def robot_in_process(config: AgentConfig) -> NodeInProcess:
+    """Return the node of a robot."""
+    agent = make_agent(config)
+    return _node(agent, ROBOT, *((Option.FEELING,) if PLANE_STATE in agent.needs else ()))
+
+
+def _node(behaviour: Behaviour, name: str, *options: Option) -> NodeInProcess:
+    return NodeInProcess(behaviour, tuple(endpoints(name, LOCKSTEP, frozenset(options)).subscriptions))
+
+
 class Simulation:
-    """Observer, plane, parent controller and robots of a scenario, connected by a queue.
+    """Nodes connected by a queue: those of a scenario, or some of them and what stands in for the others.
 
     Parameters
     ----------
     scenario : Scenario
         What to simulate.
+    nodes : iterable of NodeInProcess, optional
+        The nodes, in the order in which they start and answer; by default all of the scenario.
+    ends : iterable of Change
+        Ends of robots that the scenario does not plan.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        agents = [make_agent(config) for config in configure.agent_configs(scenario)]
-        observer = Observer(configure.observer_config(scenario))
-        plane = Plane(configure.plane_config(scenario))
-        controller = Controller(
-            configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
-        )
-        watching = set() if scenario.observer.type == SumObserver.type else {Option.WATCHING}
-        nodes: list[tuple[Behaviour, str, frozenset[Option]]] = [
-            (observer, OBSERVER, frozenset(watching)),
-            (plane, PLANE, frozenset()),
-            (controller, CONTROLLER, frozenset()),
-        ]
-        nodes += [(agent, ROBOT, frozenset({Option.FEELING} if PLANE_STATE in agent.needs else ())) for agent in agents]
-        self._behaviours = tuple(behaviour for behaviour, *_ in nodes)
+    def __init__(
+        self, scenario: Scenario, nodes: Iterable[NodeInProcess] | None = None, ends: Iterable[Change] = ()
+    ) -> None:
+        self._nodes = tuple(nodes_in_process(scenario).values() if nodes is None else nodes)
         self._subscribers: dict[Topic, list[Callable[[Message], Messages]]] = {topic: [] for topic in OFFERED[LOCKSTEP]}
-        for behaviour, node, options in nodes:
-            for topic in endpoints(node, LOCKSTEP, options).subscriptions:
-                self._subscribers[topic].append(behaviour.handle)
-        self._collector = RunCollector(
-            configure.members(scenario), configure.schedule(scenario), scenario.steps, memory=2
-        )
+        for node in self._nodes:
+            for topic in node.hears:
+                self._subscribers[topic].append(node.behaviour.handle)
+        schedule = with_ends(configure.schedule(scenario), ends)
+        self._collector = RunCollector(configure.members(scenario), schedule, scenario.steps, memory=2)
 
-    def steps(self) -> Iterator[RecordedStep]:
+    def steps(self, on_idle: Callable[[], Messages] = tuple, name: str = "run") -> Iterator[RecordedStep]:
         """Run, and yield every step as a bag would hold it.
+
+        Parameters
+        ----------
+        on_idle : callable
+            Returns what is said when no node has an answer any more; the run ends where that is nothing.
+        name : str
+            What the error of a stall calls it.
 
         Raises
         ------
@@ -67,16 +102,18 @@ class Simulation:
             If the run fails, such as by a plane that turns over, or stalls.
         """
         queue: deque[Message] = deque()
-        for behaviour in self._behaviours:
-            queue.extend(behaviour.start())
+        for node in self._nodes:
+            queue.extend(node.behaviour.start())
         while queue:
             message = queue.popleft()
             yield from self._collector.add(Record.of(message))
             for handle in self._subscribers[TOPIC_OF[type(message)]]:
                 queue.extend(handle(message))
+            if not queue:
+                queue.extend(on_idle())
         if not self._collector.finished:
             missing = ", ".join(self._collector.missing())
-            raise RunError(f"the run stalls at step {self._collector.step}; missing: {missing}")
+            raise RunError(f"the {name} stalls at step {self._collector.step}; missing: {missing}")
 
 
 def simulated_steps(scenario: Scenario) -> Iterator[Step]:

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.replay.player import Player
-from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Controller, LifeSpan, Observer, Plane, make_agent
-from swarmabs_core.errors import RunError
-from swarmabs_core.membership import SILENT, ChangeKind, with_ends
-from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, TOPIC_OF, EventKind, SwarmEvent
+from swarmabs_core.behaviours import LifeSpan, Observer
+from swarmabs_core.membership import SILENT, ChangeKind
+from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_core.publishers import NodeKind, NodeName
-from swarmabs_core.record import Record
+from swarmabs_run.simulation import NodeInProcess, Simulation, nodes_in_process, robot_in_process
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.membership import Change
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Message, Messages
 
 
 def silent_since(message: Message) -> tuple[int, int] | None:
@@ -57,33 +53,15 @@ class Replay:
     ) -> None:
         unplanned = tuple(ends)
         self._silent = {change.agent_id: change.step + 1 for change in unplanned}
-        self._player = Player(recorded, live, last_step=scenario.steps)
-        self._observer: Observer | None = None
-        self._nodes: list[tuple[Behaviour, frozenset[Topic]]] = [(self._player, frozenset(self._player.hears))]
-        for name in sorted(live):
-            behaviour, hears = self._make(scenario, name)
-            self._nodes.append((behaviour, frozenset(hears)))
-        self._collector = RunCollector(
-            configure.members(scenario), with_ends(configure.schedule(scenario), unplanned), scenario.steps, memory=2
-        )
-
-    def _make(self, scenario: Scenario, name: NodeName) -> tuple[Behaviour, tuple[Topic, ...]]:
-        """Return the state machine of a node and the topics that it hears."""
-        if name.kind is NodeKind.PLANE:
-            return Plane(configure.plane_config(scenario)), (AGENT_STATE, EVENTS)
-        if name.kind is NodeKind.CONTROLLER:
-            config = configure.controller_config(scenario, recording_window=0)
-            return Controller(config, configure.parent_controller(scenario)), (PLANE_STATE,)
-        if name.kind is NodeKind.OBSERVER:
-            watching = configure.observer_config(scenario)
-            self._observer = Observer(watching)
-            return self._observer, (AGENT_STATE,) if watching.parent_model is None else (AGENT_STATE, PLANE_STATE)
-        robot = next(config for config in configure.agent_configs(scenario) if config.agent_id == name.agent_id)
-        if name.agent_id in self._silent:
-            last = self._silent[name.agent_id] - 1
-            robot = replace(robot, life=LifeSpan(robot.life.first_step, ChangeKind.KILL, last))
-        agent = make_agent(robot)
-        return agent, agent.needs
+        player = Player(recorded, live, last_step=scenario.steps)
+        nodes = nodes_in_process(scenario)
+        for config in configure.agent_configs(scenario):
+            if config.agent_id in self._silent:
+                life = LifeSpan(config.life.first_step, ChangeKind.KILL, self._silent[config.agent_id] - 1)
+                nodes[NodeName(NodeKind.AGENT, config.agent_id)] = robot_in_process(replace(config, life=life))
+        tested = [nodes[name] for name in sorted(live)]
+        self._observer = next((node.behaviour for node in tested if isinstance(node.behaviour, Observer)), None)
+        self._simulation = Simulation(scenario, (NodeInProcess(player, player.hears), *tested), unplanned)
 
     def steps(self) -> Iterator[RecordedStep]:
         """Replay, and yield every step as a bag would hold it.
@@ -93,25 +71,9 @@ class Replay:
         RunError
             If a node under test fails, or does not answer.
         """
-        queue: deque[Message] = deque()
-        for behaviour, _ in self._nodes:
-            queue.extend(behaviour.start())
-        while True:
-            while queue:
-                message = queue.popleft()
-                yield from self._collector.add(Record.of(message))
-                topic = TOPIC_OF[type(message)]
-                for behaviour, hears in self._nodes:
-                    if topic in hears:
-                        queue.extend(behaviour.handle(message))
-            queue.extend(self._drop_silent())
-            if not queue:
-                break
-        if not self._collector.finished:
-            missing = ", ".join(self._collector.missing())
-            raise RunError(f"the replay stalls at step {self._collector.step}; missing: {missing}")
+        return self._simulation.steps(self._drop_silent, "replay")
 
-    def _drop_silent(self) -> Iterable[Message]:
+    def _drop_silent(self) -> Messages:
         """Let the observer drop the robots that it dropped when the run was recorded."""
         if self._observer is None:
             return ()
