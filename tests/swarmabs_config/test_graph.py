@@ -18,7 +18,6 @@ from swarmabs_config.graph import (
     RECORDER,
     ROBOT,
     SERVICES,
-    STEERER,
     Driver,
     Option,
     endpoints,
@@ -28,6 +27,7 @@ from swarmabs_config.graph import (
     writers,
 )
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPICS
+from swarmabs_core.steering import STEERER
 
 PACKED, STEERED, CREDITED, WATCHING, FEELING = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (

@@ -305,7 +305,7 @@ class Hanging:
 @pytest.fixture
 def hanging() -> Iterator[Hanging]:
     hung, release = threading.Event(), threading.Event()
-    loop = RealtimeLoop(lambda _: None, on_hang=hung.set, halts_within=0.05)
+    loop = RealtimeLoop(lambda _: None, on_hang=hung.set, halts_within=0.5)
     thread = threading.Thread(target=loop.run)
     thread.start()
     yield Hanging(loop, hung, release)
@@ -339,10 +339,10 @@ def test_a_node_that_does_not_halt_is_told_and_nobody_waits_for_it(
     loop.activate()
     if where == "tick":
         assert begun.wait(10.0)
-    with pytest.raises(RunError, match=r"drive's stop|has not answered for 0\.05 s"):
+    with pytest.raises(RunError, match=r"drive's stop|has not answered for 0\.5 s"):
         loop.deactivate() if request_of == "deactivate" else loop.attach(None)
     assert hanging.hung.wait(10.0)
-    with pytest.raises(RunError, match=r"halting has not ended within 0\.05 s: a drive's stop\(\) hangs, or a step"):
+    with pytest.raises(RunError, match=r"halting has not ended within 0\.5 s: a drive's stop\(\) hangs, or a step"):
         loop.health()
 
 
@@ -360,5 +360,5 @@ def test_who_halts_in_time_is_not_taken_to_hang(hanging: Hanging) -> None:
     for _ in range(3):
         hanging.loop.activate()
         hanging.loop.deactivate()
-    assert not hanging.hung.wait(0.2)
+    assert not hanging.hung.wait(0.8)
     assert hanging.loop.health().text.startswith("fine")

@@ -80,7 +80,7 @@ def test_a_steered_run_can_be_repeated(tmp_path: Path, words: tuple[object, ...]
     folder = tmp_path / "run"
     asked: list[tuple[dict[str, Any], int]] = []
     with steered(folder, *words, "--duration", DURATION, *SEVEN) as client:
-        for wish in (
+        for request in (
             {"action": "reference", "value": 0.05},
             {"action": "disturbance", "value": -0.1},
             {"action": "add", "agent": 7},
@@ -89,9 +89,9 @@ def test_a_steered_run_can_be_repeated(tmp_path: Path, words: tuple[object, ...]
             {"action": "freeze", "agent": 5},
             {"action": "leave", "agent": 2},
         ):
-            answer = client.ask(wish)
-            assert answer["ok"], (wish, answer)
-            asked.append((wish, answer["step"]))
+            answer = client.ask(request)
+            assert answer["ok"], (request, answer)
+            asked.append((request, answer["step"]))
             later(client, 37)
         held = client.ask({"action": "status"})
         assert (held["members"], held["absent"], held["reference"], held["disturbance"]) == (
@@ -148,7 +148,7 @@ def test_a_run_that_could_be_steered_and_was_not(tmp_path: Path) -> None:
 def test_what_is_refused_changes_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     with steered(folder, "pd_het_4", "--duration", 100_000, to_the_end=False) as client:
-        for wish, reason in (
+        for request, reason in (
             ({"action": "kill", "agent": 9}, "there is no robot 9; there are 1, 2, 3, 4"),
             ({"action": "kill"}, "kill needs 'agent'"),
             ({"action": "reference", "value": 0.1, "agent": 1}, "reference takes no 'agent'"),
@@ -158,7 +158,7 @@ def test_what_is_refused_changes_nothing(tmp_path: Path) -> None:
             ({"action": "add", "agent": 2}, "robot 2 is there by the scenario"),
             ({"action": "status", "shell": "true"}, "shell: Extra inputs are not permitted"),
         ):
-            answer = client.ask(wish)
+            answer = client.ask(request)
             assert answer["ok"] is False
             assert reason in answer["reason"]
         for line in (
@@ -188,14 +188,14 @@ def raw(folder: Path, line: bytes) -> bytes:
 
 def test_a_request_that_is_repeated_is_done_once(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    wish = {"action": "disturbance", "value": 0.1, "request": "page-1"}
+    request = {"action": "disturbance", "value": 0.1, "request": "page-1"}
     with steered(folder, "pd_het_4", "--duration", 100_000, "--rate", 2, to_the_end=False) as client:
-        first = client.ask(wish)
+        first = client.ask(request)
         later(client, 20)
-        assert client.ask(wish) == first
+        assert client.ask(request) == first
         with SteeringClient(folder) as other:
-            assert other.ask(wish) == first
-            assert "was something else" in other.ask({**wish, "value": 0.2})["reason"]
+            assert other.ask(request) == first
+            assert "was something else" in other.ask({**request, "value": 0.2})["reason"]
         by_command = swarm("steer", folder, "disturbance", "-0.1", "--json")
         assert by_command.summary()["step"] > first["step"]
         said = swarm("steer", folder, "status")

@@ -11,7 +11,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
-from swarmabs_core.behaviours.steered import HELM, Orders
+from swarmabs_core.behaviours.steered import Orders
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
@@ -29,7 +29,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.publishers import NodeKind, publisher_of
 from swarmabs_core.record import Record
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, change_of
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, change_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -289,7 +289,7 @@ class RunCollector:
         slot = self._slots.get(self._step, _Slot())
         topics = [topic.name for topic in _COORDINATED if topic not in slot.main]
         ordered = self._orders is None or self._step <= self._orders.known
-        return (*(() if ordered else (HELM,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
+        return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state of the current step is missing."""

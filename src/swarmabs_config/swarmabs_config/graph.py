@@ -38,10 +38,11 @@ from swarmabs_core.messages import (
     STEERING,
     Topic,
 )
+from swarmabs_core.steering import STEERER
 
 # Nodes, by the names that they have where none is remapped; every robot's node has a name of its own.
 PLANE, PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_sim", "plane_driver", "abstraction_observer", "parent_controller"
-RECORDER, STEERER, ROBOT = "recorder", "steering", "agent_node"
+RECORDER, ROBOT = "recorder", "agent_node"
 
 
 class Driver(Enum):

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import Steering, SwarmEvent
 
+STEERER = "steering"
+"""Name of the node that orders what is changed from outside."""
 REFERENCE = "reference"
 """`SwarmEvent.detail` where the offset (rad) of the plane's reference changes."""
 DISTURBANCE = "disturbance"

@@ -8,7 +8,6 @@ import sys
 import threading
 from typing import TYPE_CHECKING, NoReturn
 
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 from swarmabs_config.graph import REALTIME
@@ -19,16 +18,16 @@ from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_ros import scheduling
 from swarmabs_ros.managed import RealtimeNode, one_line
 from swarmabs_ros.parameters import declare, given_values, table_of
+from swarmabs_ros.program import run_program
 from swarmabs_ros.realtime import RealtimeLoop
-from swarmabs_ros.runner import Settings, fail
-from swarmabs_ros.start import initialise
-from swarmabs_ros.status import StatusChannel
-from swarmabs_ros.systemd import notify, watchdog_interval
+from swarmabs_ros.runner import Settings
+from swarmabs_ros.systemd import Heartbeat, notify
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_ros.managed import RealtimeSpec
+    from swarmabs_ros.status import StatusChannel
 
 COMMON = (
     *parameters_of(Schedule),
@@ -76,24 +75,12 @@ def run_realtime(
     int
         Exit code: 0 fine, 1 something failed, 2 a parameter or the Fast DDS profile was refused.
     """
-    try:
-        initialise(name, args)
-    except InputError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 2
-    node = RealtimeNode(name)
-    status = StatusChannel(node.get_name())
-    try:
+
+    def body(node: RealtimeNode, status: StatusChannel) -> None:
         settings = _settings(node, table, status)
         _run(name, node, settings, lambda: make(settings, node), status)
-    except InputError as error:
-        return fail(status, error, 2)
-    except RunError as error:
-        return fail(status, error, 1)
-    finally:
-        node.destroy_node()  # type: ignore[no-untyped-call]
-        rclpy.try_shutdown()
-    return 0
+
+    return run_program(name, RealtimeNode, body, args)
 
 
 def _settings(node: RealtimeNode, own: Table, status: StatusChannel) -> Settings:
@@ -110,7 +97,7 @@ def _run(
     role: str, node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel
 ) -> None:
     executor = SingleThreadedExecutor(context=node.context)
-    loop = RealtimeLoop(node.failed, _watchdog(), on_hang=lambda: _give_up(node))
+    loop = RealtimeLoop(node.failed, Heartbeat().beat, on_hang=lambda: _give_up(node))
     node.prepare(make, settings.endpoints(role, REALTIME), settings.made(Schedule), loop, executor, status)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -152,20 +139,6 @@ def _give_up(node: RealtimeNode) -> NoReturn:
         sys.stderr.flush()
     finally:
         os._exit(1)
-
-
-def _watchdog() -> Callable[[int], None]:
-    """Return what tells systemd, given the steady time in ns, that the loop goes round."""
-    interval = watchdog_interval()
-    due = 0
-
-    def beat(now: int) -> None:
-        nonlocal due
-        if interval and now >= due:
-            due = now + interval
-            notify("WATCHDOG=1")
-
-    return beat
 
 
 class Server(threading.Thread):

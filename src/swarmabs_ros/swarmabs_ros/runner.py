@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
-
-import rclpy
-from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
 
 from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.behaviours.base import Run
@@ -21,19 +16,20 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import SLICE, Lockstep
 from swarmabs_ros.parameters import declare, given_values, table_of
+from swarmabs_ros.program import SwarmNode, run_program
 from swarmabs_ros.repeat import FIRST, WINDOW
-from swarmabs_ros.start import initialise
-from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from rclpy.node import Node
     from rclpy.publisher import Publisher
 
     from swarmabs_config.graph import Driver, Option
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.parameters import Value
     from swarmabs_ros.endpoints import Receiver, Waiting
+    from swarmabs_ros.status import StatusChannel
 
 INTERRUPTED = "interrupted"
 """What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
@@ -169,19 +165,6 @@ class NodeSpec:
     hear: Callable[[Topic, bytes], Messages] | None = None
 
 
-class SwarmNode(Node):
-    """A node without those services and topics of its own that a lockstep run does not need."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            name,
-            enable_rosout=False,
-            start_parameter_services=False,
-            automatically_declare_parameters_from_overrides=True,
-            parameter_overrides=[RosParameter("start_type_description_service", value=False)],
-        )
-
-
 def run_node(
     name: str,
     table: tuple[Parameter | type, ...],
@@ -206,34 +189,15 @@ def run_node(
     int
         Exit code: 0 fine, 1 the run failed, 2 a parameter or the Fast DDS profile was refused.
     """
-    try:
-        initialise(name, args)
-    except InputError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 2
-    node = SwarmNode(name)
-    status = StatusChannel(node.get_name())
-    try:
+
+    def body(node: Node, status: StatusChannel) -> None:
         settings = Settings(declare(node, table_of(given_values(node), COMMON, table)), node.get_namespace())
-        spec = make(settings, status)
-        return _run(name, node, settings, spec, status)
-    except InputError as error:
-        return fail(status, error, 2)
-    except RunError as error:
-        return fail(status, error, 1)
-    finally:
-        node.destroy_node()  # type: ignore[no-untyped-call]
-        rclpy.try_shutdown()
+        _run(name, node, settings, make(settings, status), status)
+
+    return run_program(name, SwarmNode, body, args)
 
 
-def fail(status: StatusChannel, error: Exception, code: int) -> int:
-    """Say why a node ends, to whoever started it and to people, and return its exit code."""
-    status.send("failed", reason=str(error)[:2000])
-    sys.stderr.write(f"error: {error}\n")
-    return code
-
-
-def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> int:
+def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> None:
     ends = spec.endpoints or settings.endpoints(role, LOCKSTEP)
     publishers = {topic: advertise(node, topic) for topic in ends.publications}
     inbox = receiver(node, ends.subscriptions, cast("Waiting", settings.text("receive")))
@@ -276,7 +240,6 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         raise
     finally:
         spec.on_exit(problem)
-    return 0
 
 
 def _expected(settings: Settings) -> dict[Topic, int]:

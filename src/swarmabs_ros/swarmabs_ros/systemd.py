@@ -26,3 +26,16 @@ def watchdog_interval() -> int:
         return 0
     text = os.environ.get("WATCHDOG_USEC", "")
     return int(text) * 1000 // 2 if text.isdecimal() else 0
+
+
+class Heartbeat:
+    """Tells systemd, where it watches this process, that its loop goes round."""
+
+    def __init__(self) -> None:
+        self._interval, self._due = watchdog_interval(), 0
+
+    def beat(self, now: int) -> None:
+        """Tell it if that is due; `now` is the steady time, ns."""
+        if self._interval and now >= self._due:
+            self._due = now + self._interval
+            notify("WATCHDOG=1")

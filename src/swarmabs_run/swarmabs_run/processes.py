@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import psutil
 
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.looking_in import NETWORK_FILE, RunOverError, goes_on, orchestrator_of
 from swarmabs_run.orchestration.progress_file import read_progress
+from swarmabs_run.orchestration.run_environment import NETWORK_FILE, RunOverError, goes_on, orchestrator_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -16,13 +16,13 @@ from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.behaviours import (
     Controller,
     Decision,
-    Helm,
-    HelmConfig,
     Observer,
     PackingController,
     Plane,
     Request,
     Steered,
+    SteeringConfig,
+    SteeringController,
     Unpacking,
     make_newcomer,
 )
@@ -76,7 +76,7 @@ class Swarm:
     def __init__(self, scenario: Scenario, seed: int, *, packed: bool) -> None:
         self.random = Random(seed)
         self.scenario = scenario
-        self.helm = Helm(helm_config(scenario))
+        self.controller = SteeringController(steering_config(scenario))
         observer = Steered(Observer(configure.observer_config(scenario)))
         plane = Steered(Plane(configure.plane_config(scenario)))
         controller: Behaviour = Steered(
@@ -86,7 +86,7 @@ class Swarm:
         if packed:
             controller, heard = PackingController(controller), (*heard, ABSTRACT_STATE, AUXILIARY_STATE)
         self.nodes = [
-            Node(self.helm, (PLANE_STATE, EVENTS)),
+            Node(self.controller, (PLANE_STATE, EVENTS)),
             Node(observer, (AGENT_STATE, STEERING)),
             Node(plane, (AGENT_STATE, EVENTS, STEERING)),
             Node(controller, heard),
@@ -145,13 +145,13 @@ class Swarm:
             Action(self.random.randint(1, 6)), self.random.randint(1, 6), self.random.choice([-0.1, 0.0, 0.07, 0.2])
         )
         try:
-            self.helm.ask(request)
+            self.controller.ask(request)
         except InputError:
             return
 
     def obey(self) -> None:
         """End processes some time after their end was ordered, or never."""
-        for decision in self.helm.decisions():
+        for decision in self.controller.decisions():
             self.decisions.append(decision)
             if decision.request.action in (Action.KILL, Action.FREEZE, Action.REMOVE) and self.random.random() < 0.5:
                 self.robots[decision.request.agent_id].dead = decision.step is not None and self.collector.step > (
@@ -159,8 +159,8 @@ class Swarm:
                 )
 
 
-def helm_config(scenario: Scenario, largest_torque: float = 1.0) -> HelmConfig:
-    return HelmConfig(
+def steering_config(scenario: Scenario, largest_torque: float = 1.0) -> SteeringConfig:
+    return SteeringConfig(
         members=configure.members(scenario),
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
@@ -213,9 +213,9 @@ def test_without_requests_nothing_is_changed() -> None:
 # What steers
 
 
-def helm(**changes: object) -> Helm:
+def controller(**changes: object) -> SteeringController:
     given = {"members": (1, 2, 3, 4), "period_ns": 10_000_000, "last_step": 10, "largest_offset": 1.0}
-    made = Helm(HelmConfig(**{**given, "largest_torque": 2.0, **changes}))  # type: ignore[arg-type]
+    made = SteeringController(SteeringConfig(**{**given, "largest_torque": 2.0, **changes}))  # type: ignore[arg-type]
     made.start()
     return made
 
@@ -225,7 +225,7 @@ def plane(step: int) -> PlaneState:
 
 
 def test_a_request_gets_the_next_step_and_each_step_one() -> None:
-    made = helm()
+    made = controller()
     assert made.handle(plane(0)) == (Steering(10_000_000, 1, 0, Action.NONE, 0, 0.0),)
     numbers = [made.ask(Request(Action.REFERENCE, 0, 0.25)), made.ask(Request(Action.KILL, 3))]
     assert made.handle(plane(0)) == (), "a repetition"
@@ -237,13 +237,13 @@ def test_a_request_gets_the_next_step_and_each_step_one() -> None:
 
 
 def test_what_the_scenario_sets_goes_first() -> None:
-    made = helm(offsets=(Stair(1, 0.5),))
+    made = controller(offsets=(Stair(1, 0.5),))
     made.ask(Request(Action.REFERENCE, 0, 0.1))
     assert [made.handle(plane(step))[0].action for step in range(2)] == [Action.NONE, Action.REFERENCE]  # type: ignore[union-attr]
 
 
 def test_a_robot_that_has_just_been_added_is_there_for_a_step() -> None:
-    made = helm(schedule=(Change(2**63 - 1, 4, ChangeKind.JOIN),))
+    made = controller(schedule=(Change(2**63 - 1, 4, ChangeKind.JOIN),))
     assert made.absent == (4,)
     made.ask(Request(Action.ADD, 4))
     made.handle(plane(0))
@@ -268,7 +268,7 @@ def test_a_robot_that_has_just_been_added_is_there_for_a_step() -> None:
     ],
 )
 def test_what_is_refused(request_: Request, reason: str) -> None:
-    made = helm(schedule=(Change(2**63 - 1, 4, ChangeKind.JOIN),))
+    made = controller(schedule=(Change(2**63 - 1, 4, ChangeKind.JOIN),))
     if request_.action == Action.FREEZE:
         made.handle(SwarmEvent(0, 1, 3, EventKind.DEAD, 0.0, "silent"))
     with pytest.raises(InputError) as caught:
@@ -279,11 +279,11 @@ def test_what_is_refused(request_: Request, reason: str) -> None:
 
 def test_a_law_without_offset_is_named() -> None:
     with pytest.raises(InputError, match="offset_torque"):
-        helm(largest_offset=0.0).ask(Request(Action.REFERENCE, 0, 0.1))
+        controller(largest_offset=0.0).ask(Request(Action.REFERENCE, 0, 0.1))
 
 
 def test_the_last_robot_stays_and_what_waits_is_judged_again() -> None:
-    made = helm(members=(1, 2))
+    made = controller(members=(1, 2))
     made.ask(Request(Action.KILL, 1))
     made.ask(Request(Action.KILL, 2))
     made.handle(plane(0))
@@ -294,7 +294,7 @@ def test_the_last_robot_stays_and_what_waits_is_judged_again() -> None:
 
 
 def test_after_the_end_nothing_can_be_asked_for() -> None:
-    made = helm(last_step=1)
+    made = controller(last_step=1)
     made.handle(plane(0))
     with pytest.raises(InputError, match="the run is over"):
         made.ask(Request(Action.KILL, 1))
@@ -303,7 +303,7 @@ def test_after_the_end_nothing_can_be_asked_for() -> None:
 
 
 def test_too_many_requests_are_refused() -> None:
-    made = helm()
+    made = controller()
     for _ in range(100):
         made.ask(Request(Action.REFERENCE, 0, 0.1))
     with pytest.raises(InputError, match="ask again later"):

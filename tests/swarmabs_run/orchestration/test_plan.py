@@ -37,7 +37,8 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.parameters import Parameter, resolve
 from swarmabs_ros.parameters import table_of
-from swarmabs_ros.runner import COMMON, Settings, SwarmNode
+from swarmabs_ros.program import SwarmNode
+from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 

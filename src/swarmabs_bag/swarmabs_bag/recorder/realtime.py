@@ -9,7 +9,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from swarmabs_bag.recorder.recording import RealtimeRecording
@@ -30,16 +29,16 @@ from swarmabs_core.record import Record
 from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.parameters import declare
+from swarmabs_ros.program import SwarmNode, run_program
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
-from swarmabs_ros.runner import COMMON, INTERRUPTED, Settings, SwarmNode, fail
-from swarmabs_ros.start import initialise
-from swarmabs_ros.status import StatusChannel
-from swarmabs_ros.systemd import notify, watchdog_interval
+from swarmabs_ros.runner import COMMON, INTERRUPTED, Settings
+from swarmabs_ros.systemd import Heartbeat, notify
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
     from swarmabs_config.scenario import Scenario
+    from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
     *choose(COMMON, "last_step"),
@@ -79,7 +78,7 @@ class RealtimeRecorder:
         self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._diagnosed = 0.0
         self._told_fallen = False
-        self._interval, self._due = watchdog_interval(), 0
+        self._heart = Heartbeat()
         self._stopped = False
         self.interrupted = False
         self.malformed = 0
@@ -103,7 +102,7 @@ class RealtimeRecorder:
                 self._told_fallen = True
                 self._status.send("failed", reason=recording.fallen)
             self._diagnose(recording)
-            self._beat()
+            self._heart.beat(time.monotonic_ns())
         return True
 
     def _diagnose(self, recording: RealtimeRecording) -> None:
@@ -111,13 +110,6 @@ class RealtimeRecorder:
         if now - self._diagnosed >= diagnostics.PERIOD:
             self._diagnosed = now
             self._diagnostics.publish(diagnostics.diagnostic_array(self._name, recording.health(), time.time_ns()))
-
-    def _beat(self) -> None:
-        """Tell systemd, where it watches, that the loop goes round."""
-        now = time.monotonic_ns()
-        if self._interval and now >= self._due:
-            self._due = now + self._interval
-            notify("WATCHDOG=1")
 
     def _drain(self, recording: RealtimeRecording) -> None:
         for topic, depth in self._depths.items():
@@ -187,23 +179,11 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop (SIGINT, SIGTERM), or `last_step` is over; return its exit code."""
-    try:
-        initialise(RECORDER, args)
-    except InputError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 2
-    node = SwarmNode(RECORDER)
-    status = StatusChannel(node.get_name())
-    try:
+
+    def body(node: Node, status: StatusChannel) -> None:
         _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)
-    except InputError as error:
-        return fail(status, error, 2)
-    except RunError as error:
-        return fail(status, error, 1)
-    finally:
-        node.destroy_node()  # type: ignore[no-untyped-call]
-        rclpy.try_shutdown()
-    return 0
+
+    return run_program(RECORDER, SwarmNode, body, args)
 
 
 if __name__ == "__main__":

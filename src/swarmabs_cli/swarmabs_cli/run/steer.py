@@ -27,9 +27,9 @@ def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
     hold until they are set again. The others take the id of a robot; `leave` is the same as `remove`. `status` says
     what holds.
     """
-    wish = {"action": action, **_argument(action, value)}
+    request = {"action": action, **_argument(action, value)}
     with SteeringClient(run) as client:
-        answer = client.ask(wish)
+        answer = client.ask(request)
     if as_json:
         print_json(answer)
     if not answer["ok"]:

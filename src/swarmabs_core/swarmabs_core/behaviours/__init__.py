@@ -5,11 +5,11 @@ from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.faulty import FaultyAgent, make_agent, with_faults
 from swarmabs_core.behaviours.group import AgentGroup
-from swarmabs_core.behaviours.helm import Decision, Helm, HelmConfig, Request
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.packing import Listener, PackingController, Unpacking
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
 from swarmabs_core.behaviours.steered import Newcomer, Orders, Steered, make_newcomer
+from swarmabs_core.behaviours.steering_controller import Decision, Request, SteeringConfig, SteeringController
 from swarmabs_core.robot_controller import Limits
 
 __all__ = [
@@ -21,8 +21,6 @@ __all__ = [
     "ControllerConfig",
     "Decision",
     "FaultyAgent",
-    "Helm",
-    "HelmConfig",
     "LifeSpan",
     "Limits",
     "Listener",
@@ -35,6 +33,8 @@ __all__ = [
     "PlaneConfig",
     "Request",
     "Steered",
+    "SteeringConfig",
+    "SteeringController",
     "Unpacking",
     "make_agent",
     "make_newcomer",

@@ -10,14 +10,12 @@ from swarmabs_core.behaviours.base import Behaviour, StepAheadError, refuse_conf
 from swarmabs_core.behaviours.faulty import make_agent
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import STEERING, Action, RecordingProgress, Steering, SwarmEvent
+from swarmabs_core.steering import STEERER
 
 if TYPE_CHECKING:
     from swarmabs_core.behaviours.agent import AgentConfig
     from swarmabs_core.behaviours.packing import Listener
     from swarmabs_core.messages import Message, Messages, Topic
-
-HELM = "steering"
-"""Name of the node that orders."""
 
 
 class Steerable(Behaviour, Protocol):
@@ -121,7 +119,7 @@ class Steered:
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and what is missing for it."""
         step, missing = self._behaviour.missing()
-        return step, missing if self.open else (HELM,)
+        return step, missing if self.open else (STEERER,)
 
 
 class Newcomer:

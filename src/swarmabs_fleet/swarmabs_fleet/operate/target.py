@@ -17,7 +17,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_fleet.environment import tool_environment
 from swarmabs_fleet.profile import fleet_profile
 from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.looking_in import environment_of_run, goes_on, is_realtime
+from swarmabs_run.orchestration.run_environment import environment_of_run, goes_on, is_realtime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -18,7 +18,6 @@ from swarmabs_config.graph import (
     PLANE,
     RECORDER,
     ROBOT,
-    STEERER,
     Driver,
     Option,
     agent_name,
@@ -28,6 +27,7 @@ from swarmabs_config.graph import (
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import Kind, Topic
+from swarmabs_core.steering import STEERER
 from swarmabs_ros.repeat import FIRST, WINDOW
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ from swarmabs_run.orchestration.dds_environment import dds_environment
 from swarmabs_run.orchestration.dds_profile import multicast_works, profile_xml
 from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
-from swarmabs_run.orchestration.looking_in import write_network, write_processes
 from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.progress import Outcome, Progress
 from swarmabs_run.orchestration.progress_file import ProgressFile
+from swarmabs_run.orchestration.run_environment import write_network, write_processes
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_run.tracing_files import tracing_files_removed
 

@@ -63,7 +63,7 @@ class SteeringClient:
         self._lines.close()
         self._socket.close()
 
-    def ask(self, wish: Mapping[str, object]) -> dict[str, Any]:
+    def ask(self, asked: Mapping[str, object]) -> dict[str, Any]:
         """Ask for something, and return the answer (docs/steering.md).
 
         Raises
@@ -72,7 +72,7 @@ class SteeringClient:
             If the run ends before it answers, or does not answer in time.
         """
         try:
-            self._socket.sendall(json.dumps(wish).encode() + b"\n")
+            self._socket.sendall(json.dumps(asked).encode() + b"\n")
             line = self._lines.readline(LONGEST_ANSWER)
         except TimeoutError:
             raise RunError(f"{self._run}: the run does not answer; look at its processes") from None

@@ -6,20 +6,19 @@ import sys
 from pathlib import Path
 
 from swarmabs_config import configure
-from swarmabs_config.graph import STEERER
 from swarmabs_config.scenario import Scenario, load_scenario
-from swarmabs_core.behaviours import Decision, Helm, HelmConfig
+from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
 from swarmabs_core.controllers.base import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import Action
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE
+from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.runner import NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
-from swarmabs_run.steering.desk import Desk
 from swarmabs_run.steering.pace import SLOWEST, Paced
 from swarmabs_run.steering.protocol import ROBOTS, VALUED
+from swarmabs_run.steering.request_queue import RequestQueue
 from swarmabs_run.steering.server import SteeringServer
 
 PARAMETERS = (
@@ -36,10 +35,10 @@ LARGEST_OFFSET = 1.0
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
 
-def helm_config(scenario: Scenario) -> HelmConfig:
+def steering_config(scenario: Scenario) -> SteeringConfig:
     """Return the configuration of what steers a run: no more torque disturbs the plane than the swarm may exert."""
     steerable = isinstance(configure.parent_controller(scenario), OffsetController)
-    return HelmConfig(
+    return SteeringConfig(
         members=configure.members(scenario),
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
@@ -70,7 +69,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     if not settings.text("scenario_file") or not settings.text("folder"):
         raise InputError("parameters scenario_file and folder: give the resolved scenario and the folder of the run")
     scenario = load_scenario(Path(settings.text("scenario_file")))
-    config = helm_config(scenario)
+    config = steering_config(scenario)
 
     def tell(decision: Decision) -> None:
         request, step = decision.request, decision.step
@@ -78,18 +77,18 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         change = "" if kind is None or step is None else str(Change(step - 1, request.agent_id, kind))
         status.send("steered", text=in_words(decision), change=change)
 
-    helm = Helm(config)
+    controller = SteeringController(config)
     facts = {
         "steps": scenario.steps,
         "step_time": scenario.step,
         "largest_reference": config.largest_offset,
         "largest_disturbance": config.largest_torque,
     }
-    desk = Desk(helm, scenario.step_ns, facts, tell)
-    SteeringServer(Path(settings.text("folder")), desk).start()
+    requests = RequestQueue(controller, scenario.step_ns, facts, tell)
+    SteeringServer(Path(settings.text("folder")), requests).start()
     seconds = settings.number("step_seconds")
-    behaviour = Paced(helm, seconds) if seconds else helm
-    return NodeSpec(behaviour, on_idle=desk.work)
+    behaviour = Paced(controller, seconds) if seconds else controller
+    return NodeSpec(behaviour, on_idle=requests.work)
 
 
 def main(args: list[str] | None = None) -> int:

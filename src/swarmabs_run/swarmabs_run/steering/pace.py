@@ -10,7 +10,7 @@ from swarmabs_core.messages import PlaneState
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_core.behaviours import Helm
+    from swarmabs_core.behaviours import SteeringController
     from swarmabs_core.messages import Message, Messages, Topic
 
 SLOWEST = 1.0
@@ -22,7 +22,7 @@ class Paced:
 
     Parameters
     ----------
-    helm : Helm
+    controller : SteeringController
         What steers.
     seconds : float
         Shortest wall time of a step, s.
@@ -32,12 +32,12 @@ class Paced:
 
     def __init__(
         self,
-        helm: Helm,
+        controller: SteeringController,
         seconds: float,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._helm = helm
+        self._controller = controller
         self._seconds = seconds
         self._clock = clock
         self._sleep = sleep
@@ -46,24 +46,24 @@ class Paced:
     def start(self) -> Messages:
         """Start what steers."""
         self._due = self._clock()
-        return self._helm.start()
+        return self._controller.start()
 
     def handle(self, message: Message) -> Messages:
         """Hand a message on; with the plane's state of a new step not before the next step is due.
 
         A run that is late is not made up for: the next step is due its time after this one.
         """
-        if isinstance(message, PlaneState) and message.step == self._helm.step:
+        if isinstance(message, PlaneState) and message.step == self._controller.step:
             wait = self._due + self._seconds - self._clock()
             if wait > 0.0:
                 self._sleep(wait)
             self._due = max(self._due + self._seconds, self._clock())
-        return self._helm.handle(message)
+        return self._controller.handle(message)
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for what it waits for."""
-        return self._helm.awaits()
+        return self._controller.awaits()
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and what is missing for it."""
-        return self._helm.missing()
+        return self._controller.missing()

@@ -28,7 +28,7 @@ ROBOTS = {
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
-class Wish(BaseModel):
+class SteeringRequest(BaseModel):
     """One line: what somebody asks for.
 
     Parameters
@@ -51,7 +51,7 @@ class Wish(BaseModel):
     request: Annotated[str, Field(min_length=1, max_length=100)] | None = None
 
     @model_validator(mode="after")
-    def _check_fields(self) -> Wish:
+    def _check_fields(self) -> SteeringRequest:
         for name, given, actions in (("value", self.value, VALUED), ("agent", self.agent, ROBOTS)):
             if (given is not None) != (self.action in actions):
                 raise ValueError(f"{self.action} {'needs' if given is None else 'takes no'} '{name}'")
@@ -64,7 +64,7 @@ class Wish(BaseModel):
         return Request(ROBOTS[self.action], self.agent or 0)
 
 
-def read_wish(line: bytes) -> Wish:
+def read_request(line: bytes) -> SteeringRequest:
     """Read a line.
 
     Raises
@@ -75,7 +75,7 @@ def read_wish(line: bytes) -> Wish:
     if len(line) > LONGEST:
         raise InputError(f"the line is longer than {LONGEST} bytes")
     try:
-        return Wish.model_validate_json(line)
+        return SteeringRequest.model_validate_json(line)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from swarmabs_run.steering.desk import Desk
+    from swarmabs_run.steering.request_queue import RequestQueue
 
 MOST_CONNECTIONS = 32
 _PART = f"{SOCKET}.part"
@@ -32,7 +32,7 @@ class _Connection(socketserver.StreamRequestHandler):
         assert isinstance(server, SteeringServer)  # noqa: S101 - nobody else makes one
         with suppress(ConnectionError):
             while line := self.rfile.readline(LONGEST + 1):
-                self.wfile.write(json.dumps(server.desk.ask(line), allow_nan=False).encode() + b"\n")
+                self.wfile.write(json.dumps(server.requests.ask(line), allow_nan=False).encode() + b"\n")
                 if len(line) > LONGEST:  # what follows is the rest of it
                     return
 
@@ -44,7 +44,7 @@ class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer)
     ----------
     folder : Path
         Folder of the run.
-    desk : Desk
+    requests : RequestQueue
         Who answers.
 
     Raises
@@ -56,8 +56,8 @@ class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer)
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, folder: Path, desk: Desk) -> None:
-        self.desk = desk
+    def __init__(self, folder: Path, requests: RequestQueue) -> None:
+        self.requests = requests
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         try:
             with short_path(folder) as place:

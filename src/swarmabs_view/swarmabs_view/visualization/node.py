@@ -5,20 +5,19 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import rclpy
 
 from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import agent_id_of
-from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.runner import Settings, SwarmNode
-from swarmabs_ros.start import initialise
+from swarmabs_ros.program import SwarmNode, run_program
+from swarmabs_ros.runner import Settings
 from swarmabs_view.listener import Listener
 from swarmabs_view.ports import ADDRESS
 from swarmabs_view.visualization.description import plane_urdf
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_core.swarm_state import SwarmState
+    from swarmabs_ros.status import StatusChannel
     from swarmabs_view.visualization.sinks import Sink
 
 RATE = 30.0
@@ -64,33 +64,24 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
     int
         Exit code: 0 fine, 1 failed, 2 a parameter or the Fast DDS profile was refused.
     """
-    try:
-        initialise("plane_markers", args)
-    except InputError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 2
-    node = SwarmNode("plane_markers")
-    sinks: list[Sink] = []
-    try:
+
+    def body(node: SwarmNode, _: StatusChannel) -> None:
         settings = Settings(declare(node, PARAMETERS), node.get_namespace())
         scenario = _scenario(settings)
         listener = Listener(node, len(scenario.agents))
-        if settings.flag("ros"):
-            sinks.append(RosSink(node))
-        if settings.integer("foxglove_port") >= 0:
-            served = FoxgloveSink(settings.integer("foxglove_port"), settings.namespace, listener.topics)
-            sinks.append(served)
-            sys.stderr.write(f"Foxglove finds the swarm at ws://{ADDRESS}:{served.port}\n")
-        show(scenario, listener, sinks, settings, wait or _until_signalled())
-    except (InputError, RunError) as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 2 if isinstance(error, InputError) else 1
-    finally:
-        for sink in sinks:
-            sink.close()
-        node.destroy_node()  # type: ignore[no-untyped-call]
-        rclpy.try_shutdown()
-    return 0
+        with ExitStack() as stack:
+            sinks: list[Sink] = []
+            if settings.flag("ros"):
+                sinks.append(RosSink(node))
+                stack.callback(sinks[-1].close)
+            if settings.integer("foxglove_port") >= 0:
+                served = FoxgloveSink(settings.integer("foxglove_port"), settings.namespace, listener.topics)
+                sinks.append(served)
+                stack.callback(served.close)
+                sys.stderr.write(f"Foxglove finds the swarm at ws://{ADDRESS}:{served.port}\n")
+            show(scenario, listener, sinks, settings, wait or _until_signalled())
+
+    return run_program("plane_markers", SwarmNode, body, args)
 
 
 def show(

@@ -39,7 +39,7 @@ class Decision(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class HelmConfig:
+class SteeringConfig:
     """Configuration of what steers a run.
 
     Parameters
@@ -68,13 +68,13 @@ class HelmConfig:
     largest_torque: float = 0.0
 
 
-class Helm:
+class SteeringController:
     """Orders one step ahead of the plane: with the plane's state of a step comes the order of the next.
 
     So every request gets a step that nobody has begun, as soon as possible, and each step has one order at most.
     """
 
-    def __init__(self, config: HelmConfig) -> None:
+    def __init__(self, config: SteeringConfig) -> None:
         self._config = config
         self._membership = Membership(config.members, config.schedule)
         self._settings = {Action.REFERENCE: Staircase(config.offsets), Action.DISTURBANCE: Staircase(config.torques)}
