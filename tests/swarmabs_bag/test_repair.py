@@ -333,6 +333,24 @@ def test_a_repaired_bag_keeps_its_topics_without_messages(foreign: Path, tmp_pat
     assert repair_bag(tmp_path / "new").output is None
 
 
+def test_topics_without_messages_outlive_the_summary_section_in_the_metadata(foreign: Path, tmp_path: Path) -> None:
+    """Of a file that has lost its end, ``metadata.yaml`` alone names them, here with QoS in the form of version 5."""
+    listed = foreign_metadata("foreign_0.mcap", {"/chatter": 100, "/silent": 0, "/lost": 3})
+    document = yaml.safe_load(listed)
+    entries = document["rosbag2_bagfile_information"]["topics_with_message_count"]
+    entries[1]["topic_metadata"]["offered_qos_profiles"] = "- {history: 1, depth: 7, reliability: 2, durability: 1}"
+    (foreign / "metadata.yaml").write_text(yaml.safe_dump(document))
+    os.truncate(foreign / "foreign_0.mcap", records(foreign / "foreign_0.mcap")[-12][1])
+    report = repair_bag(foreign, tmp_path / "new")
+    assert report.output is not None
+    assert topics_in(tmp_path / "new") == {"/chatter": report.messages, "/silent": 0}
+    new = yaml.safe_load((tmp_path / "new" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    silent = new["topics_with_message_count"][1]["topic_metadata"]
+    assert (silent["type"], silent["type_description_hash"]) == ("std_msgs/msg/String", "RIHS01_ab")
+    assert silent["offered_qos_profiles"][0]["depth"] == 7
+    assert repair_bag(tmp_path / "new").output is None
+
+
 def test_messages_outside_of_chunks_of_another_writer_get_indexes(tmp_path: Path) -> None:
     stream = BytesIO()
     writer = Writer(stream, use_chunking=False)

@@ -13,7 +13,7 @@ from mcap.records import Header
 from swarmabs_bag.channels import bag_channel
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, scan_index
-from swarmabs_bag.metadata import METADATA_FILE, TopicRecord, custom_texts, load_yaml, qos_profiles
+from swarmabs_bag.metadata import METADATA_FILE, TopicRecord, custom_texts, load_yaml, qos_profiles, topic_record
 from swarmabs_bag.places import SUFFIX, missing_files, split_files
 from swarmabs_bag.rebuild import OWN, Rebuilt
 from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
@@ -156,29 +156,46 @@ def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
     if not (folder / METADATA_FILE).exists():
         return f"{METADATA_FILE} is missing"
     try:
-        document = load_yaml(read_text(folder / METADATA_FILE, "description"))
+        stated = _stated(folder)
     except ScenarioError:
         return f"{METADATA_FILE} cannot be read"
-    stated = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None
-    if not isinstance(stated, dict):
+    if stated is None:
         return f"{METADATA_FILE} is not rosbag2's"
     counts = {topic.name: count for topic, count in topics_of(parts) if count}
+    listed = _listed(stated)
     right = (
         stated.get("relative_file_paths") == [part.name for part in parts]
         and stated.get("message_count") == sum(counts.values())
-        and _listed(stated) == counts
+        and listed is not None
+        and {topic.name: count for topic, count in listed if count} == counts
     )
     return None if right else f"{METADATA_FILE} does not agree with the files"
 
 
-def _listed(stated: dict[str, Any]) -> dict[str, int] | None:
-    """Return the topics with messages that ``metadata.yaml`` lists, None if that is no list of topics."""
-    listed = stated.get("topics_with_message_count")
+def silent_topics(folder: Path) -> list[TopicRecord]:
+    """Return the topics without messages of ``metadata.yaml``, the only place where a damaged bag may name them."""
     try:
-        return {
-            entry["topic_metadata"]["name"]: entry["message_count"] for entry in listed or () if entry["message_count"]
-        }
-    except (TypeError, KeyError):
+        stated = _stated(folder)
+    except ScenarioError:
+        return []
+    return [topic for topic, count in (stated and _listed(stated)) or () if count == 0]
+
+
+def _stated(folder: Path) -> dict[str, Any] | None:
+    """Return what ``metadata.yaml`` says, None if it is not rosbag2's; a `ScenarioError` if it cannot be read."""
+    document = load_yaml(read_text(folder / METADATA_FILE, "description"))
+    stated = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None
+    return stated if isinstance(stated, dict) else None
+
+
+def _listed(stated: dict[str, Any]) -> list[tuple[TopicRecord, Any]] | None:
+    """Return the topics that ``metadata.yaml`` lists with their numbers of messages, None if it has no such list."""
+    try:
+        return [
+            (topic_record(entry["topic_metadata"]), entry["message_count"])
+            for entry in stated.get("topics_with_message_count") or ()
+        ]
+    except (AttributeError, TypeError, KeyError):
         return None
 
 

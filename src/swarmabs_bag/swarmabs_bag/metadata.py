@@ -91,6 +91,18 @@ def qos_profiles(stated: object) -> tuple[dict[str, object], ...]:
     return tuple(_completed(profile) for profile in stated if isinstance(profile, dict))
 
 
+def topic_record(stated: Mapping[str, Any]) -> TopicRecord:
+    """Return a topic as ``metadata.yaml`` describes it, in whichever version; a `KeyError` if it has no name."""
+    profiles = stated.get("offered_qos_profiles")
+    return TopicRecord(
+        name=str(stated["name"]),
+        ros_type=str(stated.get("type", "")),
+        type_hash=str(stated.get("type_description_hash", "")),
+        profiles=qos_profiles(load_yaml(profiles) if isinstance(profiles, str) else profiles),
+        encoding=str(stated.get("serialization_format", "")),
+    )
+
+
 _NAMES: dict[str, tuple[str, ...]] = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
     "reliability": ("system_default", "reliable", "best_effort", "unknown"),

@@ -9,12 +9,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
-from swarmabs_bag.examination import Part, definitions_of, examine, metadata_problem, stops_early, topics_of
+from swarmabs_bag.examination import (
+    Part,
+    definitions_of,
+    examine,
+    metadata_problem,
+    silent_topics,
+    stops_early,
+    topics_of,
+)
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
     METADATA_FILE,
     REPAIRED_KEY,
     FileRecord,
+    TopicRecord,
     bag_metadata,
     dump_yaml,
     write_metadata,
@@ -86,7 +95,7 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
     if in_place:
         _refuse_earlier(parts, target)
     with _work_folder(target) as work:
-        _write(kept, work, unfinished=unfinished)
+        _write(kept, work, [] if folder is None else silent_topics(kept[0].path.parent), unfinished=unfinished)
         report = report_of(named, target, work, parts, problems)
         if in_place:
             _exchange(parts, work, found.parent if folder is None else folder, with_metadata=folder is not None)
@@ -179,8 +188,8 @@ def _work_folder(target: Path) -> Iterator[Path]:
                 parent.rmdir()
 
 
-def _write(parts: Sequence[Part], work: Path, *, unfinished: bool) -> None:
-    """Write the new files and ``metadata.yaml``."""
+def _write(parts: Sequence[Part], work: Path, silent: Sequence[TopicRecord], *, unfinished: bool) -> None:
+    """Write the new files and ``metadata.yaml``, which goes on listing what was silent."""
     custom: dict[str, str] = {}
     for part in parts:
         if part.problems:
@@ -194,7 +203,10 @@ def _write(parts: Sequence[Part], work: Path, *, unfinished: bool) -> None:
         else:
             shutil.copyfile(part.path, work / part.name)
         custom |= part.custom_data()
-    write_metadata(work, bag_metadata(topics_of(parts), files=_file_records(parts), custom_data=custom))
+    topics = topics_of(parts)
+    found = {topic.name for topic, _ in topics}
+    topics += [(topic, 0) for topic in silent if topic.name not in found]
+    write_metadata(work, bag_metadata(topics, files=_file_records(parts), custom_data=custom))
 
 
 def _rewritten(part: Part, path: Path, custom: Mapping[str, str], definitions: FileIndex | None) -> Rebuilt:
