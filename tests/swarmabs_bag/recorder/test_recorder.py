@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 
 from swarmabs_bag.recorder.node import CREDITS, Recorder
 from swarmabs_bag.recording import RecordedStep
-from swarmabs_config import configure
+from swarmabs_config.graph import RECORDING_STEPS
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
+from swarmabs_core import cdr
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, Message, PlaneState, RecordingProgress
+from swarmabs_core.record import Record
 from swarmabs_run.simulation import Simulation
 
 STEPS = 60
-CREDIT_EVERY = configure.RECORDING_STEPS // CREDITS
+CREDIT_EVERY = RECORDING_STEPS // CREDITS
 
 
 @dataclass
@@ -122,3 +126,28 @@ def test_its_own_messages_are_refused(scenario: Scenario) -> None:
     node, _, _ = recorder(scenario)
     with pytest.raises(UnexpectedMessageError):
         node.handle(RecordingProgress(0, 0, NEVER))
+
+
+def test_what_comes_from_the_wire_is_decoded_once_and_never_encoded(
+    scenario: Scenario, steps: list[RecordedStep], messages: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though padding may hold anything, and Fast DDS rounds the size up."""
+    node, tape, _ = recorder(scenario)
+    noise = bytes([0xA5])
+    sent = [(record.topic, record.payload) for record in map(Record.of, messages)]
+    calls: Counter[str] = Counter()
+
+    def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            calls[name] += 1
+            return function(*arguments)
+
+        return call
+
+    for name in ("decode", "encode"):
+        monkeypatch.setattr(f"swarmabs_core.record.{name}", counted(name, getattr(cdr, name)))
+        monkeypatch.setattr(cdr, name, counted(name, getattr(cdr, name)))
+    for topic, payload in sent:
+        node.hear(topic, payload[:2] + 2 * noise + payload[4:22] + 6 * noise + payload[28:] + 3 * noise)
+    assert calls == {"decode": len(messages)}
+    assert tape.steps == steps
