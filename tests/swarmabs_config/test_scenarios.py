@@ -11,6 +11,7 @@ import pytest
 from tests.processes import ROOT
 
 from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.scenarios import scenario_of
 from swarmabs_config.scenario import dump_scenario, load_scenario
 from swarmabs_config.scenarios import DEFAULT, builtin_scenarios, find_scenario
 from swarmabs_core.errors import InputError
@@ -70,9 +71,9 @@ def test_a_builtin_name_comes_before_a_folder_of_that_name(tmp_path: Path, monke
 def test_a_bag_brings_its_own_scenario(tmp_path: Path, way: str) -> None:
     scenario = find_scenario("pd_het_4", ["duration=0.1", "plane.angle=0.05"]).resolved()
     simulate_run(scenario, new_run_folder(tmp_path / "run"))
-    again = find_scenario(str(tmp_path / "run" / way))
+    again = scenario_of(str(tmp_path / "run" / way))
     assert dump_scenario(again) == dump_scenario(scenario)
-    assert find_scenario(str(tmp_path / "run" / way), ["duration=0.2"]).steps == 20
+    assert scenario_of(str(tmp_path / "run" / way), ["duration=0.2"]).steps == 20
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_what_is_not_there_is_refused_with_a_hint(named: str, words: str) -> Non
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="bag"):
-        find_scenario(str(tmp_path))
+        scenario_of(str(tmp_path))
 
 
 def test_scenarios_are_found_in_the_sources_where_nothing_is_installed() -> None:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import suppress
+import shutil
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_config.scenario import dump_scenario
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from swarmabs_config.scenario import Scenario
@@ -103,3 +104,26 @@ def next_run_folder(parent: Path, name: str) -> RunFolder:
             number += 1
     except OSError as error:
         raise InputError(f"cannot make a run's folder in {parent}: {error.strerror}; name one with -o") from error
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a folder to fill that becomes `folder` at the end of the block, and is removed if it fails."""
+    place = folder.absolute()
+    part = place.with_name(f".{place.name}.part")
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} is there already; name another with -o, or remove it")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part.mkdir()
+    except FileExistsError:
+        raise InputError(f"{part} is left of an export that was killed, or goes on; wait or remove it") from None
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made: {error.strerror}; name another with -o") from error
+    try:
+        yield part
+        part.replace(place)
+    except OSError as error:
+        raise RunError(f"cannot write {folder}: {error.strerror or error}; export to another disk with -o") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)

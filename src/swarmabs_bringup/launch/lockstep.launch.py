@@ -17,7 +17,8 @@ from launch_ros.actions import Node
 
 from launch import LaunchDescription
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
-from swarmabs_config.scenarios import DEFAULT, find_scenario
+from swarmabs_bag.scenarios import scenario_of
+from swarmabs_config.scenarios import DEFAULT
 from swarmabs_run.orchestration.plan import plan
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def executable(process: ProcessPlan) -> tuple[str, str]:
 def actions(context: Any) -> list[Any]:
     """Return a node for every process of the scenario that was asked for, and what there is to say about it."""
     asked = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    scenario = find_scenario(asked["scenario"])
+    scenario = scenario_of(asked["scenario"])
     warnings = [LogInfo(msg=f"warning: {text}") for text in scenario.warnings()]
     scenario = scenario.resolved()
     folder = new_run_folder(Path(asked["out"])) if asked["out"] else next_run_folder(Path("runs"), scenario.name)

@@ -39,8 +39,7 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     Parameters
     ----------
     named : str
-        A built-in scenario, a YAML file, or a bag (a run's folder, its ``bag/`` or an ``.mcap`` file), whose own
-        scenario is then taken.
+        A built-in scenario or a YAML file.
     overrides : sequence of str
         ``a.b=value`` each.
 
@@ -53,8 +52,6 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     if named in builtin:
         return load_scenario(builtin[named], overrides)
     path = Path(named)
-    if names_bag(named):
-        return _scenario_of_bag(path, overrides)
     if path.exists() or path.suffix in {".yaml", ".yml"} or os.sep in named:
         return load_scenario(path, overrides)
     close = difflib.get_close_matches(named, builtin, n=1)
@@ -63,13 +60,6 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
 
 
 def names_bag(named: str) -> bool:
-    """Say whether `find_scenario` takes what a user has named for a bag."""
+    """Tell whether what a user has named for a scenario is a bag, whose own scenario is meant."""
     path = Path(named)
     return named not in builtin_scenarios() and (path.suffix == ".mcap" or path.is_dir())
-
-
-def _scenario_of_bag(path: Path, overrides: Sequence[str]) -> Scenario:
-    from swarmabs_bag.attached import attached_scenario  # noqa: PLC0415
-    from swarmabs_bag.reader import open_bag  # noqa: PLC0415 - only needed for bags
-
-    return attached_scenario(open_bag(path, several=True), overrides)

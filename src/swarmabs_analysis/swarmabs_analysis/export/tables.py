@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import shutil
 from contextlib import ExitStack, contextmanager
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Protocol
@@ -12,7 +11,8 @@ from swarmabs_analysis.export.columns import TABLES, time_of
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_core.errors import InputError, RunError
+from swarmabs_bag.run_folder import new_folder
+from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -68,29 +68,6 @@ def export_tables(
             sinks[topic].add(rows[topic](message))
         _write_columns(part / COLUMNS_FILE)
     return tuple(sorted(folder.iterdir()))
-
-
-@contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder to fill that becomes `folder` at the end of the block, and is removed if it fails."""
-    place = folder.absolute()
-    part = place.with_name(f".{place.name}.part")
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder} is there already; name another with -o, or remove it")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        part.mkdir()
-    except FileExistsError:
-        raise InputError(f"{part} is left of an export that was killed, or goes on; wait or remove it") from None
-    except OSError as error:
-        raise InputError(f"{folder} cannot be made: {error.strerror}; name another with -o") from error
-    try:
-        yield part
-        part.replace(place)
-    except OSError as error:
-        raise RunError(f"cannot write {folder}: {error.strerror or error}; export to another disk with -o") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _row(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:

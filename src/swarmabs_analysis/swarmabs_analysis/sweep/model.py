@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from fractions import Fraction
 from math import prod
@@ -12,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
+from swarmabs_config.overrides import DottedPath
 from swarmabs_config.scenario.errors import describe, show
 from swarmabs_config.scenario.fields import (
     AsPair,
@@ -29,16 +29,6 @@ from swarmabs_config.scenario.versions import known_version
 from swarmabs_core.theory.attraction import ANGLE_MAX
 
 MOST_CASES = 1_000_000
-LONGEST_PATH = 80
-OWN = {
-    "schema": "it is the version of the file format",
-    "name": "the sweep has the name",
-    "seed": "every case has a seed of its own, drawn from the sweep's",
-}
-"""Keys of a scenario that cannot be swept, and why."""
-
-_PATH = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
-
 Result: TypeAlias = Literal[
     "settled_at",
     "final_error",
@@ -51,19 +41,6 @@ Result: TypeAlias = Literal[
     "in_corrected_estimate",
 ]
 RESULTS: tuple[Result, ...] = get_args(Result)
-
-
-def _check_path(path: str) -> str:
-    parts = path.split(".")
-    if parts[0] in OWN:
-        raise problem(f"{show(path)} cannot be swept: {OWN[parts[0]]}", "remove it")
-    if not _PATH.fullmatch(path) or len(path) > LONGEST_PATH:
-        raise problem(f"{show(path)} is no dotted path", "write e.g. plane.angle, elements of lists by index")
-    return path
-
-
-DottedPath: TypeAlias = Annotated[str, AfterValidator(_check_path)]
-"""A path into a scenario, as ``--set`` takes it."""
 
 
 class Range(Model):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
 from hashlib import sha256
@@ -10,14 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.sweep.model import Sweep
+from swarmabs_config.overrides import as_override, at_parameter, named_scenario
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import default_name, read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
-from swarmabs_config.scenarios import builtin_scenarios, find_scenario
+from swarmabs_config.scenarios import find_scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_config.scenario.yaml_tree import Node
@@ -126,18 +126,6 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     return study
 
 
-def as_override(path: str, value: object) -> str:
-    """Return the override that sets a value."""
-    return f"{path}={json.dumps(value, ensure_ascii=False)}"
-
-
-def named_scenario(scenario: str, folder: Path) -> str:
-    """Return what a file in a folder means by a scenario that it names: files are relative to it."""
-    if scenario in builtin_scenarios() or not (os.sep in scenario or Path(scenario).suffix):
-        return scenario
-    return str(folder / scenario)
-
-
 def _scenario_text(scenario: Scenario) -> str:
     data = scenario.model_dump(mode="json", by_alias=True)
     data["swarm"] = {key: value for key, value in data["swarm"].items() if value is not None}
@@ -159,19 +147,6 @@ def _invalidity(study: Study, index: int) -> ScenarioError | None:
     except ScenarioError as error:
         return error
     return None
-
-
-def at_parameter(error: ScenarioError, root: Node, parts: Mapping[str, Iterable[str]]) -> ScenarioError:
-    """Return the error of an override with the line of the file that the override comes from."""
-    for part, paths in parts.items():
-        for path in paths:
-            if error.source.startswith(f"--set {path}="):
-                mark, _ = root.locate((part, path))
-                given = error.source.removeprefix("--set ")
-                return ScenarioError(
-                    mark.source, f"{given}: {error.problem}", error.remedy, line=mark.line, field=error.field
-                )
-    return error
 
 
 def _hash(seed: int, index: int, purpose: str) -> int:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import click
 
+from swarmabs_bag.scenarios import scenario_of
 from swarmabs_cli.options import json_option, set_option
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario
-from swarmabs_config.scenarios import builtin_scenarios, find_scenario
+from swarmabs_config.scenarios import builtin_scenarios
 
 
 @click.group()
@@ -51,7 +52,7 @@ def list_scenarios(*, as_json: bool) -> None:
 @json_option
 def show(name: str, overrides: tuple[str, ...], *, as_json: bool) -> None:
     """Print a scenario with every default filled in and every robot listed."""
-    loaded = find_scenario(name, overrides).resolved()
+    loaded = scenario_of(name, overrides).resolved()
     print_warnings(loaded.warnings())
     if as_json:
         print_json(loaded.model_dump(mode="json", by_alias=True))

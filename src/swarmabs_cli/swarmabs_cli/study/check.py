@@ -8,9 +8,9 @@ import click
 from rich.console import Console
 
 from swarmabs_analysis.theory_table import render
+from swarmabs_bag.scenarios import scenario_of
 from swarmabs_cli.options import duration_option, json_option, scenario_argument, set_option
 from swarmabs_cli.output import print_json, print_warnings
-from swarmabs_config.scenarios import find_scenario
 from swarmabs_config.theory import check_scenario
 
 
@@ -37,7 +37,7 @@ def check(
     """
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
-    loaded = find_scenario(scenario, overrides)
+    loaded = scenario_of(scenario, overrides)
     print_warnings(loaded.warnings())
     report = check_scenario(loaded, angle_max)
     if as_json:

@@ -7,9 +7,9 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmabs_analysis.sweep.study import as_override, at_parameter, named_scenario
 from swarmabs_config.fleet.model import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
+from swarmabs_config.overrides import as_override, at_parameter, named_scenario
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from swarmabs_analysis.sweep.model import DottedPath
 from swarmabs_config.fleet import checks
 from swarmabs_config.fleet.names import Namespace
 from swarmabs_config.fleet.parts import (
@@ -23,6 +22,7 @@ from swarmabs_config.fleet.parts import (
     TunnelSecurity,
 )
 from swarmabs_config.fleet.robots import ROBOT_KINDS, Robot
+from swarmabs_config.overrides import DottedPath
 from swarmabs_config.scenario.errors import show
 from swarmabs_config.scenario.fields import AsTuple, Model, Positive, Tagged, problem, raise_findings
 from swarmabs_config.scenario.texts import Name

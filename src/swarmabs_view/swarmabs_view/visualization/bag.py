@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from rclpy.serialization import serialize_message
 
-from swarmabs_analysis.export.tables import new_folder
 from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_scenario
 from swarmabs_bag.definitions import check_definitions
 from swarmabs_bag.errors import DamagedBagError, NotABagError, UnknownTypeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_bag.run_folder import new_folder
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
