@@ -16,15 +16,26 @@ from swarmabs_bag.realtime import is_realtime, law_begins
 from swarmabs_config import configure
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.membership_timeline import MembershipTimeline
-from swarmabs_core.messages import AGENT_STATE, EVENTS, NEVER, PLANE_STATE, AgentState, Kind, Status, SwarmEvent
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    EVENTS,
+    NEVER,
+    PLANE_STATE,
+    AbstractState,
+    AgentState,
+    DesiredAbstractState,
+    Kind,
+    PlaneState,
+    Status,
+    SwarmEvent,
+)
 from swarmabs_core.swarm_state import (
     STATUS_NAMES,
     STATUSES,
-    Abstract,
     Instant,
     ShownRobot,
     TimedEvent,
-    finite,
+    instant_of,
     is_silent,
     shown_robot,
 )
@@ -109,17 +120,14 @@ class RecordedSwarm:
 
     def instant(self, row: int) -> Instant:
         """Return what is shown at a row of the arrays."""
-        arrays = self.arrays
-        abstract, desired = arrays.abstract, arrays.desired
-        return Instant(
-            int(arrays.step[row]),
-            round(float(arrays.time[row]) * 1e9),
-            float(arrays.time[row]),
-            _number(arrays.angle, row),
-            _number(arrays.angular_velocity, row),
-            _number(self.reference, row),
-            Abstract(_number(abstract.torque, row), _number(abstract.inertia, row)),
-            Abstract(_number(desired.torque, row), _number(desired.inertia, row)),
+        arrays, time = self.arrays, float(self.arrays.time[row])
+        stamp, step = round(time * 1e9), int(arrays.step[row])
+        return instant_of(
+            PlaneState(stamp, step, float(arrays.angle[row]), float(arrays.angular_velocity[row])),
+            AbstractState(stamp, step, *_fields(AbstractState, arrays.abstract, row)),
+            DesiredAbstractState(stamp, step, *_fields(DesiredAbstractState, arrays.desired, row)),
+            time=time,
+            reference=float(self.reference[row]),
         )
 
     def shown_robots(self, row: int) -> list[ShownRobot]:
@@ -305,5 +313,6 @@ def _finite(column: Any) -> Any:
         return np.where(np.abs(column) < _DRAWABLE, column, np.nan)
 
 
-def _number(values: Floats, row: int) -> float | None:
-    return finite(float(values[row]))
+def _fields(kind: type[AbstractState | DesiredAbstractState], columns: MessageArrays, row: int) -> list[Any]:
+    """Return the fields of a message behind stamp and step, at a row of its arrays."""
+    return [getattr(columns, name)[row].item() for name in kind._fields[2:]]

@@ -156,6 +156,37 @@ def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRo
     return ShownRobot(finite(state.position), finite(state.velocity), finite(state.command), status)
 
 
+def instant_of(
+    plane: PlaneState,
+    abstract: AbstractState | None,
+    desired: DesiredAbstractState | None,
+    *,
+    time: float,
+    reference: float | None,
+) -> Instant:
+    """Return what is shown of the whole swarm by the messages of a step.
+
+    Parameters
+    ----------
+    plane, abstract, desired : PlaneState, AbstractState, DesiredAbstractState
+        The messages; None for one that is not there.
+    time : float
+        Of the step, s.
+    reference : float, optional
+        The angle wanted, rad.
+    """
+    return Instant(
+        plane.step,
+        plane.stamp,
+        time,
+        finite(plane.angle),
+        finite(plane.angular_velocity),
+        None if reference is None else finite(reference),
+        _pair(abstract),
+        _pair(desired),
+    )
+
+
 class RobotHistory:
     """What robots have said, and who of them is in, dead or gone, by step.
 
@@ -373,16 +404,7 @@ class SwarmState:
         return self._instant(found.plane, found)
 
     def _instant(self, plane: PlaneState, found: _Step) -> Instant:
-        return Instant(
-            plane.step,
-            plane.stamp,
-            self._time(plane),
-            finite(plane.angle),
-            finite(plane.angular_velocity),
-            self._wanted(plane),
-            _pair(found.abstract),
-            _pair(found.desired),
-        )
+        return instant_of(plane, found.abstract, found.desired, time=self._time(plane), reference=self._wanted(plane))
 
     def _time(self, message: Message) -> float:
         """Return the time of a message's step, s; without a period by its stamp, of a clock since the first one."""
@@ -399,7 +421,7 @@ class SwarmState:
         begun = 0 if self._begun is None else self._begun.begun
         if begun > plane.step:
             return None
-        return finite(self._reference(self._time(plane._replace(step=plane.step - begun))))
+        return self._reference(self._time(plane._replace(step=plane.step - begun)))
 
 
 def _step_of(state: AgentState) -> int:

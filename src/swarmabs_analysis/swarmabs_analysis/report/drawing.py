@@ -1,0 +1,354 @@
+"""How the panels of a report are drawn: over time, of all robots, in the abstract space."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from matplotlib.patches import Patch
+
+from swarmabs_analysis.figures.responses import each_robot, kinds, robots_by_kind, same_limits, time_axis
+from swarmabs_analysis.figures.style import (
+    BLACK,
+    BLUE,
+    DASHED,
+    DOTTED,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+)
+from swarmabs_analysis.report.percentile_bands import density, draw_bands
+from swarmabs_core.messages import EventKind
+from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import FigureBase
+    from matplotlib.lines import Line2D
+    from numpy.typing import NDArray
+
+    from swarmabs_analysis.figures.runs import RecordedRun
+    from swarmabs_analysis.report.record import Recorded
+
+    Floats = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+    Draw = Callable[[FigureBase], None]
+    Dashes = str | tuple[int, tuple[int, float]]
+
+NAMED, MANY = 4, 20
+"""Most robots with a colour each, and with a line each."""
+ROWS = 40
+"""Most robots with a row each in the picture of the membership."""
+_DECADES = 30.0
+"""Ratio of the values from which on an axis is logarithmic."""
+_FEW_MARKS, _MOST_MARKS = 12, 200
+_FINE, _COARSE = 241, 21
+_EVENT_COLOURS: Mapping[int, str] = {
+    EventKind.DEAD: VERMILION,
+    EventKind.LEFT: ORANGE,
+    EventKind.JOINED: GREEN,
+    EventKind.SAFE_STOP: PURPLE,
+    EventKind.STALLED: VERMILION,
+}
+"""Colours of the events that say who takes part; the others are grey."""
+
+
+class Line(NamedTuple):
+    """A line over time: its name, its values at all steps or at some rows, how it looks."""
+
+    label: str
+    values: Floats
+    colour: str
+    dashes: Dashes = "-"
+    rows: NDArray[np.int64] | None = None
+
+
+class Mark(NamedTuple):
+    """A straight line across a panel: its name, where it is, how it looks."""
+
+    label: str
+    place: float
+    colour: str
+    dashes: Dashes
+
+    def look(self) -> dict[str, Any]:
+        """Return how it is drawn."""
+        return {"color": self.colour, "linestyle": self.dashes, "linewidth": 0.9, "label": self.label}
+
+
+def lines_over_time(
+    recorded: Recorded,
+    label: str,
+    lines: Sequence[Line],
+    *,
+    level: Mark | None = None,
+    moment: Mark | None = None,
+    positive: bool = False,
+) -> Draw:
+    """Return what draws lines over time.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        The run.
+    label : str
+        Of the vertical axis, with the unit.
+    lines : sequence of Line
+        What to draw.
+    level, moment : Mark, optional
+        A value, and a time (s), to mark.
+    positive : bool
+        Whether only values above 0 are drawn, by decades if they ask for it.
+    """
+
+    def draw(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        for line in lines:
+            time = recorded.arrays.time if line.rows is None else recorded.arrays.time[line.rows]
+            values = np.where(line.values > 0, line.values, np.nan) if positive else line.values
+            axes.plot(time, values, color=line.colour, linestyle=line.dashes, label=line.label)
+        if level is not None:
+            axes.axhline(level.place, **level.look())
+        if moment is not None:
+            axes.axvline(moment.place, **moment.look())
+        axes.set_ylabel(label)
+        if positive:
+            _by_decades(axes, np.concatenate([line.values for line in lines]))
+        finish(axes, recorded, axes.lines)
+
+    return draw
+
+
+def pair_over_time(recorded: Recorded, draw_pair: Callable[[Axes, RecordedRun], tuple[Axes, Axes]]) -> Draw:
+    """Return what draws two quantities with an axis each, as a figure of the paper has them."""
+
+    def draw(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        pair = draw_pair(axes, recorded.run)
+        same_limits([pair])
+        finish(axes, recorded, [line for one in pair for line in one.lines])
+
+    return draw
+
+
+def of_all_robots(recorded: Recorded, values: Floats, symbol: str, label: str, *, end: float | None = None) -> Draw:
+    """Return what draws a quantity of all robots over time, shape (n+1, N), in the way that suits their number.
+
+    With `end`, the lines at plus and minus this value are drawn if robots come near to them.
+    """
+
+    def draw(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        time_axis(axes, float(recorded.arrays.time[-1]))
+        legend = _robots(axes, recorded, values, symbol)
+        for line in list(axes.lines):
+            if np.isnan(np.asarray(line.get_ydata(), dtype=float)).all():
+                line.remove()
+        axes.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.5)
+        axes.set_ylabel(label)
+        finish(axes, recorded, legend)
+        if end is not None and np.nanmax(np.abs(values), initial=0.0) > 0.6 * end:
+            for side in (-end, end):
+                axes.axhline(side, color=BLACK, linewidth=0.9, linestyle=DOTTED)
+
+    return draw
+
+
+def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequence[Line2D | Patch]:
+    """Draw a quantity of all robots, and return what stands for them in a legend."""
+    count = len(recorded.arrays.agents.ids)
+    if count <= NAMED:
+        each_robot(axes, recorded.run, values, symbol)
+        return axes.lines
+    if count <= MANY:
+        robots_by_kind(axes, recorded.run, values)
+        drawn = {line.get_color() for line in axes.lines if np.isfinite(np.asarray(line.get_ydata(), float)).any()}
+        return [one for one in kinds(recorded.run) if one.get_color() in drawn]
+    return draw_bands(axes, recorded, values)
+
+
+def mass_density(recorded: Recorded) -> Draw:
+    """Return what draws where the mass of the robots is."""
+
+    def draw(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        time_axis(axes, float(recorded.arrays.time[-1]))
+        bar = density(axes, recorded)
+        figure.colorbar(bar, ax=axes, label="kg per mm", pad=0.01)
+        axes.set_ylabel("position p, m")
+        finish(axes, recorded, [])
+
+    return draw
+
+
+def grid_over_time(recorded: Recorded, quantities: Mapping[str, tuple[Floats, str]]) -> Draw:
+    """Return what draws eight quantities, by name with values and unit, in a grid."""
+
+    def draw(figure: FigureBase) -> None:
+        grid = figure.subplots(4, 2, sharex=True)
+        for axes, (name, (values, unit)) in zip(grid.flat, quantities.items(), strict=True):
+            axes.plot(recorded.arrays.time, values, color=BLUE)
+            axes.set_ylabel(f"{name}, {unit}")
+            time_axis(axes, float(recorded.arrays.time[-1]))
+        for axes in grid[-1]:
+            axes.set_xlabel("time, s")
+
+    return draw
+
+
+def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw:
+    """Return what draws which robots have which status, given by name with flags (n+1, N) and colour.
+
+    Few robots have a row each; of many their numbers are drawn.
+    """
+    time, agents = recorded.arrays.time, recorded.arrays.agents
+
+    def rows(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        ends = np.append(time[1:], time[-1])
+        for flags, colour in looks.values():
+            for column in range(len(agents.ids)):
+                edges = np.flatnonzero(np.diff(flags[:, column].astype(int), prepend=0, append=0))
+                for begin, end in zip(edges[::2], edges[1::2], strict=True):
+                    axes.fill_between(
+                        [time[begin], ends[end - 1]], column - 0.35, column + 0.35, color=colour, linewidth=0.0
+                    )
+        axes.set_yticks(range(len(agents.ids)), [str(number) for number in agents.ids.tolist()])
+        axes.set_ylim(len(agents.ids) - 0.4, -0.6)
+        axes.set_ylabel("robot")
+        finish(
+            axes, recorded, [Patch(color=colour, label=name) for name, (flags, colour) in looks.items() if flags.any()]
+        )
+
+    def counts(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        for (name, (flags, colour)), dashes in zip(looks.items(), ("-", DASHED, DOTTED), strict=True):
+            axes.step(time, flags.sum(axis=1), where="post", color=colour, linestyle=dashes, label=name)
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("robots")
+        finish(axes, recorded, axes.lines)
+
+    return rows if len(agents.ids) <= ROWS else counts
+
+
+def abstract_space(recorded: Recorded, masses: Sequence[float]) -> Draw:
+    """Return what draws the path of the abstract state with the manifold and the constraint sets around it."""
+    return lambda figure: _space(figure.add_subplot(), recorded, masses)
+
+
+def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
+    arrays, plane, manifold = recorded.arrays, recorded.scenario.plane, recorded.scenario.manifold
+    states = (arrays.abstract, arrays.desired)
+    torques = np.concatenate([state.torque for state in states])
+    inertias = np.concatenate([state.inertia for state in states])
+    reach = max(1.25 * float(np.nanmax(np.abs(torques), initial=0.0)), 0.1 * manifold.torque_max)
+    high = 1.25 * max(float(np.nanmax(inertias, initial=0.0)), manifold.inertia(min(reach, manifold.torque_max)))
+    boundary = 1.15 * largest_admissible_inertia(0.0, masses, plane.length, plane.gravity)
+    high = boundary if high < boundary < 4.0 * high else high
+    torque = np.linspace(-reach, reach, _FINE)
+    least = np.array([smallest_inertia(t, masses, plane.gravity) for t in torque.tolist()])
+    inner = np.array([largest_admissible_inertia(t, masses, plane.length, plane.gravity) for t in torque.tolist()])
+    inner = np.clip(inner, least, 2.0 * high)
+    axes.fill_between(torque, least, inner, color=SKY, alpha=0.35, linewidth=0.0, label="A_A")
+    if (inner < high).any():
+        # Even in the torque, and slow to compute for many different masses.
+        sides = np.linspace(0.0, reach, _COARSE)
+        highest = [largest_inertia(t, masses, plane.length, plane.gravity).lower for t in sides.tolist()]
+        outer = np.interp(np.abs(torque), sides, np.clip(highest, 0.0, 2.0 * high))
+        axes.fill_between(
+            torque, inner, outer, color=ORANGE, alpha=0.25, linewidth=0.0, label="A_P", where=outer > inner
+        )
+    on_manifold = np.clip(torque, -manifold.torque_max, manifold.torque_max)
+    axes.plot(
+        on_manifold,
+        [manifold.inertia(t) for t in on_manifold.tolist()],
+        color=GREEN,
+        linewidth=1.8,
+        label="manifold",
+    )
+    axes.plot(arrays.abstract.torque, arrays.abstract.inertia, color=BLUE, linewidth=0.9, label="actual")
+    axes.plot(
+        arrays.desired.torque,
+        arrays.desired.inertia,
+        color=BLACK,
+        linestyle=DOTTED,
+        linewidth=1.3,
+        label="desired",
+    )
+    for row, marker, name in ((0, "o", "start"), (-1, "s", "end")):
+        axes.plot(
+            arrays.abstract.torque[row],
+            arrays.abstract.inertia[row],
+            linestyle="none",
+            marker=marker,
+            markersize=4.5,
+            color=VERMILION,
+            label=name,
+        )
+    axes.set(xlabel="torque τ, N m", ylabel="inertia J, kg m²", xlim=(-reach, reach), ylim=(0.0, high))
+    axes.grid(visible=True)
+    _legend(axes, axes.get_legend_handles_labels()[0])
+
+
+def finish(axes: Axes, recorded: Recorded, named: Sequence[Line2D | Patch]) -> None:
+    """Give a panel over time its axis, its legend and the marks of the events."""
+    time_axis(axes, float(recorded.arrays.time[-1]))
+    axes.set_xlabel("time, s")
+    _legend(axes, [one for one in named if not str(one.get_label()).startswith("_")])
+    _mark_events(axes, recorded)
+
+
+def _by_decades(axes: Axes, values: Floats) -> None:
+    """Make the vertical axis logarithmic where the values ask for it."""
+    positive: Floats = values[np.isfinite(values) & (values > 0)]
+    if len(positive) and float(np.max(positive)) > _DECADES * float(np.min(positive)):
+        axes.set_yscale("log")
+
+
+def _legend(axes: Axes, named: Sequence[object]) -> None:
+    if named:
+        axes.legend(
+            handles=named,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=min(len(named), 4),
+            borderaxespad=0.2,
+        )
+
+
+def _mark_events(axes: Axes, recorded: Recorded) -> None:
+    """Mark events at the upper edge: by triangles who takes part, few of them through the panel too; else by dashes."""
+    end = float(recorded.arrays.time[-1])
+    edge = axes.get_xaxis_transform()
+    times: dict[str, set[float]] = defaultdict(set)
+    for event in recorded.swarm.events:
+        if 0.0 <= recorded.swarm.time_of(event) <= end:
+            times[_EVENT_COLOURS.get(event.kind, GREY)].add(recorded.swarm.time_of(event))
+    few = sum(len(found) for colour, found in times.items() if colour != GREY) <= _FEW_MARKS
+    scale = axes.xaxis.get_transform()
+    first, last = scale.transform(np.array([0.0, end]))
+    for colour, found in sorted(times.items()):
+        marked = colour != GREY
+        every = np.array(sorted(found))
+        places = np.floor(_MOST_MARKS * (scale.transform(every) - first) / (last - first))
+        every = every[np.unique(places, return_index=True)[1]]
+        axes.plot(
+            every,
+            np.ones(len(every)),
+            transform=edge,
+            linestyle="none",
+            marker="v" if marked else "|",
+            markersize=4.5 if marked else 3.5,
+            markeredgewidth=0.4,
+            color=colour,
+            clip_on=False,
+            zorder=5.0 if marked else 4.0,
+        )
+        for time in sorted(found) if marked and few else ():
+            axes.axvline(time, color=colour, linewidth=0.7, linestyle=DOTTED, zorder=0.6)
