@@ -91,3 +91,14 @@ def test_a_file_of_all_users_stays_where_processes_cannot_be_examined(
     assert shared.exists()
     assert not own.exists()
     assert not new.exists(), "nobody else can have had the time to use it"
+
+
+def test_whoever_started_a_process_removes_them_as_long_as_he_lives(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with tracing_files_removed(if_orphaned=True):
+        path = made(folder)
+    assert path.exists()
+    with tracing_files_removed(if_orphaned=True):
+        monkeypatch.setattr(tracing_files.os, "getppid", lambda: 1)
+    assert not path.exists()

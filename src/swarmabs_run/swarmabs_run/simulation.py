@@ -9,20 +9,21 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
+from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_core.arrays import RunArrays, run_arrays, table
 from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import with_ends
 from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, TOPIC_OF
 from swarmabs_core.publishers import NodeKind, NodeName
 from swarmabs_core.record import Record
+from swarmabs_run.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
     from os import PathLike
 
     from swarmabs_bag.recording import RecordedStep, Step
-    from swarmabs_config.scenario import Scenario
-    from swarmabs_core.arrays import RunArrays
     from swarmabs_core.behaviours import AgentConfig, Behaviour
     from swarmabs_core.membership import Change
     from swarmabs_core.messages import Message, Messages, Topic
@@ -134,9 +135,6 @@ def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     RunError
         If the run fails, such as by a plane that turns over.
     """
-    # Nodes import this package too, and need no numpy.
-    from swarmabs_run.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable  # noqa: PLC0415
-
     done = 0
     if vectorisable(scenario):
         try:
@@ -176,10 +174,6 @@ def simulate(scenario: Scenario | str | PathLike[str]) -> RunArrays:
     >>> run = simulate("my_scenario.yaml")  # doctest: +SKIP
     >>> run.angle[-1]  # doctest: +SKIP
     """
-    # Robots import this package too, and need neither numpy nor pydantic.
-    from swarmabs_config.scenario import Scenario, load_scenario  # noqa: PLC0415
-    from swarmabs_core.arrays import run_arrays, table  # noqa: PLC0415
-
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}

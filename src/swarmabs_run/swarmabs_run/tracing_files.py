@@ -15,17 +15,22 @@ _PATTERN = "lttng-ust-wait-*"
 
 
 @contextmanager
-def tracing_files_removed() -> Iterator[None]:
+def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
     """Remove at the end of the block this user's files that no other process has mapped.
 
-    They wake processes when a tracing session starts; without them a process is merely not traced. A process maps
+    The files wake processes when a tracing session starts; without them a process is merely not traced. A process maps
     them when it loads rclpy and keeps them mapped, so a file that is mapped is in use and one that is not is left over.
+
+    Parameters
+    ----------
+    if_orphaned : bool
+        Whether to leave that to the process that started this one, as long as it lives.
     """
-    before = _files()
+    before, parent = _files(), os.getppid()
     try:
         yield
     finally:
-        left = _files()
+        left = set() if if_orphaned and os.getppid() == parent else _files()
         if left:
             mapped, hidden = _mapped_by_others()
             for path in left - mapped:

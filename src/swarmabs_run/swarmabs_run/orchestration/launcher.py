@@ -20,16 +20,17 @@ import traceback
 import warnings
 from typing import Any, NoReturn
 
+from swarmabs_config.graph import CONTROLLER, NODES, OBSERVER, PLANE, ROBOT, Driver
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import TOPICS
+from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
 from swarmabs_run.parent_death import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
 
-PACKAGES = ("plane_sim", "abstraction_observer", "parent_controller", "agent_node")
 _PR_SET_NAME = 15
 
 
@@ -133,12 +134,11 @@ def main() -> int:
     """Import everything once, then serve."""
     # The ROS tracing library keeps two idle listeners of its own, which a fork may leave behind.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
-    with tracing_files_removed():
-        from swarmabs_ros.endpoints import ros_type  # noqa: PLC0415 - imports rclpy, whose tracing makes the files
-
-        controller, law, *options = sys.argv[1:]
-        for package in PACKAGES:
-            importlib.import_module(f"{package}.{'realtime' if REALTIME in options else 'node'}")
+    controller, law, *options = sys.argv[1:]
+    driver = Driver.REALTIME if REALTIME in options else Driver.LOCKSTEP
+    with tracing_files_removed(if_orphaned=True):
+        for node in (PLANE, OBSERVER, CONTROLLER, ROBOT):
+            importlib.import_module(NODES[node].modules[driver])
         CONTROLLERS.find(controller)  # what a package brings is looked for once, and not in every node
         LAWS.find(law)
         for topic in TOPICS:

@@ -149,14 +149,7 @@ def plan(
         CONTROLLER: obeying
         | values_of(configure.controller_config(scenario, recording_window=window))
         | {"packed": packed},
-        RECORDER: obeying
-        | {
-            "scenario_file": str(scenario_file),
-            "bag": str(bag or ""),
-            "max_bag_size": split.bytes,
-            "max_bag_duration_ns": split.nanoseconds,
-            "logs": str(logs),
-        },
+        RECORDER: obeying | recorder_parameters(scenario_file, bag, logs, split),
     }
     if steered:  # its socket lies beside the scenario, in the folder of the run
         place = {"scenario_file": str(scenario_file), "folder": str(scenario_file.parent)}
@@ -167,6 +160,17 @@ def plan(
     ]
     expect_counterparts(processes)
     return tuple(processes)
+
+
+def recorder_parameters(scenario_file: Path, bag: Path | None, logs: Path, split: Split) -> dict[str, object]:
+    """Return what a recorder is told of its files, whatever makes the steps."""
+    return {
+        "scenario_file": str(scenario_file),
+        "bag": str(bag or ""),
+        "max_bag_size": split.bytes,
+        "max_bag_duration_ns": split.nanoseconds,
+        "logs": str(logs),
+    }
 
 
 def coordinator(node: str, driver: Driver, parameters: dict[str, object], scenario: Scenario) -> ProcessPlan:

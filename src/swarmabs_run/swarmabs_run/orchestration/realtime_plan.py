@@ -19,10 +19,7 @@ from swarmabs_config.graph import (
     endpoints,
 )
 from swarmabs_core.declaration import values_of
-from swarmabs_run.orchestration.plan import (
-    ProcessPlan,
-    coordinator,
-)
+from swarmabs_run.orchestration.plan import ProcessPlan, coordinator, recorder_parameters
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,16 +52,8 @@ def realtime_plan(
         PLANE: _told(realtime.plane_config(scenario, schedule)),
         OBSERVER: _told(realtime.observer_config(scenario, schedule)),
         CONTROLLER: _told(realtime.controller_config(scenario, schedule)),
-        RECORDER: {
-            "period_ns": scenario.step_ns,
-            "await_epoch": True,
-            "last_step": scenario.steps,
-            "scenario_file": str(scenario_file),
-            "bag": str(bag or ""),
-            "max_bag_size": split.bytes,
-            "max_bag_duration_ns": split.nanoseconds,
-            "logs": str(logs),
-        },
+        RECORDER: {"period_ns": scenario.step_ns, "await_epoch": True, "last_step": scenario.steps}
+        | recorder_parameters(scenario_file, bag, logs, split),
     }
     robot = endpoints(ROBOT, REALTIME)
     return (
