@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, copysign, cos, inf, isfinite, sin, tanh
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.declaration import part, setting
 from swarmabs_core.errors import RunError
@@ -21,7 +21,7 @@ from swarmabs_core.sensing import PlaneSensor
 from swarmabs_core.summation import exact_sum, term_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
 STEEPEST = 1.5
 """Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
@@ -111,20 +111,25 @@ def cubic_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, 
     return mc, md, 2.0 * ma * c, 2.0 * (ma * d + mb * c), mc * c + 2.0 * mb * d, 2.0 * mc * d, md * d
 
 
-def summed_load(linear: Iterable[Iterable[float]], cubic: Iterable[Iterable[float]], gravity: float) -> SwarmLoad:
+def summed_load(
+    linear: Iterable[Any], cubic: Iterable[Any], gravity: float, numbers: Callable[[Any], Iterable[float]] = iter
+) -> SwarmLoad:
     """Sum columns of `linear_terms` of all paths, and of `cubic_terms` of those that are not straight.
 
     Parameters
     ----------
-    linear, cubic : iterable of iterable of float
+    linear, cubic : iterable of columns
         A column for each term.
     gravity : float
         m/s^2.
+    numbers : callable
+        Gives the numbers of a column.
     """
     t0, t1, j0, j1, j2 = linear
-    t2, t3, j2_cubic, j3, j4, j5, j6 = cubic
-    x0, x1, x2, x3 = (gravity * exact_sum(terms) for terms in (t0, t1, t2, t3))
-    y0, y1, y2, y3, y4, y5, y6 = map(exact_sum, (j0, j1, (*j2, *j2_cubic), j3, j4, j5, j6))
+    t2, t3, j2_cubic, *higher = cubic
+    x0, x1, x2, x3 = [gravity * exact_sum(numbers(column)) for column in (t0, t1, t2, t3)]
+    y0, y1, y3, y4, y5, y6 = [exact_sum(numbers(column)) for column in (j0, j1, *higher)]
+    y2 = exact_sum([*numbers(j2), *numbers(j2_cubic)])
     return SwarmLoad((x0, x1, x2, x3), (y0, y1, y2, y3, y4, y5, y6))
 
 

@@ -6,7 +6,7 @@ gives the same bits for all of them at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import starmap
 from math import fsum, nan
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -19,7 +19,7 @@ Columns: TypeAlias = "tuple[NDArray[np.float64], ...]"
 """Robots as arrays, one for each of their numbers."""
 Terms: TypeAlias = Callable[..., tuple[Any, ...]]
 """The numbers of a robot in, its terms of several sums out; without any numbers, those of no robot."""
-Sums: TypeAlias = Callable[[Iterable[Any], Terms], Iterable[float]]
+Sums: TypeAlias = Callable[[Iterable[Any], Terms], list[float]]
 """Robots and their terms in, the sums out: `robot_sums`, or `column_sums` where the robots are columns."""
 
 
@@ -31,16 +31,16 @@ def exact_sum(terms: Iterable[float]) -> float:
         return nan
 
 
-def term_columns(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[tuple[float, ...]]:
+def term_columns(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[Sequence[float]]:
     """Return for each sum the terms of all robots."""
     return zip(*(list(starmap(terms, robots)) or [terms()]), strict=True)
 
 
-def robot_sums(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[float]:
+def robot_sums(robots: Iterable[Iterable[float]], terms: Terms) -> list[float]:
     """Return the sums over robots that are tuples of numbers."""
-    return map(exact_sum, term_columns(robots, terms))
+    return [exact_sum(column) for column in term_columns(robots, terms)]
 
 
-def column_sums(robots: Iterable[Any], terms: Terms) -> Iterable[float]:
+def column_sums(robots: Iterable[Any], terms: Terms) -> list[float]:
     """Return the sums over robots whose numbers are columns, each an array of numpy."""
-    return map(exact_sum, [column.tolist() for column in terms(*robots)])
+    return [exact_sum(column.tolist()) for column in terms(*robots)]

@@ -205,8 +205,7 @@ class _Swarm:
         curves = path(m[di], (p0[di], v0[di]), (self.position[di], self.velocity[di]), self.period)
         rise = self.position - p0
         rise[di] = curves.c1
-        linear, cubic = terms[0](m, p0, rise), terms[1](*curves)
-        return summed_load((t.tolist() for t in linear), (t.tolist() for t in cubic), self.gravity)
+        return summed_load(terms[0](m, p0, rise), terms[1](*curves), self.gravity, np.ndarray.tolist)
 
 
 class VectorSimulation:
