@@ -20,7 +20,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 FILES = {"region.png", "region.svg", "results.parquet", "scenario.yaml", "summary.json", "sweep.yaml"}
 CASES = 36
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = pytest.mark.timeout(120)
 
 
 @pytest.fixture

@@ -7,14 +7,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import swarmabs_bag
+import swarmabs_config
 import swarmabs_core
+import swarmabs_run
 from swarmabs_core.fingerprint import libm_fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_SOURCES = {"swarmabs_core": Path(swarmabs_core.__file__).parent, "sweep": Path(__file__).parent}
-"""What a case's results depend on: all mathematics, and how cases are evaluated."""
+_PACKAGES = (swarmabs_core, swarmabs_config, swarmabs_bag, swarmabs_run)
+_SOURCES = {package.__name__: Path(package.__path__[0]) for package in _PACKAGES} | {"sweep": Path(__file__).parent}
+"""What a case's results depend on: mathematics, scenarios, simulation, figures, and how cases are evaluated."""
 
 
 class Identity(NamedTuple):

@@ -8,8 +8,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.sweep.engine import Common, Task
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
+from swarmabs_analysis.sweep.executor import Common, Task
 from swarmabs_analysis.sweep.picture import pictures
 from swarmabs_analysis.sweep.table import parquet
 from swarmabs_core.errors import RunError
@@ -18,7 +18,7 @@ from swarmabs_run.interruption import terminable
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_analysis.sweep.engine import Engine
+    from swarmabs_analysis.sweep.executor import Executor
     from swarmabs_analysis.sweep.folder import SweepFolder
     from swarmabs_analysis.sweep.study import Study
 
@@ -33,7 +33,7 @@ class SweepProgress:
 
 
 def run_sweep(
-    study: Study, folder: SweepFolder, engine: Engine, on_progress: Callable[[SweepProgress], None]
+    study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[SweepProgress], None]
 ) -> dict[str, Any]:
     """Compute the cases that are not finished yet, and write table, pictures and summary.
 
@@ -43,7 +43,7 @@ def run_sweep(
         The sweep.
     folder : SweepFolder
         Its folder, taken.
-    engine : Engine
+    executor : Executor
         What computes the cases.
     on_progress : callable
         Told how far the sweep is, after each case and now and then.
@@ -59,7 +59,7 @@ def run_sweep(
     status, reason, computing = "ok", None, None
     try:
         with terminable():
-            _compute(study, folder, engine, on_progress)
+            _compute(study, folder, executor, on_progress)
             computing = time.monotonic() - begun
             folder.write_whole(folder.results, parquet(study, folder.rows))
             for name, content in pictures(study, folder.rows).items():
@@ -69,7 +69,7 @@ def run_sweep(
     except KeyboardInterrupt:
         status, reason = "interrupted", "interrupted; go on with --resume"
     finally:
-        engine.close()
+        executor.close()
     folder.read()  # an interrupt comes at any moment, such as between writing a row and counting it
     wall_time = time.monotonic() - begun
     computed = len(folder.rows) - before
@@ -79,7 +79,7 @@ def run_sweep(
         "cases": study.sweep.count,
         "finished": len(folder.rows),
         "outcomes": {name: outcomes[name] for name in OUTCOMES},
-        "engine": engine.description,
+        "engine": executor.description,
         "wall_time": round(wall_time, 3),
         "computed": computed,
         "cases_per_second": round(computed / (computing or wall_time), 3) if computed else None,
@@ -92,14 +92,16 @@ def run_sweep(
     return summary
 
 
-def _compute(study: Study, folder: SweepFolder, engine: Engine, on_progress: Callable[[SweepProgress], None]) -> None:
+def _compute(
+    study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[SweepProgress], None]
+) -> None:
     progress = SweepProgress(study.sweep.count, len(folder.rows), _outcomes(folder))
     on_progress(progress)
     if progress.done == progress.cases:
         return
     tasks = (Task(case.index, case.overrides()) for case in study.cases() if case.index not in folder.rows)
     common = Common(study.scenario, study.sweep.attraction.angle_max)
-    for line in engine.compute(common, tasks, lambda: on_progress(progress)):
+    for line in executor.compute(common, tasks, lambda: on_progress(progress)):
         row = folder.add(line)
         progress.done += 1
         progress.outcomes[row["outcome"]] += 1

@@ -17,11 +17,9 @@ from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
 
 try:
-    from swarmabs_analysis.sweep.engine import Engine
+    from swarmabs_analysis.sweep.executor import Executor, LocalExecutor, SchedulerExecutor
     from swarmabs_analysis.sweep.folder import find_folder, make_folder
-    from swarmabs_analysis.sweep.local import LocalEngine
     from swarmabs_analysis.sweep.run import SweepProgress, run_sweep
-    from swarmabs_analysis.sweep.scheduler import SchedulerEngine
     from swarmabs_analysis.sweep.study import load_sweep
 except ModuleNotFoundError as missing:
     raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
@@ -58,16 +56,16 @@ def sweep(
     if jobs is not None and scheduler is not None:
         raise click.UsageError("--jobs is for this machine; a scheduler has workers of its own")
     study = load_sweep(file, overrides)
-    engine = _engine(jobs, scheduler)
+    executor = _executor(jobs, scheduler)
     try:
         begun = resume and output is not None and output.exists() and any(output.iterdir())
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
         summary = folder.complete()
         if summary is None:
             with folder, _shown(study.sweep.name) as show:
-                summary = run_sweep(study, folder, engine, show)
+                summary = run_sweep(study, folder, executor, show)
     finally:
-        engine.close()
+        executor.close()
     if as_json:
         print_json(summary)
     else:
@@ -79,15 +77,15 @@ def sweep(
     return 0 if summary["status"] == "ok" else 1
 
 
-def _engine(jobs: int | None, scheduler: str | None) -> Engine:
+def _executor(jobs: int | None, scheduler: str | None) -> Executor:
     """Return what the user has asked to compute with."""
     if scheduler is None:
-        return LocalEngine(jobs)
-    engine = SchedulerEngine(scheduler)
-    if engine.differing:
-        workers = ", ".join(engine.differing)
+        return LocalExecutor(jobs)
+    executor = SchedulerExecutor(scheduler)
+    if executor.differing:
+        workers = ", ".join(executor.differing)
         click.echo(f"warning: other mathematical library on {workers}: digests differ from those made here", err=True)
-    return engine
+    return executor
 
 
 @contextmanager
