@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_core.messages import EventKind, Kind
-from swarmabs_core.swarm_state import finite
-from swarmabs_view.protocol import Abstract, Curves, Event, Frame, Robot, RobotStates
+from swarmabs_core.swarm_state import Abstract, Instant, finite
+from swarmabs_view.protocol import Curves, Event, Frame, Robot, RobotStates
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from swarmabs_core import swarm_state
-    from swarmabs_core.swarm_state import Instant, RobotIdentity, ShownRobot, TimedEvent
+    from swarmabs_core.swarm_state import RobotIdentity, ShownRobot, TimedEvent
 
+_SHARED = tuple(name for name in Instant._fields if name in Frame.model_fields)
+"""What a frame has of an instant, by the same names: all but its stamp."""
 _KINDS = {kind.value: kind.name for kind in EventKind}
 
 
@@ -30,13 +31,6 @@ def frame_of(instant: Instant, robots: Sequence[ShownRobot], step_rate: float | 
         Steps per second of wall time.
     """
     return Frame(
-        step=instant.step,
-        time=instant.time,
-        angle=instant.angle,
-        angular_velocity=instant.angular_velocity,
-        reference=instant.reference,
-        abstract=_abstract(instant.abstract),
-        desired=_abstract(instant.desired),
         robots=RobotStates(
             position=[robot.position for robot in robots],
             velocity=[robot.velocity for robot in robots],
@@ -44,6 +38,7 @@ def frame_of(instant: Instant, robots: Sequence[ShownRobot], step_rate: float | 
             status=[robot.status for robot in robots],
         ),
         step_rate=step_rate,
+        **{name: _plain(getattr(instant, name)) for name in _SHARED},
     )
 
 
@@ -90,5 +85,6 @@ def robots_of(identities: Iterable[RobotIdentity]) -> list[Robot]:
     ]
 
 
-def _abstract(state: swarm_state.Abstract) -> Abstract:
-    return Abstract(torque=state.torque, inertia=state.inertia)
+def _plain(value: Any) -> Any:
+    """Return an abstract state by the names of its numbers, and anything else as it is."""
+    return value._asdict() if isinstance(value, Abstract) else value

@@ -30,24 +30,47 @@ function cell(row, tag = "td") {
   return node;
 }
 
+// What stands under "Now": id, label, value and, where it is not a rounded number, its text. `going` says whether steps
+// follow each other, so that there is a rate.
+const NUMBERS = [
+  ["step", "step", ({ frame }) => frame.step, String],
+  ["time", "time, s", ({ frame }) => frame.time, (time) => time.toFixed(2)],
+  ["angle", "angle, rad", ({ frame }) => frame.angle],
+  ["reference", "reference, rad", ({ frame }) => frame.reference],
+  ["error", "error, rad", ({ frame }) => difference(frame.reference, frame.angle)],
+  ["angular_velocity", "angular velocity, rad/s", ({ frame }) => frame.angular_velocity],
+  ["torque", "torque, N m", ({ frame }) => frame.abstract.torque],
+  ["desired_torque", "torque wanted, N m", ({ frame }) => frame.desired.torque],
+  ["inertia", "inertia, kg m²", ({ frame }) => frame.abstract.inertia],
+  ["desired_inertia", "inertia wanted, kg m²", ({ frame }) => frame.desired.inertia],
+  ["step_rate", "steps per second", ({ frame, going }) => (going ? frame.step_rate : null), (rate) => rate?.toFixed(0) ?? "–"],
+  [
+    "following",
+    "robots following",
+    ({ frame }) => frame.robots.status.filter((status) => status === "active").length,
+    (following, { hello }) => `${following} of ${hello.robots.length}`,
+  ],
+];
+
 export class Numbers {
-  // `going`: whether steps follow each other, so that there is a rate.
-  draw(hello, frame, going) {
-    const { abstract, desired } = frame;
-    const rate = going ? frame.step_rate : null;
-    show(element("step"), frame.step, String(frame.step));
-    show(element("time"), frame.time, frame.time.toFixed(2));
-    for (const name of ["angle", "reference", "angular_velocity"]) {
-      show(element(name), frame[name]);
+  constructor() {
+    const list = element("numbers");
+    for (const [id, label] of NUMBERS) {
+      const [box, term, description, value] = ["div", "dt", "dd", "data"].map((tag) => document.createElement(tag));
+      term.textContent = label;
+      value.id = id;
+      description.append(value);
+      box.append(term, description);
+      list.append(box);
     }
-    show(element("error"), difference(frame.reference, frame.angle));
-    show(element("torque"), abstract.torque);
-    show(element("inertia"), abstract.inertia);
-    show(element("desired_torque"), desired.torque);
-    show(element("desired_inertia"), desired.inertia);
-    show(element("step_rate"), rate, rate === null ? "–" : rate.toFixed(0));
-    const following = frame.robots.status.filter((status) => status === "active").length;
-    show(element("following"), following, `${following} of ${hello.robots.length}`);
+  }
+
+  draw(hello, frame, going) {
+    const now = { hello, frame, going };
+    for (const [id, , of, text] of NUMBERS) {
+      const value = of(now);
+      show(element(id), value, text?.(value, now));
+    }
   }
 }
 
