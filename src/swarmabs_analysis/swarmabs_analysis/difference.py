@@ -129,7 +129,7 @@ def judge(
         return None
     place = (stored.topic.name, expected.step, agent)
     found = {name: (was, should) for name, was, should in differing_fields(stored.message, expected, tolerance)}
-    for name in _CAUSES_FIRST if isinstance(expected, AgentState) else ("step", *found):
+    for name in (*(_CAUSES_FIRST if isinstance(expected, AgentState) else ("step",)), *found):
         if name in found:
             return Difference(*place, name, *found[name])
     if time is not None and stored.time != time:

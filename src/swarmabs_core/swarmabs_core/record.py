@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.cdr import agent_id_of, canonical, decode, encode
 from swarmabs_core.messages import TOPIC_OF
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Topic
+
+_new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` is a Python function around it
 
 
 class Record(NamedTuple):
@@ -58,7 +60,8 @@ class Record(NamedTuple):
             If they are no message of the topic.
         """
         message = decode(topic.message, data)
-        return cls(topic, agent_id_of(message), message, canonical(topic.message, data))
+        parts = (topic, agent_id_of(message), message, canonical(topic.message, data), None, None)
+        return _new(cls, parts)  # type: ignore[no-any-return]
 
     @classmethod
     def read(cls, topic: Topic, time: int, payload: bytes, published: int | None = None) -> Record:
@@ -70,4 +73,4 @@ class Record(NamedTuple):
             If they are no message of the topic.
         """
         message = decode(topic.message, payload)
-        return cls(topic, agent_id_of(message), message, payload, time, published)
+        return _new(cls, (topic, agent_id_of(message), message, payload, time, published))  # type: ignore[no-any-return]

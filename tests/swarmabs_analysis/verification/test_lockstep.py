@@ -301,7 +301,7 @@ def test_one_bit_of_one_command_is_found_although_all_that_follows_fits(
         ({"mass": 0.6763}, 0, "mass"),
         ({"damping": 0.6523}, 0, "damping"),
         ({"position": 0.1250001}, 0, "position"),
-        ({"kind": Kind.SINGLE_INTEGRATOR}, 0, "kind"),
+        ({"kind": Kind.SINGLE_INTEGRATOR, "damping": 0.0}, 0, "kind"),
         ({"plane_length": 1e6}, 1, "status"),
         ({"feels_gravity": True}, 1, "velocity"),
     ],

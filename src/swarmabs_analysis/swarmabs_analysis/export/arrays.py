@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_analysis.export.columns import TABLES, time_of
+from swarmabs_analysis.export.columns import TABLES, row_of
 from swarmabs_bag.arrays import arrays_since, load_tables
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import BagTooLargeError
@@ -87,21 +87,22 @@ def _named(run: RunArrays) -> Iterator[tuple[str, NDArray[Any]]]:
 
 def _events(bag: BagReader, start: float) -> dict[str, NDArray[Any]]:
     """Return the events' fields, each of shape (E,), times since `start` (s); a bag without the topic has none."""
-    period = step_period(bag)
+    (table,) = (table for table in TABLES if table.topic is EVENTS)
     count = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
     _check_memory(bag, count * _EVENT_BYTES)
-    events: list[Any] = [message for _, _, message in bag.decoded((EVENTS,))]
-    widest = max((len(event.detail) for event in events), default=0)
-    _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
-    return {
-        "events_step": np.array([event.step for event in events], dtype=np.uint64),
-        "events_time": np.array([time_of(event, period) / 1e9 - start for event in events], dtype=np.float64),
-        "events_agent_id": np.array([event.agent_id for event in events], dtype=np.uint16),
-        "events_kind": np.array([event.kind for event in events], dtype=np.uint8),
-        "events_value": np.array([event.value for event in events], dtype=np.float64),
-        "events_detail": np.array([event.detail for event in events], dtype=f"U{max(widest, 1)}"),
-        "events_stamp": np.array([event.stamp / 1e9 for event in events], dtype=np.float64),
-    }
+    row = row_of(table, step_period(bag))
+    rows = [row(message) for _, _, message in bag.decoded((EVENTS,))]
+    columns = zip(*rows, strict=True) if rows else ((),) * len(table.columns)
+    arrays = {}
+    for column, values in zip(table.columns, columns, strict=True):
+        kind: str = column.type
+        if kind == "string":
+            widest = max(map(len, values), default=0)
+            _check_memory(bag, len(rows) * widest * np.dtype("U1").itemsize)
+            kind = f"U{max(widest, 1)}"
+        arrays[f"events_{column.name}"] = np.array(values, dtype=kind)
+    arrays["events_time"] -= start
+    return arrays
 
 
 def _check_memory(bag: BagReader, needed: int) -> None:

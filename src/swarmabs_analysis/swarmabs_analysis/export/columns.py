@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -18,7 +19,7 @@ from swarmabs_core.messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from swarmabs_core.messages import Message
 
@@ -80,3 +81,18 @@ def time_of(message: Message, period: int | None) -> int:
     In lockstep a robot's clock may be wrong, and nobody uses it.
     """
     return message.stamp if period is None else message.step * period
+
+
+def row_of(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:
+    """Return what makes a row of a message; `period` (ns) as of `time_of`."""
+    fields = table.topic.message._fields
+    names = [column.name for column in table.columns]
+    time, stamp = names.index("time"), names.index("stamp")
+    pick = itemgetter(*(0 if name in {"time", "stamp"} else fields.index(name) for name in names))
+
+    def row(message: Message) -> Sequence[Any]:
+        picked = list(pick(message))
+        picked[time], picked[stamp] = time_of(message, period) / 1e9, message.stamp / 1e9
+        return picked
+
+    return row

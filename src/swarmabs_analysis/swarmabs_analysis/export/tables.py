@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import csv
 from contextlib import ExitStack, contextmanager
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
-from swarmabs_analysis.export.columns import TABLES, time_of
+from swarmabs_analysis.export.columns import TABLES, row_of
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_analysis.export.columns import BagTable, TableFormat
-    from swarmabs_core.messages import Message
 
 COLUMNS_FILE = "columns.csv"
 
@@ -63,25 +61,11 @@ def export_tables(
     with new_folder(folder) as part, ExitStack() as stack:
         sinks = {table.topic: stack.enter_context(opened(part, table)) for table in TABLES}
         period = step_period(bag)
-        rows = {table.topic: _row(table, period) for table in TABLES}
+        rows = {table.topic: row_of(table, period) for table in TABLES}
         for topic, _, message in bag.decoded(tuple(sinks)):
             sinks[topic].add(rows[topic](message))
         _write_columns(part / COLUMNS_FILE)
     return tuple(sorted(folder.iterdir()))
-
-
-def _row(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:
-    fields = table.topic.message._fields
-    names = [column.name for column in table.columns]
-    time, stamp = names.index("time"), names.index("stamp")
-    pick = itemgetter(*(0 if name in {"time", "stamp"} else fields.index(name) for name in names))
-
-    def row(message: Message) -> Sequence[Any]:
-        picked = list(pick(message))
-        picked[time], picked[stamp] = time_of(message, period) / 1e9, message.stamp / 1e9
-        return picked
-
-    return row
 
 
 @contextmanager
