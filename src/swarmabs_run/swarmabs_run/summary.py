@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+from rich.text import Text
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from rich.table import Table
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
@@ -76,8 +77,6 @@ def summarise(
 
 def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
     """Return the summary as a table for people."""
-    from rich.table import Table  # noqa: PLC0415 - not needed with --json
-    from rich.text import Text  # noqa: PLC0415
 
     def number(key: str, unit: str) -> str:
         value = summary[key]

@@ -8,6 +8,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
+from rich.live import Live
+
+from swarmabs_view.panel import RunPanel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,11 +50,6 @@ def describe(progress: Progress, scenario: Scenario) -> str:
 
 @contextmanager
 def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
-    from rich.console import Console  # noqa: PLC0415 - slow to import, and needed on a terminal only
-    from rich.live import Live  # noqa: PLC0415
-
-    from swarmabs_view.panel import RunPanel  # noqa: PLC0415
-
     console = Console(stderr=True, highlight=False)
     if console.is_dumb_terminal:  # it cannot go back to what is written already
         yield _lines(scenario)

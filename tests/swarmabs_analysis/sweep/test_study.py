@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from pathlib import Path
 from statistics import mean, stdev
 
@@ -161,7 +162,7 @@ class TestCases:
         text = HEAD + "grid:\n  limits.force: [null, 2.0]\n  faults: [[], [{kind: delay, steps: 2}]]\n"
         study = load_sweep(written(tmp_path, text))
         scenarios = [parse_scenario(study.scenario, overrides=case.overrides()) for case in study.cases()]
-        assert [(s.limits.force, len(s.faults)) for s in scenarios] == [(None, 0), (None, 1), (2.0, 0), (2.0, 1)]
+        assert [(s.limits.force, len(s.faults)) for s in scenarios] == [(inf, 0), (inf, 1), (2.0, 0), (2.0, 1)]
 
 
 class TestResolved:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison import compare_steps
 from swarmabs_analysis.replay.in_process import Replay
+from swarmabs_analysis.replay.plan import replay_plan
 from swarmabs_analysis.replay.source import recorded_steps
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.publishers import publisher_of
+from swarmabs_run.orchestration import LockstepRun
 from swarmabs_run.simulated_run import record_steps
 
 if TYPE_CHECKING:
@@ -85,8 +87,6 @@ class ReplayRun:
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
         """Replay over DDS, the nodes under test as processes of their own; parameters as of `in_process`."""
         # These need the whole of ROS.
-        from swarmabs_analysis.replay.plan import replay_plan  # noqa: PLC0415
-        from swarmabs_run.orchestration import LockstepRun  # noqa: PLC0415
 
         def arrange(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
             return replay_plan(processes, self.scenario, self.source, self.nodes, self.provenance())

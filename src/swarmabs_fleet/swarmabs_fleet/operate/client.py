@@ -7,9 +7,15 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_ros.endpoints import advertise
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
@@ -55,9 +61,6 @@ class OperatorClient:
         RunError
             If nobody offers it or answers, the node says no, or the run has ended meanwhile.
         """
-        import rclpy  # noqa: PLC0415 - reads the environment when it is imported
-        from std_srvs.srv import Trigger  # noqa: PLC0415
-
         client = self._node.create_client(Trigger, service)
         who = f"{self._swarm}: {client.srv_name}"
         try:
@@ -89,8 +92,6 @@ class OperatorClient:
         RunError
             If nobody listens in time (s), or the run has ended meanwhile.
         """
-        from swarmabs_ros.endpoints import advertise  # noqa: PLC0415 - as above
-
         publisher = advertise(self._node, EVENTS)
         try:
             deadline = time.monotonic() + patience
@@ -112,8 +113,6 @@ class OperatorClient:
         RunError
             If the run has ended meanwhile.
         """
-        import rclpy  # noqa: PLC0415 - as above
-        from diagnostic_msgs.msg import DiagnosticArray  # noqa: PLC0415
 
         def hear(array: DiagnosticArray) -> None:
             for status in array.status:
@@ -140,9 +139,6 @@ def joined(target: Target) -> Iterator[OperatorClient]:
         If the middleware cannot join, such as from a host that has not the address.
     """
     os.environ.update(target.environment)
-    import rclpy  # noqa: PLC0415 - what it reads from the environment must stand there before
-    from rclpy.parameter import Parameter  # noqa: PLC0415
-
     with tracing_files_removed():
         try:
             rclpy.init(args=["--ros-args", "--disable-external-lib-logs", "--disable-rosout-logs"])
