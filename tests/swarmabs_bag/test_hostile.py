@@ -19,6 +19,7 @@ from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.repair import repair_bag
 from swarmabs_bag.steps import recorded_steps
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenarios import find_scenario
@@ -241,6 +242,14 @@ def test_index_has_an_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             open_bag(file)
     file.write_bytes(sealed(MAGIC + HEADER + schema * 20))
     open_bag(file).check()
+
+
+def test_repair_refuses_more_entries_than_an_index_holds(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(index, "MOST_ENTRIES", 10)
+    file.write_bytes(MAGIC + HEADER + attachment(b"a", b"") * 11 + bytes(40))
+    with pytest.raises(DamagedBagError, match=r"x\.mcap: at byte \d+: more than 10 attachments; nothing can be saved"):
+        repair_bag(file)
+    assert [path.name for path in file.parent.iterdir()] == ["x.mcap"]
 
 
 @pytest.mark.parametrize("chunked", [True, False])
