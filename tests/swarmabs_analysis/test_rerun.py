@@ -207,7 +207,7 @@ def test_what_was_done_from_outside_is_planned(remake: Remake) -> None:
         SwarmEvent(90_000_000, 9, 3, EventKind.LEFT, 0.1, "remove"),
     )
     found = recorded_run(remake(lambda messages: steered(messages, *done), steered=True)).scenario
-    assert configure.stairs(found, "reference") == ((5, 0.1),)
+    assert configure.step_changes(found, "reference") == ((5, 0.1),)
     assert configure.schedule(found) == (Change(6, 2, ChangeKind.FREEZE), Change(8, 3, ChangeKind.REMOVE))
     (loss,) = found.robot_faults
     assert loss.kind == "loss"

@@ -13,7 +13,7 @@ from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import AbstractState, AgentState, DesiredAbstractState, EventKind, PlaneState, Status
-from swarmabs_core.steering import OffsetReference, Stair, Staircase
+from swarmabs_core.steering import OffsetReference, StepChange, StepSchedule
 from swarmabs_run.simulation import simulate
 
 SHORT = "duration=1.0"
@@ -33,25 +33,28 @@ def first_difference(one: Run, other: Run, kind: type[PlaneState | DesiredAbstra
 
 
 def test_staircase() -> None:
-    stairs = Staircase([Stair(5, 0.5), Stair(2, -1.0)])
-    assert [stairs.at(step) for step in range(7)] == [0.0, 0.0, -1.0, -1.0, -1.0, 0.5, 0.5]
-    assert {step: stairs.changing(step) for step in range(7) if stairs.changing(step) is not None} == {2: -1.0, 5: 0.5}
-    stairs.set(3, 0.0)
-    assert [stairs.at(step) for step in (2, 3, 4, 5)] == [-1.0, 0.0, 0.0, 0.5]
-    assert not Staircase()
-    assert Staircase().at(3) == 0.0
+    schedule = StepSchedule([StepChange(5, 0.5), StepChange(2, -1.0)])
+    assert [schedule.at(step) for step in range(7)] == [0.0, 0.0, -1.0, -1.0, -1.0, 0.5, 0.5]
+    assert {step: schedule.changing(step) for step in range(7) if schedule.changing(step) is not None} == {
+        2: -1.0,
+        5: 0.5,
+    }
+    schedule.set(3, 0.0)
+    assert [schedule.at(step) for step in (2, 3, 4, 5)] == [-1.0, 0.0, 0.0, 0.5]
+    assert not StepSchedule()
+    assert StepSchedule().at(3) == 0.0
 
 
 @pytest.mark.parametrize("text", ["", "1", "1 2 3", "-1 0.5", "x 1", "1 nan", "1 inf", "1.5 2"])
 def test_a_stair_in_writing(text: str) -> None:
-    assert Stair.parse(str(Stair(12, 0.1))) == Stair(12, 0.1)
+    assert StepChange.parse(str(StepChange(12, 0.1))) == StepChange(12, 0.1)
     with pytest.raises(InputError, match="STEP VALUE"):
-        Stair.parse(text)
+        StepChange.parse(text)
 
 
 def test_the_reference_of_a_step_has_the_offset_of_the_step() -> None:
     """Also where the time of a step is no round number: 0.07 s is 7.000000000000001 periods."""
-    reference = OffsetReference(lambda time: time, Staircase([Stair(7, 0.5)]), 10_000_000)
+    reference = OffsetReference(lambda time: time, StepSchedule([StepChange(7, 0.5)]), 10_000_000)
     assert [reference(step * 10_000_000 / 1e9) for step in (6, 7, 8)] == [0.06, 0.07 + 0.5, 0.08 + 0.5]
     reference.shift(8, 0.0)
     assert reference(0.08) == 0.08

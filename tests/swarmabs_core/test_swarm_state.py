@@ -23,7 +23,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Staircase
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
 from swarmabs_core.swarm_state import (
     MOST_EVENTS,
     SILENT_STEPS,
@@ -36,7 +36,7 @@ from swarmabs_core.swarm_state import (
 
 
 def ten_times() -> OffsetReference:
-    return OffsetReference(lambda time: 10 * time, Staircase(), PERIOD)
+    return OffsetReference(lambda time: 10 * time, StepSchedule(), PERIOD)
 
 
 def state_of(messages: list[Message]) -> SwarmState:

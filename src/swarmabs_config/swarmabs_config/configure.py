@@ -11,7 +11,7 @@ from swarmabs_core.faults import FaultKind, Lie, RobotFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.parent_response import ParentResponse
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Stair, Staircase
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
 from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def lies(scenario: Scenario) -> tuple[Lie, ...]:
     )
 
 
-def stairs(scenario: Scenario, kind: str) -> tuple[Stair, ...]:
+def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
     """Return the changes of a setting (`REFERENCE` or `DISTURBANCE`) by step; one that ends is 0 from then on."""
     found: dict[int, float] = {}
     for fault in scenario.setting_faults:
@@ -66,7 +66,7 @@ def stairs(scenario: Scenario, kind: str) -> tuple[Stair, ...]:
             if fault.until is not None:
                 found.setdefault(scenario.fault_step(fault.until), 0.0)
             found[scenario.fault_step(fault.at)] = fault.value
-    return tuple(Stair(step, found[step]) for step in sorted(found))
+    return tuple(StepChange(step, found[step]) for step in sorted(found))
 
 
 def recording_window(scenario: Scenario) -> int:
@@ -102,7 +102,7 @@ def plane_config(scenario: Scenario) -> PlaneConfig:
         seed=scenario.seed,
         actuator_lag=scenario.swarm.actuator_lag,
         lies=lies(scenario),
-        torques=stairs(scenario, DISTURBANCE),
+        torques=step_changes(scenario, DISTURBANCE),
     )
 
 
@@ -119,7 +119,7 @@ def controller_config(scenario: Scenario, *, recording_window: int) -> Controlle
         manifold=scenario.manifold,
         recording_window=recording_window,
         last_step=scenario.steps,
-        offsets=stairs(scenario, REFERENCE),
+        offsets=step_changes(scenario, REFERENCE),
         law=parent_law(scenario),
     )
 
@@ -155,7 +155,7 @@ def parent_controller(scenario: Scenario) -> ParentController:
 
 def reference(scenario: Scenario) -> OffsetReference:
     """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
-    offsets = Staircase(stairs(scenario, REFERENCE))
+    offsets = StepSchedule(step_changes(scenario, REFERENCE))
     return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
 
 

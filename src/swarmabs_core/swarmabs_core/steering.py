@@ -39,7 +39,7 @@ def change_of(order: Steering) -> Change | None:
     return None if kind is None else Change(order.step - 1, order.agent_id, kind)
 
 
-class Stair(NamedTuple):
+class StepChange(NamedTuple):
     """A number that holds from a step on."""
 
     step: int
@@ -49,7 +49,7 @@ class Stair(NamedTuple):
         return f"{self.step} {self.value!r}"
 
     @classmethod
-    def parse(cls, text: str) -> Stair:
+    def parse(cls, text: str) -> StepChange:
         """Read ``STEP VALUE``, such as ``500 0.1``.
 
         Raises
@@ -57,28 +57,28 @@ class Stair(NamedTuple):
         InputError
             If the text is not of this form.
         """
-        stair: Stair | None
+        found: StepChange | None
         try:
             step, value = text.split()
-            stair = cls(int(step), float(value))
+            found = cls(int(step), float(value))
         except ValueError:
-            stair = None
-        if stair is None or stair.step < 0 or not isfinite(stair.value):
+            found = None
+        if found is None or found.step < 0 or not isfinite(found.value):
             raise InputError(f"{text!r} is not of the form 'STEP VALUE', such as '500 0.1'")
-        return stair
+        return found
 
 
-class Staircase:
+class StepSchedule:
     """A number that changes at steps and is 0 before the first.
 
     Parameters
     ----------
-    stairs : iterable of Stair
+    changes : iterable of StepChange
         Where it changes, each step at most once.
     """
 
-    def __init__(self, stairs: Iterable[Stair] = ()) -> None:
-        self._value = {stair.step: stair.value for stair in stairs}
+    def __init__(self, changes: Iterable[StepChange] = ()) -> None:
+        self._value = dict(changes)
         self._steps = sorted(self._value)
 
     def __bool__(self) -> bool:
@@ -108,13 +108,13 @@ class OffsetReference:
     ----------
     reference : callable
         Angle (rad) that the law wants by itself at a time (s).
-    offsets : Staircase
+    offsets : StepSchedule
         Offset (rad) by step.
     period_ns : int
         Control period, ns.
     """
 
-    def __init__(self, reference: Callable[[float], float], offsets: Staircase, period_ns: int) -> None:
+    def __init__(self, reference: Callable[[float], float], offsets: StepSchedule, period_ns: int) -> None:
         self._reference = reference
         self._offsets = offsets
         self._period_ns = period_ns

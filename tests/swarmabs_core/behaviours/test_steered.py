@@ -44,7 +44,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.record import Record
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, Stair
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, StepChange
 from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -165,8 +165,8 @@ def steering_config(scenario: Scenario, largest_torque: float = 1.0) -> Steering
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
         schedule=configure.schedule(scenario),
-        offsets=configure.stairs(scenario, REFERENCE),
-        torques=configure.stairs(scenario, DISTURBANCE),
+        offsets=configure.step_changes(scenario, REFERENCE),
+        torques=configure.step_changes(scenario, DISTURBANCE),
         largest_offset=1.0,
         largest_torque=largest_torque,
     )
@@ -237,7 +237,7 @@ def test_a_request_gets_the_next_step_and_each_step_one() -> None:
 
 
 def test_what_the_scenario_sets_goes_first() -> None:
-    made = controller(offsets=(Stair(1, 0.5),))
+    made = controller(offsets=(StepChange(1, 0.5),))
     made.ask(Request(Action.REFERENCE, 0, 0.1))
     assert [made.handle(plane(step))[0].action for step in range(2)] == [Action.NONE, Action.REFERENCE]  # type: ignore[union-attr]
 

@@ -25,7 +25,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, Staircase
+from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
 from swarmabs_core.swarm_state import SILENT_STEPS, SwarmState
 from swarmabs_view.visualization.geometry import Layout, Vector, tilt, tilted
 from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Scene, Shape
@@ -53,7 +53,7 @@ def desired(step: int, torque: float) -> DesiredAbstractState:
 
 
 def by_time() -> OffsetReference:
-    return OffsetReference(lambda time: time, Staircase(), PERIOD)
+    return OffsetReference(lambda time: time, StepSchedule(), PERIOD)
 
 
 def new() -> tuple[Scene, SwarmState]:

@@ -52,7 +52,7 @@ def as_planned(
     InputError
         If the events tell of what cannot be planned, or contradict the scenario.
     """
-    settings = {kind: {stair.step: stair.value for stair in configure.stairs(scenario, kind)} for kind in _VALUE}
+    settings = {kind: dict(configure.step_changes(scenario, kind)) for kind in _VALUE}
     joined: dict[int, int] = {}
     ended = {change.agent_id: change for change in ends}
     absent = {change.agent_id for change in configure.schedule(scenario) if change.step == UNPLANNED}
@@ -85,11 +85,7 @@ def _planned(
     def at(step: int) -> float:
         return step * scenario.step_ns / 1e9
 
-    steered = {
-        kind
-        for kind, values in settings.items()
-        if values != {stair.step: stair.value for stair in configure.stairs(scenario, kind)}
-    }
+    steered = {kind for kind, values in settings.items() if values != dict(configure.step_changes(scenario, kind))}
     schedule = set(configure.schedule(scenario))
     ended = {agent_id: change for agent_id, change in ended.items() if change not in schedule}
     if not (steered or joined or ended):

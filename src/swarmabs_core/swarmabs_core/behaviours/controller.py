@@ -23,7 +23,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.steering import REFERENCE, Stair, Staircase
+from swarmabs_core.steering import REFERENCE, StepChange, StepSchedule
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers.base import ParentController
@@ -40,10 +40,10 @@ class ControllerConfig:
         0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0
     )
     last_step: int | None = same(Run, "last_step")
-    offsets: tuple[Stair, ...] = setting(
+    offsets: tuple[StepChange, ...] = setting(
         (),
         "what is added to the law's reference, rad, each 'STEP VALUE' from a step on: '500 0.1'",
-        make=Stair.parse,
+        make=StepChange.parse,
     )
     law: ParentLaw = part(ParentLaw, name="")
 
@@ -62,7 +62,7 @@ class Controller:
     def __init__(self, config: ControllerConfig, law: ParentController) -> None:
         self._config = config
         self._generator = DesiredStateGenerator(config.period_ns, config.manifold, law)
-        self._offsets = Staircase(config.offsets)
+        self._offsets = StepSchedule(config.offsets)
         self._step = 0
         self._plane: PlaneState | None = None
         self._written = -1

@@ -29,7 +29,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.plant import PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
 from swarmabs_core.sensing import measured_plane
-from swarmabs_core.steering import DISTURBANCE, Stair, Staircase, change_of
+from swarmabs_core.steering import DISTURBANCE, StepChange, StepSchedule, change_of
 
 CURVED_FROM = 0.25
 """Lag, in control periods, from which on a single integrator's path is better told by a cubic than by a line."""
@@ -49,10 +49,10 @@ class PlaneConfig:
     lies: tuple[Lie, ...] = setting(
         (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Lie.parse
     )
-    torques: tuple[Stair, ...] = setting(
+    torques: tuple[StepChange, ...] = setting(
         (),
         "constant torque, N m, that disturbs the plane, each 'STEP VALUE' from a step on: '500 0.1'",
-        make=Stair.parse,
+        make=StepChange.parse,
     )
 
 
@@ -74,7 +74,7 @@ class Plane:
         self._dynamics = PlaneDynamics.of(config.plane, self._period)
         lagging = config.actuator_lag > 0.0 and config.actuator_lag >= CURVED_FROM * self._period
         self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
-        self._torques = Staircase(config.torques)
+        self._torques = StepSchedule(config.torques)
         self._membership = Membership(config.members, config.schedule)
         self._gathering = Gathering(self._membership)
         self._angle = config.plane.angle

@@ -11,7 +11,7 @@ from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import UNPLANNED, Change, Membership
 from swarmabs_core.messages import EVENTS, PLANE_STATE, Action, PlaneState, Steering, SwarmEvent
-from swarmabs_core.steering import ENDS, Stair, Staircase, change_of
+from swarmabs_core.steering import ENDS, StepChange, StepSchedule, change_of
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Messages, Topic
@@ -52,7 +52,7 @@ class SteeringConfig:
         The step with which the run ends.
     schedule : tuple of Change
         Scheduled changes of the membership.
-    offsets, torques : tuple of Stair
+    offsets, torques : tuple of StepChange
         Scheduled changes of the reference (rad) and of the torque on the plane (N m).
     largest_offset, largest_torque : float
         Bounds of what may be asked for; 0 for an offset if the law knows none.
@@ -62,8 +62,8 @@ class SteeringConfig:
     period_ns: int
     last_step: int
     schedule: tuple[Change, ...] = ()
-    offsets: tuple[Stair, ...] = ()
-    torques: tuple[Stair, ...] = ()
+    offsets: tuple[StepChange, ...] = ()
+    torques: tuple[StepChange, ...] = ()
     largest_offset: float = 0.0
     largest_torque: float = 0.0
 
@@ -77,7 +77,10 @@ class SteeringController:
     def __init__(self, config: SteeringConfig) -> None:
         self._config = config
         self._membership = Membership(config.members, config.schedule)
-        self._settings = {Action.REFERENCE: Staircase(config.offsets), Action.DISTURBANCE: Staircase(config.torques)}
+        self._settings = {
+            Action.REFERENCE: StepSchedule(config.offsets),
+            Action.DISTURBANCE: StepSchedule(config.torques),
+        }
         self._last = config.last_step
         self._step = 0
         self._over = False

@@ -43,8 +43,8 @@ def steering_config(scenario: Scenario) -> SteeringConfig:
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
         schedule=configure.schedule(scenario),
-        offsets=configure.stairs(scenario, REFERENCE),
-        torques=configure.stairs(scenario, DISTURBANCE),
+        offsets=configure.step_changes(scenario, REFERENCE),
+        torques=configure.step_changes(scenario, DISTURBANCE),
         largest_offset=LARGEST_OFFSET if steerable else 0.0,
         largest_torque=scenario.manifold.torque_max,
     )
