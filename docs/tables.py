@@ -238,7 +238,7 @@ def all_tables() -> dict[str, str]:
         "events": events(),
         "scenario": fields(leaves(Scenario)),
         "robots": variants(AGENT_KINDS, "kind"),
-        "controllers": variants(CONTROLLER_CONFIGS, "type"),
+        "controllers": variants({name: CONTROLLER_CONFIGS[name] for name in CONTROLLERS.built_in}, "type"),
         "trajectories": variants(TRAJECTORY_CONFIGS, "type"),
         "observers": variants(OBSERVERS, "type"),
         "faults": variants(FAULT_KINDS, "kind"),

@@ -13,8 +13,7 @@ from tests.virtual_fleet import EPOCH, VirtualFleet
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import realtime as configure
-from swarmabs_config.scenario import Scenario
-from swarmabs_config.scenario.controllers import AriseConfig, ConstantTrajectory
+from swarmabs_config.scenario import AriseConfig, Constant, Scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
 from swarmabs_core.record import Record
@@ -29,7 +28,7 @@ def of_a_fleet(scenario: Scenario) -> Scenario:
     """Return a scenario without what there is in lockstep only."""
     controller = scenario.controller
     if isinstance(controller, AriseConfig):  # a reference that begins anew after each reset has no fixed error
-        controller = controller.model_copy(update={"trajectory": ConstantTrajectory()})
+        controller = controller.model_copy(update={"trajectory": Constant()})
     swarm = scenario.swarm.model_copy(update={"actuator_lag": 0.0, "sensor": RobotSensor()})
     plane = replace(scenario.plane, end_stop=END_STOP)
     changed = {"swarm": swarm, "plane": plane, "controller": controller, "faults": ()}

@@ -8,7 +8,7 @@ from math import inf
 
 import pytest
 
-from swarmabs_core.declaration import checked, choice, made_of, parameters_of, part, same, setting, tree_of, values_of
+from swarmabs_core.declaration import choice, made_of, parameters_of, part, same, setting, tree_of, values_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, SettingError, Settings
 
@@ -110,16 +110,10 @@ def test_values_are_those_of_parameters() -> None:
         assert parameter.check(values_of(PAINTER)[parameter.name]) == values_of(PAINTER)[parameter.name]
 
 
-def test_given_values_are_checked() -> None:
-    assert checked(Painter, {"width": 1, "law.type": "wild"}, owner="x") == Painter(
-        spare=Brush(1.0), law="wild", law_settings={"speed": 2.0}
-    )
-    with pytest.raises(InputError, match=r"^parameter brush\.width: -1\.0 is not allowed; give more than 0 \(width, m"):
-        checked(Painter, {"brush.width": -1.0}, owner="x")
-    with pytest.raises(InputError, match=r"^x has no parameter 'limit'; it has period_ns,"):
-        checked(Painter, {"limit": 1.0}, owner="x")
-    with pytest.raises(InputError, match=r"^parameter broad\.width: the broad one is narrow; widen it$"):
-        checked(Painter, {"broad.width": 0.1}, owner="x")
+def test_values_that_contradict_each_other_are_refused() -> None:
+    values = {**values_of(Painter(), "x."), "x.broad.width": 0.1}
+    with pytest.raises(SettingError, match=r"^x\.broad\.width: the broad one is narrow; widen it$"):
+        made_of(Painter, values, "x.")
 
 
 def test_a_file_says_null_for_none() -> None:

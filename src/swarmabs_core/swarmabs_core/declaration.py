@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.parameters import Parameter, Scalar, SettingError, Settings, Value, resolve
+from swarmabs_core.parameters import Parameter, Scalar, SettingError, Settings, Value
 
 _KEY = "declared"
 DeclarationT = TypeVar("DeclarationT")
@@ -288,6 +288,11 @@ def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "",
         What stands before each name.
     others : object
         Fields that are not declared.
+
+    Raises
+    ------
+    SettingError
+        If the values contradict each other.
     """
     for name, attribute, declared in entries_of(declaration):
         if isinstance(declared, Part):
@@ -304,18 +309,7 @@ def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "",
     try:
         return declaration(**others)
     except SettingError as error:
-        raise InputError(f"parameter {prefix}{error}") from error
-
-
-def checked(declaration: type[DeclarationT], given: Settings, *, owner: str) -> DeclarationT:
-    """Return the instance of a declaration whose parameters have given values; those left out have their defaults.
-
-    Raises
-    ------
-    InputError
-        For a value that is refused, and for a name that there is not; `owner` says whose.
-    """
-    return made_of(declaration, resolve(parameters_of(declaration, given), given, owner=owner))
+        raise SettingError(prefix + error.name, error.problem, error.remedy) from error
 
 
 def tree_of(instance: Any) -> dict[str, object]:

@@ -75,7 +75,7 @@ def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - 
     return single if kind is Kind.SINGLE_INTEGRATOR else double
 
 
-PAPER = SwarmLaw("paper", (), _make_paper)
+PAPER = SwarmLaw("paper", (), _make_paper, "the paper's laws, each robot by its kind")
 """The laws of `swarmabs_core.swarm_law`, each robot by its kind."""
 
 LAWS = Registry("swarm law", "swarmabs.swarm_laws", SwarmLaw, (PAPER,), ("__call__",))

@@ -44,6 +44,7 @@ class SumObserver:
     """The sum over the robots' states."""
 
     type: ClassVar[str] = "sum"
+    description: ClassVar[str] = "torque and inertia are summed up over the robots"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,7 @@ class ParentResponse:
     """The torque estimated from the plane's angle and angular velocity, see docs/parent_response.md."""
 
     type: ClassVar[str] = "parent_response"
+    description: ClassVar[str] = "the torque is estimated from the plane's motion"
 
     bandwidth: float = setting(
         50.0, "bandwidth of the filter of the torque estimated from the plane's motion, rad/s", above=0.0

@@ -50,11 +50,14 @@ class Part(Generic[ContextT, MadeT]):
         Its settings, from which the scenario's schema and the parameters of nodes follow.
     make : callable
         Makes the thing itself from all its settings, checked, and from what it may know of the system.
+    description : str
+        What it is, in a few words.
     """
 
     name: str
     settings: tuple[Parameter, ...]
     make: Callable[[Settings, ContextT], MadeT]
+    description: str = ""
 
 
 class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sin
+from typing import ClassVar
+
+from swarmabs_core.declaration import setting
+from swarmabs_core.plant import STEEPEST
 
 Derivatives = tuple[float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """th_d = amplitude sin(angular_frequency t), in rad and rad/s."""
+    """The paper's reference, th_d = amplitude sin(angular_frequency t)."""
 
-    amplitude: float
-    angular_frequency: float
+    type: ClassVar[str] = "sine"
+    description: ClassVar[str] = "th_d = amplitude sin(angular_frequency t)"
+
+    amplitude: float = setting(0.7, "amplitude of the reference angle, rad", above=-STEEPEST, below=STEEPEST)
+    angular_frequency: float = setting(0.0471238898038469, "angular frequency of the reference, rad/s")
 
     def derivatives(self, time: float) -> Derivatives:
         """Return th_d and its first four derivatives at a time in s."""
@@ -25,9 +32,12 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """th_d = angle, in rad."""
+    """A constant reference, th_d = angle."""
 
-    angle: float
+    type: ClassVar[str] = "constant"
+    description: ClassVar[str] = "th_d = angle"
+
+    angle: float = setting(0.0, "reference angle, rad", above=-STEEPEST, below=STEEPEST)
 
     def derivatives(self, time: float) -> Derivatives:  # noqa: ARG002
         """Return the angle and four zeros."""
@@ -36,15 +46,18 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class QuinticStep:
-    """From one angle (rad) to another, with rate and acceleration 0 at both ends.
+    """A step along a polynomial of degree 5, with rate and acceleration 0 at both ends.
 
     th_d = start_angle + (end_angle - start_angle) (10 s^3 - 15 s^4 + 6 s^5), s = (t - start_time)/duration in [0, 1].
     """
 
-    start_angle: float
-    end_angle: float
-    start_time: float
-    duration: float
+    type: ClassVar[str] = "quintic"
+    description: ClassVar[str] = "from start_angle to end_angle along a polynomial of degree 5"
+
+    start_angle: float = setting(0.0, "angle before the step, rad", above=-STEEPEST, below=STEEPEST)
+    end_angle: float = setting(0.2, "angle after the step, rad", above=-STEEPEST, below=STEEPEST)
+    start_time: float = setting(1.0, "time at which the step begins, s", minimum=0.0)
+    duration: float = setting(5.0, "duration of the step, s", above=0.0)
 
     def derivatives(self, time: float) -> Derivatives:
         """Return th_d and its first four derivatives at a time in s; third and fourth jump at both ends."""

@@ -12,7 +12,7 @@ from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import TOPICS, Messages, Topic
-from swarmabs_core.parameters import Parameter
+from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import SLICE, Lockstep
 from swarmabs_ros.parameters import declare, given_values, table_of
@@ -111,7 +111,10 @@ class Settings:
         InputError
             If they contradict each other.
         """
-        return made_of(declaration, self._values)
+        try:
+            return made_of(declaration, self._values)
+        except SettingError as error:
+            raise InputError(f"parameter {error}") from error
 
     def endpoints(self, node: str, driver: Driver, *also: Option, robots: int | None = None) -> Endpoints:
         """Return what a node with these parameters publishes and reads.

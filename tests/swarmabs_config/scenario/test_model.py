@@ -5,16 +5,13 @@ import random
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError
-from typing import Literal
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from swarmabs_config.scenario import (
-    CONTROLLER_CONFIGS,
     AriseConfig,
-    ConstantTrajectory,
-    ControllerConfig,
+    Constant,
     DoubleIntegratorAgent,
     Generate,
     LossFault,
@@ -22,8 +19,7 @@ from swarmabs_config.scenario import (
     PdConfig,
     Plane,
     Scenario,
-    ScenarioError,
-    SineTrajectory,
+    Sine,
     SingleIntegratorAgent,
     Swarm,
     largest_position,
@@ -70,11 +66,11 @@ def test_defaults_of_the_other_controllers() -> None:
         gamma=(10.0, 1.0, 1.0, 10.0),
         smoothing=0.03,
         adaptive_initial=(0.4566, 0.009, 0.01, 0.9),
-        trajectory=SineTrajectory(amplitude=0.7, angular_frequency=0.0471238898038469),
+        trajectory=Sine(amplitude=0.7, angular_frequency=0.0471238898038469),
     )
     constant = parse_scenario(HEAD + "controller: {type: arise, trajectory: {type: constant, angle: 0.2}}")
     assert isinstance(constant.controller, AriseConfig)
-    assert constant.controller.trajectory == ConstantTrajectory(angle=0.2)
+    assert constant.controller.trajectory == Constant(angle=0.2)
 
 
 def test_type_of_a_controller_may_be_left_out() -> None:
@@ -282,21 +278,6 @@ def test_models_are_immutable_and_strict() -> None:
         Scenario(schema=1, swarm=Swarm(agents=PAPER), controller=Plane())  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match=r"listed twice; give every robot its own id, e\.g\. 2"):
         Scenario(schema=1, swarm=Swarm(agents=(PAPER[0], PAPER[0])))
-
-
-def test_a_package_can_bring_its_own_controller(monkeypatch: pytest.MonkeyPatch) -> None:
-    class BangBangConfig(ControllerConfig):
-        type: Literal["bang_bang"] = Field(default="bang_bang", description="tau_raw = +-torque")
-        torque: float = Field(default=1.0, gt=0, description="N m")
-
-    monkeypatch.setitem(CONTROLLER_CONFIGS, "bang_bang", BangBangConfig)
-    assert parse_scenario(HEAD + "controller: {type: bang_bang}").controller == BangBangConfig(torque=1.0)
-    direct = Scenario(schema=1, swarm=Swarm(agents=PAPER), controller=BangBangConfig(torque=2.0))
-    assert direct.controller == BangBangConfig(torque=2.0)
-    with pytest.raises(ScenarioError, match=r"known: pd, lqr, arise, bang_bang$"):
-        parse_scenario(HEAD + "controller: {type: x}")
-    with pytest.raises(ScenarioError, match=r"controller\.torque: 0 is out of range; give a number > 0$"):
-        parse_scenario(HEAD + "controller: {type: bang_bang, torque: 0}")
 
 
 def test_faults_can_be_built_directly() -> None:

@@ -6,14 +6,14 @@ import pytest
 
 from swarmabs_config.scenario import (
     AriseConfig,
-    ConstantTrajectory,
+    Constant,
     Generate,
     LossFault,
     LqrConfig,
     PdConfig,
     Scenario,
     ScenarioError,
-    SineTrajectory,
+    Sine,
     load_scenario,
     parse_scenario,
 )
@@ -86,14 +86,14 @@ def test_another_controller_drops_the_keys_of_the_old_one() -> None:
 @pytest.mark.parametrize("order", [1, -1])
 def test_keys_set_by_overrides_stay_in_either_order(order: int) -> None:
     overrides = ["controller.type=arise", "controller.beta=7", "controller.trajectory.amplitude=0.2"]
-    assert parse(*overrides[::order]).controller == AriseConfig(beta=7.0, trajectory=SineTrajectory(amplitude=0.2))
+    assert parse(*overrides[::order]).controller == AriseConfig(beta=7.0, trajectory=Sine(amplitude=0.2))
 
 
 def test_another_trajectory_drops_the_keys_of_the_old_one() -> None:
     controller = parse("controller.trajectory.type=constant", text=ARISE).controller
-    assert controller == AriseConfig(beta=3.0, trajectory=ConstantTrajectory())
+    assert controller == AriseConfig(beta=3.0, trajectory=Constant())
     controller = parse("controller.trajectory.type=sine", text=ARISE).controller
-    assert controller == AriseConfig(beta=3.0, trajectory=SineTrajectory(amplitude=0.3))
+    assert controller == AriseConfig(beta=3.0, trajectory=Sine(amplitude=0.3))
 
 
 def test_listed_robots_give_way_to_generated_ones() -> None:

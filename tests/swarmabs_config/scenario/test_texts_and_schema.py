@@ -13,7 +13,7 @@ from swarmabs_config.scenario import (
     AriseConfig,
     PdConfig,
     Scenario,
-    SineTrajectory,
+    Sine,
     dump_scenario,
     json_schema,
     load_scenario,
@@ -85,7 +85,7 @@ def test_parameters_of_the_paper(name: str) -> None:
         assert scenario.controller == AriseConfig()
         assert (scenario.plane.angle, scenario.plane.disturbance.amplitude) == (0.075, 0.1)
         assert scenario.plane.disturbance.angular_frequency == 0.5
-        assert SineTrajectory().angular_frequency == pytest.approx(0.015 * math.pi, rel=1e-14)
+        assert Sine().angular_frequency == pytest.approx(0.015 * math.pi, rel=1e-14)
 
 
 # Canonical texts

@@ -6,22 +6,11 @@ from swarmabs_core.plant import Disturbance, Plane
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.theory.constraint_sets import largest_position
+from swarmabs_core.trajectory import Constant, QuinticStep, Sine
 
 from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
 from .checks import spread
-from .controllers import (
-    CONTROLLER_CONFIGS,
-    TRAJECTORY_CONFIGS,
-    AriseConfig,
-    ConstantTrajectory,
-    ControllerConfig,
-    CsvTrajectory,
-    LqrConfig,
-    PdConfig,
-    QuinticTrajectory,
-    SineTrajectory,
-    TrajectoryConfig,
-)
+from .controllers import TRAJECTORY_CONFIGS, ControllerConfig, CsvTrajectory
 from .dump import dump_scenario
 from .errors import ScenarioError
 from .faults import (
@@ -48,6 +37,7 @@ from .faults import (
 )
 from .loader import load_scenario, parse_scenario
 from .model import OBSERVERS, Scenario, Swarm
+from .plugins import CONTROLLER_CONFIGS, AriseConfig, LqrConfig, PdConfig
 from .schema import json_schema
 
 __all__ = [
@@ -60,7 +50,7 @@ __all__ = [
     "AgentFault",
     "AriseConfig",
     "ClockOffsetFault",
-    "ConstantTrajectory",
+    "Constant",
     "ControllerConfig",
     "CsvTrajectory",
     "DelayFault",
@@ -83,7 +73,7 @@ __all__ = [
     "MessageFault",
     "PdConfig",
     "Plane",
-    "QuinticTrajectory",
+    "QuinticStep",
     "ReferenceFault",
     "RemoveFault",
     "ReorderingFault",
@@ -91,12 +81,11 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "SettingFault",
-    "SineTrajectory",
+    "Sine",
     "SingleIntegratorAgent",
     "SingleRobotFault",
     "Swarm",
     "SwarmGains",
-    "TrajectoryConfig",
     "dump_scenario",
     "json_schema",
     "largest_position",

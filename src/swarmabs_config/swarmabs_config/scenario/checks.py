@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_core import behaviours
+from swarmabs_core.controllers.feedback import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.law_registry import LAWS
+from swarmabs_core.parameters import SettingError
 from swarmabs_core.theory.constraint_sets import largest_position
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
-from .controllers import CONTROLLER_CONFIGS
 from .fault_checks import faults, lasting_faults, offset_law, settings
 from .faults import AgentFault, JoinFault, LeaveFault, RemoveFault
 from .fields import SMALLEST, Finding, Location
@@ -185,15 +186,18 @@ def _rounded_up(value: float) -> float:
 
 
 def _brought(scenario: "Scenario") -> Iterator[Finding]:
-    """Make what installed packages bring, so that what they refuse is refused before anything starts."""
+    """Make the controller, and what installed packages bring, so that what these refuse is refused before the start."""
     made: list[tuple[Location, Callable[[], object]]] = []
-    if scenario.controller.type not in CONTROLLER_CONFIGS:
-        made.append((("controller",), partial(configure.parent_controller, scenario)))
+    made.append((("controller",), partial(configure.parent_controller, scenario)))
     if scenario.swarm.law.type not in LAWS.built_in:
         made += [(("swarm", "law"), partial(behaviours.Agent, config)) for config in configure.agent_configs(scenario)]
     for location, make in made:
         try:
             make()
+        except SettingError as error:
+            parts = (int(each) if each.isdigit() else each for each in error.name.split("."))
+            yield Finding.of((*location, *parts), error.problem, error.remedy)
+            return
         except InputError as error:
             problem, _, remedy = str(error).rpartition("; ")
             yield Finding.of(location, problem or remedy, remedy if problem else "see what its package says")
@@ -257,8 +261,8 @@ def _underdamped(scenario: "Scenario") -> Iterator[str]:
 
 
 def _wrong_feedback(scenario: "Scenario") -> Iterator[str]:
-    gains = getattr(scenario.controller, "gains", None)
-    if scenario.controller.type == "pd" and isinstance(gains, tuple) and gains[0] <= 0:
+    gains = configure.controller_settings(scenario).get("gains")
+    if scenario.controller.type == PD.name and isinstance(gains, tuple) and float(gains[0]) <= 0.0:
         yield f"controller.gains: k1 = {gains[0]!r} does not level the plane; use a positive gain"
 
 

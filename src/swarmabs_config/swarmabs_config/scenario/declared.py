@@ -4,11 +4,12 @@ Each setting is declared once, with default, bounds, unit and meaning; from it f
 is checked, its schema, and how it is written.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from inspect import cleandoc
-from typing import Annotated, Any, ClassVar, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, create_model
 from pydantic_core import CoreSchema, core_schema
@@ -22,6 +23,7 @@ from .texts import TEXTS
 from .timing import LONGEST, WholeNanoseconds
 
 _LARGEST_INTEGER = 2**63 - 1
+ModelT = TypeVar("ModelT", bound=Model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,8 @@ def model_of(declaration: type, tag: str = "") -> type[Model]:
     fields: dict[str, Any] = {}
     if tag:
         name = getattr(declaration, tag)
-        fields[tag] = (Literal[name], Field(default=name, description=f"{text[:1].lower()}{text[1:].rstrip('.')}"))
+        described = getattr(declaration, "description", f"{text[:1].lower()}{text[1:].rstrip('.')}")
+        fields[tag] = (Literal[name], Field(default=name, description=described))
     fields |= _fields_of(declaration)
     model = create_model(declaration.__name__, __base__=DeclaredModel, __doc__=text, **fields)
     model.declaration = declaration
@@ -113,7 +116,9 @@ def declared_field(declaration: type, description: str, alias: str | None = None
     )
 
 
-def model_of_table(title: str, base: type[Model], settings: Iterable[Parameter], **fields: Any) -> type[Model]:
+def model_of_table(
+    title: str, base: type[ModelT], settings: Iterable[Parameter], last: Mapping[str, Any], **fields: Any
+) -> type[ModelT]:
     """Return the model of a plug-in's settings: dotted names become nested mappings.
 
     Parameters
@@ -124,13 +129,19 @@ def model_of_table(title: str, base: type[Model], settings: Iterable[Parameter],
         What it is derived from.
     settings : iterable of Parameter
         The settings.
-    fields : object
-        Further fields, by name.
+    last, fields : object
+        Further fields, by name, behind the settings and before them.
     """
-    return _model(title, base, [(setting.name, setting) for setting in settings], **fields)
+    return _model(title, base, [(setting.name, setting) for setting in settings], last, **fields)
 
 
-def _model(title: str, base: type[Model], settings: Iterable[tuple[str, Parameter]], **fields: Any) -> type[Model]:
+def _model(
+    title: str,
+    base: type[ModelT],
+    settings: Iterable[tuple[str, Parameter]],
+    last: Mapping[str, Any] = MappingProxyType({}),
+    **fields: Any,
+) -> type[ModelT]:
     """Return a model of settings, each given with the rest of its name below this model."""
     by_head: dict[str, list[tuple[str, Parameter]]] = {}
     for name, setting in settings:
@@ -147,7 +158,7 @@ def _model(title: str, base: type[Model], settings: Iterable[tuple[str, Paramete
                 Field(default=setting.default, alias=head, description=setting.description),
             )
         fields[_field_of(head)] = field
-    return create_model(title, __base__=base, **fields)
+    return create_model(title, __base__=base, **fields, **last)
 
 
 def _field_of(name: str) -> str:

@@ -17,7 +17,7 @@ from swarmabs_core.swarm_law import SwarmGains
 
 from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
-from .controllers import DEFAULT_CONTROLLER, ControllerConfig, PdConfig
+from .controllers import DEFAULT_CONTROLLER, ControllerConfig
 from .declared import Declared, Like, declared_field, like, model_of
 from .errors import describe
 from .faults import FAULT_KINDS, AgentFault, Fault, JoinFault, RobotFault, SettingFault
@@ -28,7 +28,7 @@ from .fields import (
     problem,
     raise_findings,
 )
-from .plugins import ALL_CONTROLLER_CONFIGS, ALL_LAW_CONFIGS, DEFAULT_LAW, LawConfig, PaperLaw
+from .plugins import CONTROLLER_CONFIGS, DEFAULT_LAW, LAW_CONFIGS, LawConfig, PaperLaw, PdConfig
 from .timing import NANOSECONDS, Duration, nearest_step, to_nanoseconds
 from .versions import known_version
 
@@ -45,7 +45,7 @@ class Swarm(Model):
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]})
 
-    law: Annotated[LawConfig, Tagged("type", ALL_LAW_CONFIGS, DEFAULT_LAW)] = Field(
+    law: Annotated[LawConfig, Tagged("type", LAW_CONFIGS, DEFAULT_LAW)] = Field(
         default=PaperLaw(), description="the robots' control law"
     )
     gains: Annotated[SwarmGains, Declared()] = declared_field(SwarmGains, "gains of the robots' control laws")
@@ -95,7 +95,7 @@ class Scenario(Model):
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
     plane: Annotated[Plane, Declared()] = declared_field(Plane, "the tilting plane")
     manifold: Annotated[Manifold, Declared()] = declared_field(Manifold, "the curve Js(tau) on which the swarm is held")
-    controller: Annotated[ControllerConfig, Tagged("type", ALL_CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
+    controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
         default=PdConfig(), description="the parent controller"
     )
     swarm: Swarm = Field(description="the robots and their gains")

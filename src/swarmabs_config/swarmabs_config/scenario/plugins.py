@@ -1,26 +1,23 @@
-"""Configurations of parts that other packages may bring: their models are derived from the settings they declare.
+"""Models of parent controllers and swarm laws, built-in or of a package: derived from the settings they declare.
 
-So the author of a parent controller or of a swarm law writes one table, and scenario, schema and ROS parameters follow.
+So the author of one writes these in one place, and scenario, schema and ROS parameters follow.
 """
 
 from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import Field
 
 from swarmabs_core.controllers import CONTROLLERS, TRAJECTORY
-from swarmabs_core.law_registry import LAWS
+from swarmabs_core.controllers.arise import ARISE
+from swarmabs_core.controllers.feedback import LQR, PD
+from swarmabs_core.declaration import tree_of
+from swarmabs_core.law_registry import LAWS, PAPER
 from swarmabs_core.registry import Part, Registry
+from swarmabs_core.trajectory import Constant, QuinticStep, Sine
 
-from .controllers import (
-    CONTROLLER_CONFIGS,
-    DEFAULT_TRAJECTORY,
-    TRAJECTORY_CONFIGS,
-    ControllerConfig,
-    SineTrajectory,
-    TrajectoryConfig,
-)
+from .controllers import DEFAULT_TRAJECTORY, TRAJECTORY_CONFIGS, ControllerConfig, CsvTrajectory
 from .declared import model_of_table
 from .fields import Model, Tagged
 
@@ -31,53 +28,49 @@ class LawConfig(Model):
     type: str = Field(description="name of the swarm law")
 
 
-class PaperLaw(LawConfig):
-    """The paper's laws, each robot by its kind; their gains are ``swarm.gains``."""
-
-    type: Literal["paper"] = Field(default="paper", description="the paper's laws, each robot by its kind")
-
-
-DEFAULT_LAW = "paper"
-LAW_CONFIGS: dict[str, type[LawConfig]] = {"paper": PaperLaw}
-"""The model of each built-in ``swarm.law.type``."""
+Trajectory: TypeAlias = Annotated[
+    Sine | Constant | QuinticStep | CsvTrajectory, Tagged("type", TRAJECTORY_CONFIGS, DEFAULT_TRAJECTORY)
+]
 
 
 class TrackingConfig(ControllerConfig):
     """Base of the derived models of controllers that follow a trajectory."""
 
-    trajectory: Annotated[TrajectoryConfig, Tagged("type", TRAJECTORY_CONFIGS, DEFAULT_TRAJECTORY)] = Field(
-        default=SineTrajectory(), description="reference of the plane's angle"
+    trajectory: Trajectory = Field(
+        default=Sine(),
+        description="reference of the plane's angle",
+        json_schema_extra={"default": {"type": Sine.type, **tree_of(Sine())}},  # type: ignore[dict-item]  # plain data
     )
 
 
 class _Configs(Mapping[str, type[Model]]):
-    """Models by name: given ones, then those derived for what installed packages bring, each when it is asked for."""
+    """Models by name, each derived when it is asked for."""
 
-    def __init__(self, given: Mapping[str, type[Model]], registry: Registry[Any, Any], base: type[Model]) -> None:
-        self._given = given
+    def __init__(self, registry: Registry[Any, Any], base: type[Model]) -> None:
         self._registry = registry
         self._base = base
 
     def __getitem__(self, name: str) -> type[Model]:
-        if name in self._given:
-            return self._given[name]
         return derived(self._registry[name], self._base)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._given, *self._registry)))
+        return iter(self._registry)
 
     def __len__(self) -> int:
-        return sum(1 for _ in self)
+        return len(self._registry)
 
 
-ALL_CONTROLLER_CONFIGS: Mapping[str, type[Model]] = _Configs(CONTROLLER_CONFIGS, CONTROLLERS, ControllerConfig)
+CONTROLLER_CONFIGS: Mapping[str, type[Model]] = _Configs(CONTROLLERS, ControllerConfig)
 """The model of each ``controller.type``, those of installed packages too."""
-ALL_LAW_CONFIGS: Mapping[str, type[Model]] = _Configs(LAW_CONFIGS, LAWS, LawConfig)
+LAW_CONFIGS: Mapping[str, type[Model]] = _Configs(LAWS, LawConfig)
 """The model of each ``swarm.law.type``, those of installed packages too."""
 
 
+ModelT = TypeVar("ModelT", bound=Model)
+
+
 @cache
-def derived(part: Part[Any, Any], base: type[Model]) -> type[Model]:
+def derived(part: Part[Any, Any], base: type[ModelT]) -> type[ModelT]:
     """Return the model of a part's settings: dotted names become nested mappings, `TRAJECTORY` a trajectory.
 
     Parameters
@@ -88,9 +81,22 @@ def derived(part: Part[Any, Any], base: type[Model]) -> type[Model]:
         What the model is derived from.
     """
     settings = part.settings
+    last: dict[str, Any] = {}
     if base is ControllerConfig and set(TRAJECTORY) <= set(settings):
-        base = TrackingConfig
         settings = tuple(setting for setting in settings if setting not in TRAJECTORY)
+        if part.name in CONTROLLERS.built_in:  # its text has always ended with the trajectory
+            last = {"trajectory": (Trajectory, TrackingConfig.model_fields["trajectory"])}
+        else:
+            base = TrackingConfig  # type: ignore[assignment]  # a ControllerConfig, as is asked for
     name = "".join(word.capitalize() for word in part.name.split("_"))
-    tag = (Literal[part.name], Field(default=part.name, description=f"the {part.name} of an installed package"))
-    return model_of_table(f"{name}Config", base, settings, type=tag)
+    described = part.description or f"the {part.name} of an installed package"
+    tag = (Literal[part.name], Field(default=part.name, description=described))
+    return model_of_table(f"{name}Config", base, settings, last, type=tag)
+
+
+PdConfig = derived(PD, ControllerConfig)
+LqrConfig = derived(LQR, ControllerConfig)
+AriseConfig = derived(ARISE, ControllerConfig)
+"""The models of the built-in parent controllers."""
+PaperLaw = derived(PAPER, LawConfig)
+DEFAULT_LAW = PAPER.name

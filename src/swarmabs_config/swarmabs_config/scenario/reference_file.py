@@ -5,9 +5,10 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from swarmabs_core.plant import STEEPEST
 from swarmabs_core.spline import SHORTEST
 
-from .controllers import MOST_ROWS, STEEPEST
+from .controllers import MOST_ROWS
 from .errors import ScenarioError, show
 from .fields import LARGEST
 from .text_file import read_text

@@ -19,13 +19,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, tanh
-from typing import cast
 
 from swarmabs_core.controllers.base import ControllerType, ParentContext, Trajectory
 from swarmabs_core.controllers.reference import TRAJECTORY, make_trajectory
+from swarmabs_core.declaration import made_of, parameters_of, setting
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import PlaneState
-from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.parameters import Settings
 from swarmabs_core.trajectory import Derivatives
 
 Vector = tuple[float, float, float, float]
@@ -33,31 +33,23 @@ Vector = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class AriseGains:
-    """Gains of the ARISE controller.
+    """Gains of the ARISE controller."""
 
-    Parameters
-    ----------
-    ks : float
-        N m s/rad.
-    alpha1, alpha2 : float
-        1/s.
-    beta : float
-        N m/s.
-    gamma : tuple of float
-        Diagonal of the adaptation gain.
-    smoothing : float
-        Width of the smoothed sign, rad/s.
-    adaptive_initial : tuple of float
-        Initial estimates of J (kg m^2), g1 (N m), g4 (N m), g6 (N m s/rad).
-    """
-
-    ks: float = 1.0
-    alpha1: float = 1.0
-    alpha2: float = 2.0
-    beta: float = 0.5
-    gamma: Vector = (10.0, 1.0, 1.0, 10.0)
-    smoothing: float = 0.03
-    adaptive_initial: Vector = (0.4566, 0.009, 0.01, 0.9)
+    ks: float = setting(1.0, "gain of the filtered error, N m s/rad", minimum=0.0)
+    alpha1: float = setting(1.0, "gain of the angle error in e2, 1/s", above=0.0)
+    alpha2: float = setting(2.0, "gain of e2 in the integral, 1/s", above=0.0)
+    beta: float = setting(0.5, "gain of the robust (sign) term, N m/s", minimum=0.0)
+    gamma: Vector = setting(
+        (10.0, 1.0, 1.0, 10.0), "diagonal of the adaptation gain, one for each parameter", minimum=0.0, length=4
+    )
+    smoothing: float = setting(
+        0.03, "width of tanh(e2/smoothing), which stands for sgn(e2) in sampled time, rad/s", above=0.0
+    )
+    adaptive_initial: Vector = setting(
+        (0.4566, 0.009, 0.01, 0.9),
+        "initial estimates of the inertia in kg m^2, of g1 and g4 in N m, and of g6 in N m s/rad",
+        length=4,
+    )
 
 
 def regressor(friction: Friction, rates: tuple[float, float, float, float]) -> tuple[Vector, Vector, Vector]:
@@ -158,37 +150,12 @@ class Arise:
 
 
 def _make(settings: Settings, context: ParentContext) -> Arise:
-    def number(name: str) -> float:
-        return cast("float", settings[name])
-
-    gains = AriseGains(
-        ks=number("ks"),
-        alpha1=number("alpha1"),
-        alpha2=number("alpha2"),
-        beta=number("beta"),
-        gamma=cast("Vector", settings["gamma"]),
-        smoothing=number("smoothing"),
-        adaptive_initial=cast("Vector", settings["adaptive_initial"]),
-    )
-    return Arise(gains, make_trajectory(settings), context.friction, context.period)
+    return Arise(made_of(AriseGains, settings), make_trajectory(settings), context.friction, context.period)
 
 
 ARISE = ControllerType(
     "arise",
-    (
-        Parameter("ks", 1.0, "gain of the filtered error, N m s/rad", minimum=0.0),
-        Parameter("alpha1", 1.0, "gain of the angle error in e2, 1/s", above=0.0),
-        Parameter("alpha2", 2.0, "gain of e2 in the integral, 1/s", above=0.0),
-        Parameter("beta", 0.5, "gain of the robust term, N m/s", minimum=0.0),
-        Parameter("gamma", (10.0, 1.0, 1.0, 10.0), "diagonal of the adaptation gain", minimum=0.0, length=4),
-        Parameter("smoothing", 0.03, "width of the smoothed sign, rad/s", above=0.0),
-        Parameter(
-            "adaptive_initial",
-            (0.4566, 0.009, 0.01, 0.9),
-            "initial estimates of J (kg m^2), g1, g4 (N m), g6 (N m s/rad)",
-            length=4,
-        ),
-        *TRAJECTORY,
-    ),
+    (*parameters_of(AriseGains), *TRAJECTORY),
     _make,
+    "adaptive robust integral of the sign of the error",
 )

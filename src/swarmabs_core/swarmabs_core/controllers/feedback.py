@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import cast
 
 from swarmabs_core.controllers.base import ControllerType, ParentContext
+from swarmabs_core.declaration import made_of, parameters_of, setting
 from swarmabs_core.messages import PlaneState
-from swarmabs_core.parameters import Parameter, Settings
+from swarmabs_core.parameters import SettingError, Settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,28 +66,52 @@ def lqr_gains(q: tuple[float, float], r: float, inertia: float, viscous: float) 
     return k1, sqrt(viscous * viscous + q[1] / r + 2.0 * inertia * k1) - viscous
 
 
+@dataclass(frozen=True, slots=True)
+class PdSettings:
+    """State feedback with given gains."""
+
+    gains: tuple[float, float] = setting((3.1623, 3.2859), "[k1, k2]: k1 in N m/rad, k2 in N m s/rad", length=2)
+
+
+@dataclass(frozen=True, slots=True)
+class LqrSettings:
+    """State feedback with the gain that minimises the integral of z'Qz + r tau^2, z = (th, w).
+
+    Linearised at 0 with the inertia ``plane.inertia + manifold.offset`` and the viscous friction g6.
+    """
+
+    q: tuple[float, float] = setting(
+        (10.0, 1.0),
+        "diagonal of Q: weight of angle in 1/rad^2 and of angular velocity in s^2/rad^2",
+        minimum=0.0,
+        length=2,
+    )
+    r: float = setting(1.0, "weight of the torque, 1/(N m)^2", above=0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse that the angle has no weight.
+
+        Raises
+        ------
+        SettingError
+            If the first weight is 0.
+        """
+        if self.q[0] == 0.0:
+            raise SettingError("q.0", "0 is out of range", "give a number > 0")
+
+
 def _make_pd(settings: Settings, context: ParentContext) -> StateFeedback:  # noqa: ARG001
-    k1, k2 = cast("tuple[float, float]", settings["gains"])
-    return StateFeedback(k1, k2)
+    return StateFeedback(*made_of(PdSettings, settings).gains)
 
 
 def _make_lqr(settings: Settings, context: ParentContext) -> StateFeedback:
-    q = cast("tuple[float, float]", settings["q"])
-    r = cast("float", settings["r"])
-    return StateFeedback(*lqr_gains(q, r, context.inertia + context.manifold.offset, context.friction.g6))
+    weights = made_of(LqrSettings, settings)
+    inertia, viscous = context.inertia + context.manifold.offset, context.friction.g6
+    return StateFeedback(*lqr_gains(weights.q, weights.r, inertia, viscous))
 
 
-PD = ControllerType(
-    "pd",
-    (Parameter("gains", (3.1623, 3.2859), "k1 in N m/rad and k2 in N m s/rad", length=2),),
-    _make_pd,
-)
+PD = ControllerType("pd", parameters_of(PdSettings), _make_pd, "tau_raw = k1 th + k2 w")
 
 LQR = ControllerType(
-    "lqr",
-    (
-        Parameter("q", (10.0, 1.0), "diagonal of Q, 1/rad^2 and s^2/rad^2", minimum=0.0, length=2),
-        Parameter("r", 1.0, "weight of the torque, 1/(N m)^2", above=0.0),
-    ),
-    _make_lqr,
+    "lqr", parameters_of(LqrSettings), _make_lqr, "tau_raw = K (th, w) with K from the algebraic Riccati equation"
 )
