@@ -158,6 +158,7 @@ class Agent:
         self._ended = False
         self._position, self._velocity = config.position, config.velocity
         self._command = 0.0
+        self._sensor = None if config.sensor.perfect else config.sensor
         self._lag = Lag.of(config.kind, config.actuator_lag, period, config.mass, config.damping)
         self._actual = 0.0  # what a drive that lags makes of the command so far
         self._broadcast_step = NEVER
@@ -243,10 +244,10 @@ class Agent:
 
     def _sensed(self) -> tuple[float, float]:
         """Return position (m) and velocity (m/s) as the robot measures them."""
-        sensor, true = self._config.sensor, (self._position, self._velocity)
-        if sensor.perfect:
-            return true
-        return sensor.measure(*true, f"{self._config.seed}:{self._step}:{self._config.agent_id}")
+        if self._sensor is None:
+            return self._position, self._velocity
+        draw = f"{self._config.seed}:{self._step}:{self._config.agent_id}"
+        return self._sensor.measure(self._position, self._velocity, draw)
 
     def _weight(self, plane: Message) -> float:
         """Return the force of gravity and rotation along the plane, N, held over the period."""

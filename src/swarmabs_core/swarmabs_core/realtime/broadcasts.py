@@ -27,7 +27,6 @@ MOST_GUARD = 0.5
 """Time by which a RESET must at most be newer than the last STOP, s: half of that for which RESET is said."""
 MOST_CHANGES = 2
 """Steps within the age limit in which a parent controller may change its mode; more often, there are two of them."""
-_LONG_AGO = -(2**62)
 
 
 class BroadcastInbox:
@@ -51,11 +50,10 @@ class BroadcastInbox:
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float, bounds: Bounds) -> None:
         self._schedule = schedule
         self._age = schedule.steps(age_limit)
-        self._ahead = schedule.ahead(clock_tolerance)
+        ahead = schedule.ahead(clock_tolerance)
         self._bounds = bounds
-        self._heard: Heard[tuple[Topic, int]] = Heard(self._age, self._ahead)
-        self._latch = ModeLatch(min(self._age + self._ahead, schedule.steps(MOST_GUARD)))
-        self._contradicted = _LONG_AGO
+        self._heard: Heard[tuple[Topic, int]] = Heard(self._age, ahead)
+        self._latch = ModeLatch(min(self._age + ahead, schedule.steps(MOST_GUARD)))
         self.newest: Broadcast | None = None
 
     @property
@@ -69,7 +67,7 @@ class BroadcastInbox:
         if topic not in BROADCASTS:
             return "not a broadcast"
         step = self._schedule.step(now)
-        if message.step > step + self._ahead:
+        if self._heard.from_future(message, step):
             return f"{topic.name}: from the future; the clocks differ, or it is of another swarm"
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP:
             self._latch.stop(message.step)  # whatever else may be wrong with it
@@ -88,7 +86,6 @@ class BroadcastInbox:
         self._heard.forget()
         self._latch.forget(self._schedule.step(now))
         self.newest = None
-        self._contradicted = _LONG_AGO
 
     def _contradiction(self, topic: Topic, message: Message, step: int) -> str:
         """Keep a message; notice if another one claims to be the one of its step, or if there are two controllers."""
@@ -97,14 +94,13 @@ class BroadcastInbox:
             mode = message.mode  # the parent controller may change its mind within a step
             if mode != Mode.RUN:
                 message = message._replace(stamp=0)  # and says it once more when it is asked twice
-        problem = ""
-        if self._heard.add((topic, mode), message, step):
-            problem = "two different ones of a step; a second swarm, or an intruder"
-        elif _has_changed(self._heard.of(message.step)) and self._changes() > MOST_CHANGES:
-            problem = "its mode changes again and again; a second controller, or an intruder"
-        if problem:
-            self._contradicted = step
-        return problem
+        place = topic, mode
+        if self._heard.add(place, message, step):
+            return "two different ones of a step; a second swarm, or an intruder"
+        if _has_changed(self._heard.of(message.step)) and self._changes() > MOST_CHANGES:
+            self._heard.doubt(place, step)
+            return "its mode changes again and again; a second controller, or an intruder"
+        return ""
 
     def _changes(self) -> int:
         """Return in how many steps there was more than one mode."""
@@ -126,7 +122,7 @@ class BroadcastInbox:
         step = self._schedule.step(now)
         if self.stopped:
             return "stop commanded"
-        if step - self._contradicted <= self._age:
+        if self._heard.doubts_any(step):
             return "the broadcasts contradict each other"
         if self.newest is None:
             return "no complete broadcasts yet"

@@ -38,7 +38,6 @@ RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""
 MOST_STEPS = 100
 """Missed steps that law and filter catch up; beyond, they begin anew."""
-_LONG_AGO = -(2**62)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +83,7 @@ class RealtimeController:
         self._config, self._bounds = config, config.bounds
         self._make_law = make_law
         self._age = config.schedule.steps(config.plane_age_limit)
-        self._ahead = config.schedule.ahead(config.clock_tolerance)
-        self._heard: Heard[None] = Heard(self._age, self._ahead)
-        self._contradicted = _LONG_AGO
+        self._heard: Heard[None] = Heard(self._age, config.schedule.ahead(config.clock_tolerance))
         self._refusals = Refusals()
         self._mode = config.start_mode
         self._why = "waits for a reset" if config.start_mode is Mode.STOP else ""
@@ -137,7 +134,6 @@ class RealtimeController:
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
             self._plane, self._last_published = None, -1
             self._heard.forget()
-            self._contradicted = _LONG_AGO
         if self._mode is not Mode.RUN and self._last_published < step:
             return (*events, self._keep_still(now, step))
         doubt, was_blind = self._doubt(step), self._blind
@@ -186,7 +182,7 @@ class RealtimeController:
     def _problem(self, message: Message, step: int) -> str:
         if not isinstance(message, PlaneState):
             return "not a state of the plane"
-        if message.step > step + self._ahead:
+        if self._heard.from_future(message, step):
             return "plane/state: from the future; the clocks differ, or it is of another swarm"
         if message.step < step - self._age:
             return "plane/state: outdated"
@@ -194,13 +190,12 @@ class RealtimeController:
         if problem:
             return f"plane/state: {problem}"
         if self._heard.add(None, message, step):
-            self._contradicted = step
             return "plane/state: two different ones of a step; a second plane, or an intruder"
         return ""
 
     def _doubt(self, step: int) -> str:
         """Return why nothing is asked for by what is known of the plane; empty if it may be."""
-        if step - self._contradicted <= self._age:
+        if self._heard.doubts(None, step):
             return "the states of the plane contradict each other"
         if self._plane is None or step - self._plane.step > self._age:
             return "no fresh state of the plane"

@@ -25,7 +25,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import FEWEST, Health, Level, Realtime, Schedule, StepCounter
-from swarmabs_core.realtime.heard import Heard
+from swarmabs_core.realtime.heard import TWO_STATES, Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.swarm_law import SwarmGains
@@ -160,9 +160,7 @@ class RealtimeObserver:
         self._memory: MutableMapping[int, AgentState] = {} if memory is None else memory
         self._sums = RealtimeSums(config)
         self._age = config.schedule.steps(config.state_age_limit)
-        self._ahead = config.schedule.ahead(config.clock_tolerance)
-        self._heard: Heard[int] = Heard(self._age, self._ahead)
-        self._contradicted: dict[int, int] = {}
+        self._heard: Heard[int] = Heard(self._age, config.schedule.ahead(config.clock_tolerance))
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
         self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
         # The steps that the states were of, also of those that are taken to be from long ago.
@@ -179,7 +177,7 @@ class RealtimeObserver:
         if isinstance(message, SwarmEvent):
             self._learn(message, step)
             return ()
-        problem = self._problem(message, step) or self._contradiction(message, step)
+        problem = self._problem(message, step)
         if problem:
             return self._refusals.add(problem, step, now)
         assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
@@ -207,7 +205,6 @@ class RealtimeObserver:
         """Take all robots to stand where they were heard last, until they are heard again."""
         self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
         self._heard.forget()
-        self._contradicted.clear()
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
         """Return how many robots there are in each role."""
@@ -230,9 +227,12 @@ class RealtimeObserver:
         if message.agent_id not in self.roles:
             return f"robot {message.agent_id} is not a member of this swarm"
         who = f"robot {message.agent_id}"
-        if message.step > step + self._ahead:
+        if self._heard.from_future(message, step):
             return f"{who}: a state from the future; the clocks differ, or it is of another swarm"
         problem = self._bounds.problem(message) or self._overweight(message)
+        if not problem:
+            self._heard.add(message.agent_id, message, step)
+            problem = TWO_STATES if self._heard.doubts(message.agent_id, step) else ""
         return f"{who}: {problem}" if problem else ""
 
     def _overweight(self, state: AgentState) -> str:
@@ -244,19 +244,6 @@ class RealtimeObserver:
         if state.status != Status.LEFT and self._bounds.exceeds(sum(others) + state.mass):
             return f"a mass of {state.mass:.4g} kg: with the others more than the swarm's"
         return ""
-
-    def _contradiction(self, message: Message, step: int) -> str:
-        """Notice that two different states claim to be that of a robot and step: then none of that robot is believed.
-
-        None, since nobody knows who was first: one who is ahead always is.
-        """
-        assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
-        if self._heard.add(message.agent_id, message, step):
-            self._contradicted[message.agent_id] = step
-        since = self._contradicted.get(message.agent_id)
-        if since is None or step - since > self._age:
-            return ""
-        return f"robot {message.agent_id}: two different states of a step"
 
     def _learn(self, event: SwarmEvent, step: int) -> None:
         """Learn that a robot has followed before, which late comers are told too, or that one was carried away."""

@@ -32,7 +32,7 @@ from swarmabs_core.plant import (
     swarm_load,
 )
 from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
-from swarmabs_core.realtime.heard import Heard
+from swarmabs_core.realtime.heard import TWO_STATES, Heard
 from swarmabs_core.realtime.plausibility import Bounds
 from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.sensing import measured_plane
@@ -153,10 +153,8 @@ class RealtimePlane:
         self._angle, self._angular_velocity = config.plane.angle, config.plane.angular_velocity
         self._newest: dict[int, AgentState] = {}
         self._before: dict[int, AgentState] = {}
-        self._ahead = config.schedule.ahead(config.clock_tolerance)
-        self._doubt = config.schedule.steps(DOUBT)
-        self._heard: Heard[int] = Heard(self._doubt, self._ahead)
-        self._contradicted: dict[int, int] = {}
+        ahead = config.schedule.ahead(config.clock_tolerance)
+        self._heard: Heard[int] = Heard(config.schedule.steps(DOUBT), ahead)
         self._members = frozenset(config.members)
         self._released: int | None = None
         self._counter = StepCounter(config.schedule)
@@ -169,9 +167,11 @@ class RealtimePlane:
         if not isinstance(message, AgentState) or message.agent_id not in self._members:
             return self._refusals.add("not a state of a robot of this swarm", step, now)
         problem = self._bounds.problem(message)
-        if message.step > step + self._ahead:
+        if self._heard.from_future(message, step):
             problem = "a state from the future; the clocks differ, or it is of another swarm"
-        problem = problem or self._contradiction(message, step)
+        elif not problem:
+            self._heard.add(message.agent_id, message, step)
+            problem = TWO_STATES if self._heard.doubts(message.agent_id, step) else ""
         if problem:
             return self._refusals.add(f"robot {message.agent_id}: {problem}", step, now)
         known = self._newest.get(message.agent_id)
@@ -182,13 +182,6 @@ class RealtimePlane:
             self._released = step
         return ()
 
-    def _contradiction(self, state: AgentState, step: int) -> str:
-        """Notice two different states of one robot and step: then none of that robot is believed."""
-        if self._heard.add(state.agent_id, state, step):
-            self._contradicted[state.agent_id] = step
-        since = self._contradicted.get(state.agent_id)
-        return "" if since is None or step - since > self._doubt else "two different states of a step"
-
     def tick(self, now: int) -> Messages:
         """Move the plane up to this step and tell its state."""
         step = self._counter.next(now)
@@ -196,7 +189,6 @@ class RealtimePlane:
             if self._counter.last is None:
                 self._last_step = None
                 self._heard.forget()
-                self._contradicted.clear()
             return ()
         since, robots = self._last_step, self._robots()
         events: Messages = ()
