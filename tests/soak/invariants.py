@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config import configure
-from swarmabs_core.faults import RobotFaults, truth
+from swarmabs_core.faults import RobotFaults, true_state
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, PlaneState, Status, SwarmEvent
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class StaysInLane(Invariant):
     """No robot leaves the plane without a ``LIMIT_HIT`` of the plane in that step."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._lies = configure.lies(scenario)
+        self._lies = configure.falsifications(scenario)
         self._half = scenario.plane.length / 2
         self._outside: set[int] = set()
 
@@ -63,7 +63,7 @@ class StaysInLane(Invariant):
         for message in messages:
             if not isinstance(message, AgentState):
                 continue
-            position = truth(message, self._lies).position
+            position = true_state(message, self._lies).position
             if abs(position) <= self._half:
                 self._outside.discard(message.agent_id)
             elif message.agent_id not in self._outside:

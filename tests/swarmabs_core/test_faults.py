@@ -4,7 +4,7 @@ import pytest
 from tests.swarmabs_core.helpers import agent_state
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import FaultKind, Lie, RobotFault, duplicated, held_back, lost, truth
+from swarmabs_core.faults import Falsification, FaultKind, RobotFault, duplicated, held_back, lost, true_state
 
 
 def test_draws_are_frozen() -> None:
@@ -80,13 +80,13 @@ def test_what_is_no_fault_is_refused(text: str) -> None:
 @pytest.mark.parametrize("text", ["3 loss 0 -1 0.1", "lie 0 -1 0 1 2", "3 lie 0 -1 0 0 1", "x lie 0 -1 0 1 2", ""])
 def test_what_is_no_lie_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="is not of the form"):
-        Lie.parse(text)
+        Falsification.parse(text)
 
 
 def test_a_lie_is_undone_for_its_robot_while_it_lasts() -> None:
-    lie = Lie.parse("3 lie 10 20 0.05 2.0 0.5")
-    assert Lie.parse(str(lie)) == lie
+    lie = Falsification.parse("3 lie 10 20 0.05 2.0 0.5")
+    assert Falsification.parse(str(lie)) == lie
     said = agent_state(3, 10, mass=0.25, position=0.25)
-    assert truth(said, [lie])[6:9] == (0.5, 0.0, pytest.approx(0.1, abs=1e-15))
+    assert true_state(said, [lie])[6:9] == (0.5, 0.0, pytest.approx(0.1, abs=1e-15))
     for other in (agent_state(3, 9), agent_state(3, 20), agent_state(2, 10)):
-        assert truth(other, [lie]) is other
+        assert true_state(other, [lie]) is other

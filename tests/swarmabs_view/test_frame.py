@@ -13,7 +13,13 @@ def test_a_frame_has_all_that_is_shown_but_the_stamp() -> None:
     assert set(Instant._fields) - set(Frame.model_fields) == {"stamp"}
     frame = frame_of(INSTANT, [ShownRobot(0.5, 0.0, None, "dead"), ShownRobot()], 250.0)
     assert frame.model_dump() == {
-        "v": 1, "type": "frame", "step": 7, "time": 0.07, "angle": 0.1, "angular_velocity": -0.2, "reference": None,
+        "v": 1,
+        "type": "frame",
+        "step": 7,
+        "time": 0.07,
+        "angle": 0.1,
+        "angular_velocity": -0.2,
+        "reference": None,
         "abstract": {"torque": 1.0, "inertia": None},
         "desired": {"torque": 2.0, "inertia": 0.5},
         "robots": {

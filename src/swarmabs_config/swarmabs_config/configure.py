@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from swarmabs_config.graph import recording_window as window_of
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
 from swarmabs_core.controllers import ParentLaw
-from swarmabs_core.faults import FaultKind, Lie, RobotFault
+from swarmabs_core.faults import Falsification, FaultKind, RobotFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.parent_response import ParentResponse
@@ -48,10 +48,10 @@ def robot_faults(scenario: Scenario, agent_id: int) -> tuple[RobotFault, ...]:
     )
 
 
-def lies(scenario: Scenario) -> tuple[Lie, ...]:
+def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
     """Return the injected lies of all robots, by robot."""
     return tuple(
-        Lie(agent.id, fault)
+        Falsification(agent.id, fault)
         for agent in scenario.agents
         for fault in robot_faults(scenario, agent.id)
         if fault.kind is FaultKind.LIE
@@ -101,7 +101,7 @@ def plane_config(scenario: Scenario) -> PlaneConfig:
         last_step=scenario.steps,
         seed=scenario.seed,
         actuator_lag=scenario.swarm.actuator_lag,
-        lies=lies(scenario),
+        lies=falsifications(scenario),
         torques=step_changes(scenario, DISTURBANCE),
     )
 

@@ -127,8 +127,8 @@ class RobotFault:
                 yield value, text
 
 
-class Lie(NamedTuple):
-    """A lie of one robot."""
+class Falsification(NamedTuple):
+    """A fault of one robot that falsifies its states."""
 
     agent_id: int
     fault: RobotFault
@@ -137,7 +137,7 @@ class Lie(NamedTuple):
         return f"{self.agent_id} {self.fault}"
 
     @classmethod
-    def parse(cls, text: str) -> Lie:
+    def parse(cls, text: str) -> Falsification:
         """Read ``AGENT lie FIRST END OFFSET FACTOR FACTOR``.
 
         Raises
@@ -152,8 +152,8 @@ class Lie(NamedTuple):
         return cls(int(agent_id), fault)
 
 
-def truth(state: AgentState, lies: Iterable[Lie]) -> AgentState:
-    """Return a robot's state without what the injected lies have made of it.
+def true_state(state: AgentState, lies: Iterable[Falsification]) -> AgentState:
+    """Return a robot's state as it is, without what injected faults have made of it.
 
     The position is divided as it was multiplied, so its last bits are those of the published one and not of the robot's
     own.

@@ -105,7 +105,7 @@ class Recorded:
     @property
     def lies_note(self) -> str:
         """Say whose positions and masses are not true, empty if all are."""
-        ids = sorted({lie.agent_id for lie in configure.lies(self.scenario)})
+        ids = sorted({lie.agent_id for lie in configure.falsifications(self.scenario)})
         if not ids:
             return ""
         who = f"Robot {ids[0]} lies" if len(ids) == 1 else f"Robots {', '.join(map(str, ids))} lie"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class FaultyAgent:
-    """Announces a robot's faults; duplicates messages, shifts stamps, lies. The robot in it knows nothing of that.
+    """Announces a robot's faults; duplicates messages, shifts stamps, falsifies states. The robot in it knows nothing.
 
     Loss, delay and reordering of the broadcasts are in the robot itself: they decide what it acts on.
 

@@ -11,7 +11,7 @@ from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessage
 from swarmabs_core.behaviours.gathering import Gathering
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import RunError
-from swarmabs_core.faults import Lie, truth
+from swarmabs_core.faults import Falsification, true_state
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -46,8 +46,8 @@ class PlaneConfig:
     last_step: int | None = same(Run, "last_step")
     seed: int = same(Run, "seed")
     actuator_lag: float = same(Run, "actuator_lag")
-    lies: tuple[Lie, ...] = setting(
-        (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Lie.parse
+    lies: tuple[Falsification, ...] = setting(
+        (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Falsification.parse
     )
     torques: tuple[StepChange, ...] = setting(
         (),
@@ -145,7 +145,7 @@ class Plane:
         stamp = step * config.period_ns
         states = self._gathering.take()
         if config.lies:
-            states = [truth(state, config.lies) for state in states]
+            states = [true_state(state, config.lies) for state in states]
         events: list[SwarmEvent] = []
         if (torque := self._torques.changing(step)) is not None:
             events.append(SwarmEvent(stamp, step, 0, EventKind.STEERING, torque, DISTURBANCE))
