@@ -157,8 +157,8 @@ def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
         def poll(self, now: float) -> list[Message]:
             return [State(phase="recorded", text=f"{now}")]
 
-        def control(self, wish: object) -> None:
-            assert wish == Play(v=1, type="play")
+        def control(self, request: object) -> None:
+            assert request == Play(v=1, type="play")
             self.wishes += 1
 
     after: list[After] = []

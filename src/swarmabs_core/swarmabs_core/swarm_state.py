@@ -140,7 +140,7 @@ def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRo
     Parameters
     ----------
     out : Out, optional
-        How it is out: a dead one stands still at its place, whatever its process goes on saying.
+        How it is out: a dead one stands still at its place, whatever its process still says.
     state : AgentState, optional
         What it has said last up to that step; None if it was not heard.
     step : int

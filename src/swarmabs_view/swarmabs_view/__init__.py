@@ -1,1 +1,1 @@
-"""The live view: a page in the browser that shows a run that goes on, or a bag, and only looks at it."""
+"""What people look at: a page in the browser, the terminal, RViz and Foxglove."""

@@ -56,7 +56,7 @@ def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
         return
     panel = RunPanel(scenario)
     shown = 0.0
-    # Drawn by whoever reports and not by a thread: the launcher is started from here.
+    # Drawn by the function that is told, not by a thread: the launcher is forked from here.
     with Live(panel, console=console, auto_refresh=False, transient=True) as live:
 
         def show(progress: Progress) -> None:

@@ -1,4 +1,4 @@
-"""Who may ask the view's server: pages that it has delivered itself, on this machine, and nobody else.
+"""Which requests the view's server answers: those of pages that it has delivered itself, on this machine.
 
 The server listens on 127.0.0.1. That alone does not keep out pages of the web that the same browser shows: they can
 address 127.0.0.1, or a name of theirs that they let point there (DNS rebinding). So the name by which the server is

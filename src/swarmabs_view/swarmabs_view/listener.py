@@ -1,4 +1,4 @@
-"""Hears what is shown of a swarm: only subscribes, and nobody ever waits for it.
+"""Subscribes to what is shown of a swarm; no node ever waits for it.
 
 It reads best effort, from queues of a few messages that lose what is old when it is slow, stopped or dead. Only events
 are read reliably, so that those before its time come too; their writers keep a bounded number for late readers and wait

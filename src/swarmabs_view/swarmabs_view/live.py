@@ -190,10 +190,10 @@ class LiveSession:
             self._told = now
         return messages
 
-    def control(self, wish: Control) -> None:
+    def control(self, request: Control) -> None:
         """Do what the page asks for; a running swarm cannot be played."""
         if self._after is not None:
-            self._after.control(wish)
+            self._after.control(request)
 
     def _frame(self, now: float) -> list[Frame]:
         instant = self._live.state.instant()

@@ -68,7 +68,7 @@ class Recording:
 
     @cached_property
     def shading(self) -> Shading:
-        """The sets of whoever takes part."""
+        """The sets of the robots that take part."""
         return Shading(self.hello)
 
     @cached_property
@@ -155,18 +155,18 @@ class PlaybackSession:
         frames: list[Message] = [self.recording.frame(self._row, rate)] if moved else []
         return [*frames, *self._new_sets(), *(self._state(now) if changed else [])]
 
-    def control(self, wish: Control) -> None:
+    def control(self, request: Control) -> None:
         """Do what the page asks for; what is over cannot be steered."""
-        if isinstance(wish, Play):
+        if isinstance(request, Play):
             if self._row >= len(self.recording) - 1:
                 self._jump(0)
             self._playing = len(self.recording) > 1
-        elif isinstance(wish, Pause):
+        elif isinstance(request, Pause):
             self._playing = False
-        elif isinstance(wish, Seek):
-            self._jump(self.recording.row_at(wish.step))
-        elif isinstance(wish, Speed):
-            self._speed = wish.speed
+        elif isinstance(request, Seek):
+            self._jump(self.recording.row_at(request.step))
+        elif isinstance(request, Speed):
+            self._speed = request.speed
 
     def _jump(self, row: int) -> None:
         if len(self.recording):

@@ -222,7 +222,7 @@ def _no_other_one(version: object) -> object:
     return version
 
 
-class Wish(Part):
+class Request(Part):
     """A message of a page, which must say its version; nothing is taken for a number that is none."""
 
     model_config = ConfigDict(strict=True)
@@ -230,33 +230,33 @@ class Wish(Part):
     v: Annotated[Literal[1], BeforeValidator(_no_other_one)]
 
 
-class Play(Wish):
+class Play(Request):
     """Let the playback go on; at the end it begins again."""
 
     type: Literal["play"]
 
 
-class Pause(Wish):
+class Pause(Request):
     """Stop the playback where it is."""
 
     type: Literal["pause"]
 
 
-class Seek(Wish):
+class Seek(Request):
     """Show a step."""
 
     type: Literal["seek"]
     step: int = Field(ge=0, lt=2**63)
 
 
-class Speed(Wish):
+class Speed(Request):
     """Play faster or slower than real time."""
 
     type: Literal["speed"]
     speed: float = Field(gt=0.0, le=FASTEST, allow_inf_nan=False)
 
 
-class Steer(Wish):
+class Steer(Request):
     """Change the run; only for those who know the token. Values as of the run's socket (docs/steering.md)."""
 
     type: Literal["steer"]
@@ -275,7 +275,7 @@ Control: TypeAlias = Play | Pause | Seek | Speed | Steer
 CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="type")])
 
 FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Sets, Curves, Events, Health, State, Steering, Answer)
-FROM_PAGE: tuple[type[Wish], ...] = (Play, Pause, Seek, Speed, Steer)
+FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Steer)
 
 
 def json_schema() -> dict[str, object]:

@@ -47,7 +47,7 @@ class Session(Protocol):
         """Return what is new at a time (s) of the clock."""
         ...
 
-    def control(self, wish: Control) -> None:
+    def control(self, request: Control) -> None:
         """Do what the page asks for."""
         ...
 
@@ -84,22 +84,22 @@ class ViewServer:
         self._headers = response_headers(self._port)
         self._pages: set[web.WebSocketResponse] = set()
 
-    async def run(self, ended: Awaitable[object], *beside: Awaitable[object]) -> None:
-        """Serve until an awaitable is done, and have others run beside."""
+    async def run(self, ended: Awaitable[object], *tasks: Awaitable[object]) -> None:
+        """Serve until one of the awaitables is done."""
         app = web.Application(middlewares=[self._guarded], client_max_size=LONGEST_REQUEST)
         app.router.add_get("/socket", self._socket)
         app.router.add_get("/{path:.*}", self._file)
         app.on_shutdown.append(self._close)
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=END_SECONDS)
         await runner.setup()
-        tasks = [asyncio.ensure_future(one) for one in beside]
+        running = [asyncio.ensure_future(one) for one in tasks]
         try:
             await web.SockSite(runner, self._listener).start()
-            done, _ = await asyncio.wait([asyncio.ensure_future(ended), *tasks], return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait([asyncio.ensure_future(ended), *running], return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
-            for task in tasks:
+            for task in running:
                 task.cancel()
             await runner.cleanup()
 
@@ -165,13 +165,13 @@ async def _hear(page: web.WebSocketResponse, session: Session) -> None:
     """Do what a page asks for, until it goes; one that says what is no message is shown out."""
     async for heard in page:
         try:
-            wish = CONTROL.validate_json(heard.data) if heard.type is WSMsgType.TEXT else None
+            request = CONTROL.validate_json(heard.data) if heard.type is WSMsgType.TEXT else None
         except ValidationError:
-            wish = None
-        if wish is None:
+            request = None
+        if request is None:
             await page.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not a message of version 1")
             return
-        session.control(wish)
+        session.control(request)
 
 
 def serve(

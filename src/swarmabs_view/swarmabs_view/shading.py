@@ -1,4 +1,4 @@
-"""The sets A_A and A_P of whoever takes part: computed once for each membership, beside what shows them."""
+"""The sets A_A and A_P of the robots that take part: computed once for each membership, in the background."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REST = 4.0
 
 
 def in_background(work: Work) -> Thread:
-    """Have something done by a thread that nobody waits for, and that rests afterwards."""
+    """Do something in a daemon thread, which rests afterwards."""
 
     def run() -> None:
         begun = time.monotonic()

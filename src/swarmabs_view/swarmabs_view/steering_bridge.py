@@ -54,7 +54,7 @@ class SteeringBridge:
         self.status = Steering(open=False)
 
     async def follow(self) -> None:
-        """Keep the status up to date, from before the run begins; goes on for ever, as a run is over only once."""
+        """Keep the status up to date, from before the run begins; never ends."""
         while self._streams is None:
             with suppress(OSError):
                 await self._connect()

@@ -38,7 +38,7 @@ _TOLERANCE = 1e-6
 
 
 def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: str | None = None) -> Path:
-    """Write a bag anew with frames in between, whole or not at all, and return its folder.
+    """Write a copy of a bag with frames in between, whole or not at all, and return its folder.
 
     Parameters
     ----------
