@@ -145,13 +145,13 @@ def test_arrays_begin_with_the_first_step(tmp_path: Path, *, since_1970: bool) -
 @pytest.mark.parametrize("name", ["quiet", "deaths", "adaptive", "operator"])
 def test_a_report_has_the_figures_of_the_recorder(tmp_path: Path, name: str, *, since_1970: bool) -> None:
     recorded = read_recorded(realtime_bag(tmp_path / "bag", name, since_1970=since_1970))
-    assert recorded.status == "ok"
-    expected = world(name).figures.summary()
+    assert recorded.swarm.status == "ok"
+    expected = world(name).figures.figures()
     assert {key: recorded.metrics[key] for key in expected} == expected
     assert recorded.metrics["digest"] is None
     assert recorded.realtime == world(name).figures.realtime()
     assert np.nanmax(np.abs(recorded.error)) < 0.2
-    assert all(0.0 <= event.stamp / 1e9 <= recorded.arrays.time[-1] + 0.01 for event in recorded.events)
+    assert all(0.0 <= event.stamp / 1e9 <= recorded.arrays.time[-1] + 0.01 for event in recorded.swarm.events)
 
 
 def test_a_report_is_drawn(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_bags_are_compared(tmp_path: Path, *, since_1970: bool) -> None:
     equal, different = compare_bags(one, same), compare_bags(one, other)
     assert equal.equal
     assert equal.a.digest is None
-    expected = world("operator").figures.summary()
+    expected = world("operator").figures.figures()
     assert {key: equal.a.figures[key] for key in expected} == expected
     assert not different.equal
     assert not different.damaged

@@ -195,15 +195,15 @@ def test_figures_of_a_run_are_those_of_its_messages() -> None:
     found = messages(recorded.bag)
     by_topic = {topic.name: sum(TOPIC_OF[type(m)] is topic for m in found) for topic in MAIN_TOPICS}
     assert {name: loss["received"] for name, loss in said["losses"].items()} == by_topic
-    assert recorded.figures.summary()["messages"] == len(found)
+    assert recorded.figures.figures()["messages"] == len(found)
     law = lockstep.parent_controller(builtin("pd_het_4"))
     angles = {m.step: m.angle for m in found if isinstance(m, PlaneState)}
     run = [m for m in found if isinstance(m, DesiredAbstractState) and m.mode == Mode.RUN]
-    assert recorded.figures.summary()["final_error"] == law.reference(0.0) - angles[run[-1].step]
+    assert recorded.figures.figures()["final_error"] == law.reference(0.0) - angles[run[-1].step]
 
 
 def test_every_world_has_its_figures() -> None:
     for name in WORLDS:
-        summary = world(name).figures.summary()
+        summary = world(name).figures.figures()
         assert summary["rms_error"] is not None
         assert summary["max_abs_position"] is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.recording import Latest, Metrics
 from swarmabs_config.graph import REALTIME, RECORDER, endpoints
@@ -227,9 +227,13 @@ class RealtimeFigures:
             while len(waiting) > _PENDING:
                 del waiting[next(iter(waiting))]
 
-    def summary(self) -> dict[str, float | int | None]:
+    def figures(self) -> dict[str, float | int | None]:
         """Return the figures under their names in ``summary.json``; None where there is no finite one."""
         return self._metrics.summary()
+
+    def summary(self) -> dict[str, Any]:
+        """Return all figures; there is no digest, since what arrives differs from run to run."""
+        return {**self.figures(), "digest": None, "realtime": self.realtime()}
 
     def realtime(self) -> dict[str, object]:
         """Return what only a run in real time has: received and missing messages, ages of broadcasts, safe stops.

@@ -438,6 +438,14 @@ class RunFigures:
         self._digest.update(step)
         self._metrics.update(step)
 
+    def digest(self) -> str:
+        """Return the digest of the steps so far."""
+        return self._digest.hexdigest()
+
+    def figures(self) -> dict[str, float | int | None]:
+        """Return the figures without the digest."""
+        return self._metrics.summary()
+
     def summary(self) -> dict[str, float | int | str | None]:
         """Return figures and digest; there is no digest of a run that recorded nothing."""
-        return {**self._metrics.summary(), "digest": self._digest.hexdigest() if self.latest is not None else None}
+        return {**self.figures(), "digest": self.digest() if self.latest is not None else None}

@@ -15,10 +15,10 @@ from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import is_realtime
 from swarmabs_bag.realtime_recording import RealtimeFigures
-from swarmabs_bag.recording import Digest, Metrics
+from swarmabs_bag.recording import RunFigures
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import EVENTS, AgentState
+from swarmabs_core.messages import EVENTS
 from swarmabs_core.realtime.base import Schedule
 
 if TYPE_CHECKING:
@@ -179,10 +179,9 @@ class _Side:
         self._problem = bag.problem and f"{bag.path}: {bag.problem}"
         self._scenario_problem: str | None = None
         self._steps: tuple[int, int] | None = None
-        self._digest = Digest()
         self._realtime = is_realtime(bag)
         reference = self._reference()
-        self._metrics = Metrics(reference)
+        self._run = RunFigures(reference)
         period_ns = self.scenario.step_ns if self.scenario is not None else 1
         self._figures = RealtimeFigures(reference, Schedule(period_ns))
 
@@ -198,13 +197,10 @@ class _Side:
         """Yield the bag's steps as far as they can be read."""
         try:
             for step in recorded_steps(self._records(), str(self.bag.path), realtime=self._realtime):
-                self._metrics.update(step)
+                self._run.add(step)
                 if step.records[0].topic is not EVENTS:
-                    self._digest.update(step)
                     self._steps = (step.step if self._steps is None else self._steps[0], step.step)
-                    self.robots.update(
-                        record.agent_id for record in step.records if isinstance(record.message, AgentState)
-                    )
+                    self.robots.update(state.agent_id for state in step.states())
                 yield step
             if self._problem is None:
                 self.bag.check()  # what no message needs can be damaged too
@@ -222,12 +218,12 @@ class _Side:
         first, last = self._steps if self._steps is not None else (None, None)
         return BagSummary(
             file=str(self.bag.path),
-            digest=self._digest.hexdigest() if self._steps is not None and not self._realtime else None,
+            digest=self._run.digest() if self._steps is not None and not self._realtime else None,
             first_step=first,
             last_step=last,
             period=self.scenario.period if self.scenario is not None else None,
             robots=len(self.robots),
-            figures=self._figures.summary() if self._realtime else self._metrics.summary(),
+            figures=(self._figures if self._realtime else self._run).figures(),
             problem=self._problem,
             aborted=self._aborted(),
             scenario_problem=self._scenario_problem,

@@ -140,7 +140,7 @@ def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
         metrics = {**_metrics(swarm.scenario, arrays), "messages": sum(map(len, tables.values())) + len(swarm.events)}
         metrics["digest"] = digest_of(tables) if metrics["final_error"] is not None else None
     else:
-        metrics = {**realtime.summary(), "digest": None}
+        metrics = {**realtime.figures(), "digest": None}
     summary, note = _summary(bag.path, metrics["digest"])
     return Recorded(
         swarm=swarm,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.recording import Digest, Metrics
+from swarmabs_bag.recording import RunFigures
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.theory import setting
@@ -65,19 +65,18 @@ def lost(index: int, reason: str) -> str:
 def _run(scenario: Scenario) -> dict[str, Any]:
     """Simulate, and return figures, status and outcome."""
     status, reason = "ok", None
-    digest, metrics = Digest(), Metrics(configure.reference(scenario))
+    run = RunFigures(configure.reference(scenario))
     max_abs_angle: float | None = None
     try:
         for step in simulated_steps(scenario):
-            digest.update(step)
-            metrics.update(step)
-            if metrics.latest is not None:
-                max_abs_angle = max(max_abs_angle or 0.0, abs(metrics.latest.angle))
+            run.add(step)
+            if run.latest is not None:
+                max_abs_angle = max(max_abs_angle or 0.0, abs(run.latest.angle))
     except RunError as error:
         status, reason = "failed", str(error)
     except Exception as error:  # noqa: BLE001 - a bug that one case shows shall not cost the others
         status, reason = "failed", f"{type(error).__name__}: {error}"
-    figures = metrics.summary()
+    figures = run.figures()
     reached = figures["max_abs_position"]
     if status != "ok":
         outcome = "failed"
@@ -88,7 +87,7 @@ def _run(scenario: Scenario) -> dict[str, Any]:
     return {
         **figures,
         "max_abs_angle": max_abs_angle,
-        "digest": digest.hexdigest() if metrics.latest is not None else None,
+        "digest": run.summary()["digest"],
         "status": status,
         "reason": reason,
         "outcome": outcome,

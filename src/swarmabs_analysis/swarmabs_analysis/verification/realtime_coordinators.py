@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
 from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES
@@ -30,12 +30,13 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.verification.history import History
     from swarmabs_core.controllers.base import ParentController
-    from swarmabs_core.messages import AgentState, Basis
+    from swarmabs_core.messages import AgentState, Basis, Message
     from swarmabs_core.realtime.controller import RealtimeControllerConfig
     from swarmabs_core.realtime.observer import RealtimeObserverConfig
     from swarmabs_core.realtime.plane import RealtimePlaneConfig
     from swarmabs_core.record import Record
 
+Config = TypeVar("Config")
 Finding: TypeAlias = "Difference | str | None"
 """None if a message is right, else what is wrong, or why it cannot be checked."""
 
@@ -44,23 +45,33 @@ NO_ANSWER_BEFORE = "the answer from which it goes on is not in the bag"
 NO_PLANE = "the plane's state that it answers is not in the bag"
 
 
-class ObserverCheck:
-    """Abstract and auxiliary states, from the robots' states that the observer names.
+class _Check(Generic[Config]):
+    """What the checks have in common.
 
     Parameters
     ----------
-    config : RealtimeObserverConfig
-        How the observer was configured.
+    config
+        How the coordinator was configured.
     history : History
         What the bag holds.
     tolerance : float
         As of `judge`.
     """
 
-    def __init__(self, config: RealtimeObserverConfig, history: History, tolerance: float) -> None:
+    def __init__(self, config: Config, history: History, tolerance: float) -> None:
         self._config = config
         self._history = history
         self._tolerance = tolerance
+
+    def _judge(self, stored: Record, expected: Message) -> Difference | None:
+        return judge(stored, expected, None, self._tolerance)
+
+
+class ObserverCheck(_Check["RealtimeObserverConfig"]):
+    """Abstract and auxiliary states, from the robots' states that the observer names."""
+
+    def __init__(self, config: RealtimeObserverConfig, history: History, tolerance: float) -> None:
+        super().__init__(config, history, tolerance)
         self._sums = RealtimeSums(config)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
 
@@ -81,7 +92,7 @@ class ObserverCheck:
         for stored in answers:
             expected = abstract if stored.topic is ABSTRACT_STATE else sums
             found = AMBIGUOUS if self._history.is_ambiguous(stored.topic, step) else wrong
-            yield found or judge(stored, expected, None, self._tolerance)
+            yield found or self._judge(stored, expected)
 
     def _wrong_standing(self, basis: Basis, states: Mapping[int, AgentState]) -> Difference | None:
         """Return that a robot of which nothing new was known was not taken to stand."""
@@ -103,21 +114,14 @@ class ObserverCheck:
         return None
 
 
-class PlaneCheck:
+class PlaneCheck(_Check["RealtimePlaneConfig"]):
     """The simulated plane's states, each from the one before and the robots' states that the plane names.
 
     With a sensor that is not perfect the true state is not recorded: it is followed from the beginning, or not at all.
-
-    Parameters
-    ----------
-    config, history, tolerance
-        As of `ObserverCheck`.
     """
 
     def __init__(self, config: RealtimePlaneConfig, history: History, tolerance: float) -> None:
-        self._config = config
-        self._history = history
-        self._tolerance = tolerance
+        super().__init__(config, history, tolerance)
         self._motion = PlaneMotion(config)
         self._truth: tuple[int, float, float] | None = None
 
@@ -141,7 +145,7 @@ class PlaneCheck:
         if self._history.is_ambiguous(PLANE_STATE, step):
             yield AMBIGUOUS
             return
-        wrong = [judge(stored, self._state(basis, place), None, self._tolerance) for place in places]
+        wrong = [self._judge(stored, self._state(basis, place)) for place in places]
         if None in wrong:
             self._truth = (step, *places[wrong.index(None)])
         yield None if None in wrong else wrong[0]
@@ -190,13 +194,13 @@ class PlaneCheck:
         return PlaneState(basis.stamp, basis.step, *measured)
 
 
-class ControllerCheck:
+class ControllerCheck(_Check["RealtimeControllerConfig"]):
     """Desired states, each from the plane's state and those before.
 
     Parameters
     ----------
     config, history, tolerance
-        As of `ObserverCheck`.
+        As of the other checks.
     make_law : callable
         Makes the control law.
     """
@@ -208,10 +212,8 @@ class ControllerCheck:
         make_law: Callable[[], ParentController],
         tolerance: float,
     ) -> None:
-        self._config = config
-        self._history = history
+        super().__init__(config, history, tolerance)
         self._make_law = make_law
-        self._tolerance = tolerance
         self._generator: DesiredStateGenerator | None = None
         self._law_step = self._begun = -1
 
@@ -231,7 +233,7 @@ class ControllerCheck:
             elif message.mode != Mode.RUN:
                 yield self._still(stored, message)
             elif isinstance(expected, DesiredAbstractState):
-                yield judge(stored, expected, None, self._tolerance)
+                yield self._judge(stored, expected)
             else:
                 yield expected
 
@@ -283,7 +285,7 @@ class ControllerCheck:
         """Check what is published while the swarm keeps still: some point of the manifold, without any rate."""
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
-        return judge(stored, still, None, self._tolerance)
+        return self._judge(stored, still)
 
 
 def _standing(basis: Basis) -> set[int]:

@@ -49,32 +49,7 @@ class Figures(Protocol):
 
 
 class _Recording:
-    """What recordings have in common, whatever gathers their messages: bag, figures, what people see.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The resolved scenario; it is attached to the bag at once.
-    folder : Path, optional
-        Folder of the bag; none if only figures are wanted.
-    figures : Figures
-        What the run comes to.
-    topics : tuple of Topic
-        What the bag holds.
-    qos : mapping
-        What the publishers of each topic offer.
-    namespace : str
-        Namespace of the swarm, which the bag's topics have.
-    split : Split
-        When the bag goes on in a new file.
-    origin
-        Of the provenance, as of `provenance_json`.
-
-    Raises
-    ------
-    InputError
-        If the folder is not empty or cannot be written.
-    """
+    """What recordings have in common, whatever gathers their messages: bag, figures, what people see."""
 
     def __init__(
         self,
@@ -141,8 +116,12 @@ class Recording(_Recording):
 
     Parameters
     ----------
-    scenario, folder, namespace
-        As of a recording in real time.
+    scenario : Scenario
+        The resolved scenario; it is attached to the bag at once.
+    folder : Path, optional
+        Folder of the bag; none if only figures are wanted.
+    namespace : str
+        Namespace of the swarm, which the bag's topics have.
     driver : str
         What moves the run, for the provenance.
     split : Split
@@ -212,10 +191,8 @@ class RealtimeRecording(_Recording):
 
     Parameters
     ----------
-    scenario : Scenario
-        The resolved scenario; it is attached to the bag at once.
-    folder : Path, optional
-        Folder of the bag; none if only figures are wanted.
+    scenario, folder, namespace, split
+        As of `Recording`.
     schedule : Schedule
         How time becomes steps.
     simulated : iterable of int, optional
@@ -226,15 +203,6 @@ class RealtimeRecording(_Recording):
         Robots whose limits are not those of the scenario.
     last_step : int, optional
         The last step that is recorded, if the nodes go on beyond.
-    namespace : str
-        Namespace of the swarm, which the bag's topics have.
-    split : Split
-        When the bag goes on in a new file, by default never.
-
-    Raises
-    ------
-    InputError
-        If the folder is not empty or cannot be written.
     """
 
     def __init__(
@@ -304,9 +272,9 @@ class RealtimeRecording(_Recording):
         return Health(Level.OK, "records" if self._writer is not None else "listens, without a bag", figures)
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures of the run so far; it has no digest, since what arrives differs from run to run."""
-        realtime = {**self._run.realtime(), "dropped": self._dropped()}
-        return {**super().figures(), "digest": None, "realtime": realtime}
+        """Return the figures of the run so far, and what was dropped."""
+        found = super().figures()
+        return {**found, "realtime": {**found["realtime"], "dropped": self._dropped()}}
 
     def _dropped(self) -> dict[str, int]:
         collector = self._collector
