@@ -9,11 +9,12 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from swarmabs_config.fleet.names import PluginName, SettingName
-from swarmabs_config.scenario.agents import AgentId
-from swarmabs_config.scenario.declared import model_of
+from swarmabs_config.scenario.agents import AgentId, Damping, Mass, Position, Velocity
+from swarmabs_config.scenario.declared import like, model_of
 from swarmabs_config.scenario.errors import describe
-from swarmabs_config.scenario.fields import LARGEST, Model, NonNegative, Number, Positive, Tagged, problem
+from swarmabs_config.scenario.fields import LARGEST, Model, Positive, Tagged, problem
 from swarmabs_config.scenario.texts import Name
+from swarmabs_core.behaviours.agent import RobotConfig
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.topic_drive import TopicSettings
 
@@ -22,8 +23,8 @@ class SimulatedDrive(Model):
     """A body that exists on paper only; its motion is computed from the commands."""
 
     type: Literal["simulated"] = Field(default="simulated", description="the body is computed")
-    position: Number = Field(description="initial position on the plane, 0 at the axis, m")
-    velocity: Number = Field(default=0.0, description="initial velocity of a double integrator, m/s")
+    position: Position = like(RobotConfig, "position", required=True)
+    velocity: Velocity = like(RobotConfig, "velocity")
 
 
 class PluginDrive(Model):
@@ -86,10 +87,10 @@ class RobotLimits(Model):
 class SingleIntegratorRobot(Model):
     """A robot whose command is its velocity."""
 
-    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    id: AgentId = like(RobotConfig, "agent_id", required=True)
     host: Name = Field(description="host on which its node runs")
     kind: Literal["single_integrator"] = Field(default="single_integrator", description="p' = u")
-    mass: Positive = Field(description="mass, kg")
+    mass: Mass = like(RobotConfig, "mass", required=True)
     limits: RobotLimits = Field(default=RobotLimits(), description="what it may do at most")
     drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="what is between the law and the body")
 
@@ -124,11 +125,11 @@ class SingleIntegratorRobot(Model):
 class DoubleIntegratorRobot(Model):
     """A robot whose command is its force."""
 
-    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    id: AgentId = like(RobotConfig, "agent_id", required=True)
     host: Name = Field(description="host on which its node runs")
     kind: Literal["double_integrator"] = Field(default="double_integrator", description="m v' = u - c v")
-    mass: Positive = Field(description="mass, kg")
-    damping: NonNegative = Field(description="viscous damping c of its motion, N s/m; 0 is legal")
+    mass: Mass = like(RobotConfig, "mass", required=True)
+    damping: Damping = like(RobotConfig, "damping", required=True)
     limits: RobotLimits = Field(default=RobotLimits(), description="what it may do at most")
     drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="what is between the law and the body")
 

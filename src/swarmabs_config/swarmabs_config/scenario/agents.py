@@ -15,14 +15,21 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from swarmabs_core.behaviours.agent import RobotConfig
+
+from .declared import Like, like
 from .errors import show
-from .fields import LARGEST, AsPair, Finding, Model, NonNegative, Number, Positive, problem, raise_findings
+from .fields import LARGEST, AsPair, Finding, Model, NonNegative, Positive, problem, raise_findings
 
 LARGEST_ID = 65535
 AUTO_INERTIA = 0.0288
 """Inertia in kg m^2 that the robots have at ``position: auto``: that of the paper's four robots."""
 
-AgentId: TypeAlias = Annotated[int, Field(ge=1, le=LARGEST_ID)]
+AgentId: TypeAlias = Annotated[int, Like(RobotConfig, "agent_id")]
+Mass: TypeAlias = Annotated[float, Like(RobotConfig, "mass")]
+Damping: TypeAlias = Annotated[float, Like(RobotConfig, "damping")]
+Position: TypeAlias = Annotated[float, Like(RobotConfig, "position")]
+Velocity: TypeAlias = Annotated[float, Like(RobotConfig, "velocity")]
 
 
 def _offer_velocity(schema: dict[str, JsonValue]) -> None:
@@ -37,10 +44,10 @@ class SingleIntegratorAgent(Model):
 
     model_config = ConfigDict(json_schema_extra=_offer_velocity)
 
-    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    id: AgentId = like(RobotConfig, "agent_id", required=True)
     kind: Literal["single_integrator"] = Field(default="single_integrator", description="p' = u")
-    mass: Positive = Field(description="mass, kg")
-    position: Number = Field(description="initial position on the plane, 0 at the axis, m")
+    mass: Mass = like(RobotConfig, "mass", required=True)
+    position: Position = like(RobotConfig, "position", required=True)
 
     damping: ClassVar[float] = 0.0
     velocity: ClassVar[float] = 0.0
@@ -66,12 +73,12 @@ class SingleIntegratorAgent(Model):
 class DoubleIntegratorAgent(Model):
     """A robot whose command is its force, m v' = u - c v."""
 
-    id: AgentId = Field(description="number of the robot, 1 to 65535")
+    id: AgentId = like(RobotConfig, "agent_id", required=True)
     kind: Literal["double_integrator"] = Field(default="double_integrator", description="m v' = u - c v")
-    mass: Positive = Field(description="mass, kg")
-    damping: NonNegative = Field(description="viscous damping c of its motion, N s/m; 0 is legal")
-    position: Number = Field(description="initial position on the plane, 0 at the axis, m")
-    velocity: Number = Field(default=0.0, description="initial velocity, m/s")
+    mass: Mass = like(RobotConfig, "mass", required=True)
+    damping: Damping = like(RobotConfig, "damping", required=True)
+    position: Position = like(RobotConfig, "position", required=True)
+    velocity: Velocity = like(RobotConfig, "velocity")
 
 
 Agent: TypeAlias = SingleIntegratorAgent | DoubleIntegratorAgent
