@@ -31,6 +31,8 @@ from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
 from swarmabs_run.parent_death import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
 
+LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")
+"""What rclpy loads when a node offers services, as nodes in real time do; loaded here it is shared by all of them."""
 _PR_SET_NAME = 15
 
 
@@ -139,6 +141,8 @@ def main() -> int:
     with tracing_files_removed(if_orphaned=True):
         for node in (PLANE, OBSERVER, CONTROLLER, ROBOT):
             importlib.import_module(NODES[node].modules[driver])
+        for name in LOADED_BY_SERVICES if driver is Driver.REALTIME else ():
+            importlib.import_module(name)
         CONTROLLERS.find(controller)  # what a package brings is looked for once, and not in every node
         LAWS.find(law)
         for topic in TOPICS:
