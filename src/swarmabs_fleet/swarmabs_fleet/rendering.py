@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import shlex
 from functools import cache
+from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from swarmabs_run.rendering import templates
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 
 def render(template: str, **values: object) -> str:
@@ -21,13 +25,6 @@ def render(template: str, **values: object) -> str:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("swarmabs_fleet"),
-        autoescape=select_autoescape(enabled_extensions=("xml.j2",)),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    environment = templates("swarmabs_fleet")
     environment.filters["quote"] = shlex.quote
     return environment

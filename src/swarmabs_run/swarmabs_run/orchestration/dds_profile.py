@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-
 from swarmabs_config import ports
 from swarmabs_config.graph import COORDINATORS
 from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, ROBOTS_GROUP
+from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -133,12 +132,5 @@ def network_profile_xml(address: str, discovery: Discovery, participant: str = F
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("swarmabs_run"),
-        autoescape=select_autoescape(enabled_extensions=("xml.j2",)),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template("fastdds.xml.j2", globals={"ports": vars(ports), "prefix": _SERVER_PREFIX})
+    known = {"ports": vars(ports), "prefix": _SERVER_PREFIX}
+    return templates("swarmabs_run").get_template("fastdds.xml.j2", globals=known)

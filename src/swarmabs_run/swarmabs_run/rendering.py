@@ -1,0 +1,17 @@
+"""Files made from templates: how those of runs and of fleets are read."""
+
+from __future__ import annotations
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+
+def templates(package: str) -> Environment:
+    """Return the templates of a package; XML is escaped, and a value that a template names must be given."""
+    return Environment(
+        loader=PackageLoader(package),
+        autoescape=select_autoescape(enabled_extensions=("xml.j2",)),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
