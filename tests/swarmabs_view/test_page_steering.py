@@ -42,10 +42,10 @@ def test_what_is_asked_when_the_connection_goes_gets_no_answer(page: Page, page_
     expect(page.get_by_role("button", name="Kill")).to_be_enabled(timeout=10_000)
     expect(said).to_contain_text("no answer")
     ask(page)
-    request = page_server.heard("steer")[-1]
-    page_server.send(Answer(request=request["request"], ok=True, text="from step 7 on, 0.07 s"))
+    wish = page_server.heard("steer")[-1]
+    page_server.send(Answer(request=wish["request"], ok=True, text="from step 7 on, 0.07 s"))
     expect(said).to_have_text("reference 0.1: from step 7 on, 0.07 s")
-    assert request["token"] == TOKEN
+    assert wish["token"] == TOKEN
 
 
 def test_what_is_asked_of_a_socket_that_is_closing_is_not_sent(page: Page, page_server: PageServer) -> None:

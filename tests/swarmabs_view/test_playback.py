@@ -202,8 +202,8 @@ def test_a_bag_in_which_nothing_is_is_shown_as_such(tmp_path: Path) -> None:
     assert len(recording) == 0
     session = PlaybackSession(recording)
     session.hello()
-    for request in (Play(v=1, type="play"), Seek(v=1, type="seek", step=3)):
-        session.control(request)
+    for wish in (Play(v=1, type="play"), Seek(v=1, type="seek", step=3)):
+        session.control(wish)
         assert shown(session.poll(0.0)) is None
 
 

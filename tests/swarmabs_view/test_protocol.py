@@ -90,7 +90,7 @@ def test_numbers_keep_every_bit_and_what_is_not_finite_is_null() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "request"),
+    ("text", "wish"),
     [
         ('{"v": 1, "type": "play"}', Play(v=1, type="play")),
         ('{"v": 1, "type": "pause"}', Pause(v=1, type="pause")),
@@ -102,8 +102,8 @@ def test_numbers_keep_every_bit_and_what_is_not_finite_is_null() -> None:
         ),
     ],
 )
-def test_wishes_of_a_page(text: str, request: object) -> None:
-    assert CONTROL.validate_json(text) == request
+def test_wishes_of_a_page(text: str, wish: object) -> None:
+    assert CONTROL.validate_json(text) == wish
 
 
 @pytest.mark.parametrize(

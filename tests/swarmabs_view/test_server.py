@@ -129,8 +129,8 @@ async def hear(
     headers = {"Origin": url.rstrip("/") if origin is None else origin}
     found: list[dict[str, Any]] = []
     async with ClientSession() as session, session.ws_connect(f"{url}socket", headers=headers) as page:
-        for request in wishes:
-            await (page.send_str(request) if isinstance(request, str) else page.send_bytes(request))
+        for wish in wishes:
+            await (page.send_str(wish) if isinstance(wish, str) else page.send_bytes(wish))
         async for message in page:
             if message.type is not WSMsgType.TEXT:
                 break
@@ -159,15 +159,15 @@ def test_connections_of_other_pages_are_refused(served: Served) -> None:
 
 
 @pytest.mark.parametrize(
-    "request",
+    "wish",
     [
         *("", "x" * 5000, '{"v": 1, "type": "steer"}', '{"v": 9, "type": "play"}', '{"v": true, "type": "play"}'),
         *(b"", b'{"v": 1, "type": "play"}', b"\xff" * 100),
     ],
     ids=repr,
 )
-def test_who_says_what_is_no_message_is_shown_out_and_others_stay(served: Served, request: str | bytes) -> None:
-    found = asyncio.run(hear(served, request, until="never"))
+def test_who_says_what_is_no_message_is_shown_out_and_others_stay(served: Served, wish: str | bytes) -> None:
+    found = asyncio.run(hear(served, wish, until="never"))
     assert found[-1]["code"] in {1008, 1009}
     assert asyncio.run(hear(served))[-1]["type"] == "frame"
 
@@ -200,8 +200,8 @@ def test_a_page_that_does_not_read_gets_less_and_costs_no_memory(served: Served)
         process = psutil.Process(served.process.pid)
         before = process.memory_info().rss
         for number in range(3000):
-            request = json.dumps({"v": 1, "type": "seek", "step": number % 400}).encode()
-            page.sendall(struct.pack("!BB4x", 0x81, 0x80 | len(request)) + request)  # masked with zeros
+            wish = json.dumps({"v": 1, "type": "seek", "step": number % 400}).encode()
+            page.sendall(struct.pack("!BB4x", 0x81, 0x80 | len(wish)) + wish)  # masked with zeros
         assert asyncio.run(hear(served))[-1]["type"] == "frame"  # others are served meanwhile
         assert process.memory_info().rss - before < 20e6
 
