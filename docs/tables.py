@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args, get_type_hints
 
+import click
 from pydantic import BaseModel
 
 import abstraction_observer.node
@@ -26,6 +27,7 @@ import plane_sim.node
 import plane_sim.realtime
 from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
+from swarmabs_cli import swarm
 from swarmabs_config.graph import GRAPH, LOCKSTEP, OFFERED, REALTIME, RECORDER, End, Link
 from swarmabs_config.scenario import (
     AGENT_KINDS,
@@ -230,9 +232,36 @@ def controller_parameters() -> str:
     return table(("law", "parameter", "default", "allowed", "meaning"), rows)
 
 
+def commands() -> str:
+    """Return the commands with their arguments and options."""
+
+    def rows(group: click.Group, prefix: str = "") -> Iterator[tuple[str, str]]:
+        context = click.Context(group)
+        for name in group.list_commands(context):
+            command = group.get_command(context, name)
+            if isinstance(command, click.Group):
+                yield from rows(command, f"{prefix}{name} ")
+            elif command is not None:
+                yield code(prefix + name), " · ".join(_parameter(found) for found in command.params)
+
+    return table(("command", "arguments and options"), rows(swarm))
+
+
+def _parameter(found: click.Parameter) -> str:
+    """Return how an argument or an option is given."""
+    if not isinstance(found, click.Option):
+        name = str(found.name).upper()
+        return code(found.metavar or (name if found.required else f"[{name}]"))
+    *others, last = found.opts
+    kind = {"choice": "NAME", "path": "PATH", "text": "TEXT"}.get(found.type.name, "NUMBER")
+    given = "" if found.is_flag else f" {found.metavar or kind}"
+    return ", ".join([*map(code, others), code(last + given)])
+
+
 def all_tables() -> dict[str, str]:
     """Return every table by its name."""
     return {
+        "commands": commands(),
         "topics": topics(),
         "message fields": message_fields(),
         "events": events(),

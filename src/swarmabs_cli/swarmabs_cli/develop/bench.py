@@ -38,7 +38,14 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     show_default=True,
     help="What to measure; repeatable.",
 )
-@click.option("--robots", default="4,20,64,200", show_default=True, callback=_numbers, help="Numbers of robots.")
+@click.option(
+    "--robots",
+    default="4,20,64,200",
+    show_default=True,
+    callback=_numbers,
+    metavar="N,N",
+    help="Numbers of robots.",
+)
 @click.option("--repeat", type=click.IntRange(1), default=3, show_default=True, help="How often to measure everything.")
 @click.option(
     "--window",
@@ -60,6 +67,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     default="200,500,1000,2000",
     show_default=True,
     callback=_numbers,
+    metavar="N,N",
     help="Numbers of robots in the suite large.",
 )
 @click.option(
