@@ -11,14 +11,14 @@ from swarmabs_run.orchestration.progress import Outcome
 
 
 @pytest.mark.parametrize(
-    ("told", "seconds"), [(f"{os.getpid()}:85.25", 85.25), (f"{os.getppid()}:85.25", 0.0), ("", 0.0), (None, 0.0)]
+    ("told", "seconds"), [("{own}:85.25", 85.25), ("{parent}:85.25", 0.0), ("", 0.0), (None, 0.0)]
 )
 def test_only_the_process_that_was_set_up_counts_it(
     monkeypatch: pytest.MonkeyPatch, told: str | None, seconds: float
 ) -> None:
     monkeypatch.delenv(SETUP, raising=False)
     if told is not None:
-        monkeypatch.setenv(SETUP, told)
+        monkeypatch.setenv(SETUP, told.format(own=os.getpid(), parent=os.getppid()))
     assert setup_seconds() == seconds
 
 
