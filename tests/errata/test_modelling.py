@@ -25,7 +25,7 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import AbstractState, AgentState, AuxiliaryState, DesiredAbstractState, Kind, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, standing, straight, swarm_load
-from swarmabs_core.theory.constraint_sets import StateClass, classify, largest_position
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 
 PAPER = Friction(*FRICTION)
 
@@ -103,7 +103,17 @@ def test_force_driven_robots_feel_the_plane() -> None:
     def acceleration(*, feels: bool) -> float:
         """Of a robot whose law commands nothing, since the state is the wanted one."""
         config = AgentConfig(
-            1, Kind.DOUBLE_INTEGRATOR, m, p, 0.0, GAINS, round(dt * 1e9), GRAVITY, LENGTH, 0.0, feels_gravity=feels
+            agent_id=1,
+            kind=Kind.DOUBLE_INTEGRATOR,
+            mass=m,
+            position=p,
+            velocity=0.0,
+            gains=GAINS,
+            period_ns=round(dt * 1e9),
+            gravity=GRAVITY,
+            plane_length=LENGTH,
+            damping=0.0,
+            feels_gravity=feels,
         )
         agent = Agent(config)
         agent.start()
@@ -199,7 +209,7 @@ def test_manifold_leaves_the_absolutely_constrained_set() -> None:
     assert largest_by_optimisation(edge - 0.001, curve.inertia(edge - 0.001)) < 0.5 * LENGTH
     assert largest_by_optimisation(edge + 0.001, curve.inertia(edge + 0.001)) > 0.5 * LENGTH
     for torque, found in ((edge - 0.001, StateClass.ADMISSIBLE), (edge + 0.001, StateClass.PARTIAL)):
-        assert classify(torque, curve.inertia(torque), MASS.tolist(), LENGTH, GRAVITY) is found
+        assert ConstraintSets(MASS.tolist(), LENGTH, GRAVITY).classify(torque, curve.inertia(torque)) is found
     for torque in (0.0, 1.0, edge, TORQUE_MAX):
-        found = largest_position(torque, curve.inertia(torque), MASS.tolist(), GRAVITY)
+        found = ConstraintSets(MASS.tolist(), 1.0, GRAVITY).largest_position(torque, curve.inertia(torque))
         assert found == pytest.approx(largest_by_optimisation(torque, curve.inertia(torque)), rel=1e-12)

@@ -34,7 +34,7 @@ from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
 from swarmabs_core.theory.attraction import estimate, radius_squared
-from swarmabs_core.theory.constraint_sets import StateClass, classify
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_core.theory.level_set import matrix_eigenvalues, potential
 
 K1, K2 = PD_PRINTED
@@ -201,11 +201,11 @@ def test_errors_have_less_room_than_said() -> None:
     """Section PD Controller: abs(e_J) <= 0.03 and abs(e_tau) < 2 are "acceptable" about the manifold."""
     masses = MASS.tolist()
     assert OFFSET - 0.03 < 0.0  # the error 0.03 at tau = 0: an inertia that no positions have
-    assert classify(0.0, OFFSET - 0.03, masses, 1.0, GRAVITY) is StateClass.EMPTY
+    assert ConstraintSets(masses, 1.0, GRAVITY).classify(0.0, OFFSET - 0.03) is StateClass.EMPTY
     for direction in np.linspace(0.0, 2.0 * pi, 33):
         torque, inertia = 0.0249 * sin(direction), OFFSET + 0.0249 * cos(direction)
         assert inertia > (torque / GRAVITY) ** 2 / MASS.sum()
-        assert classify(torque, inertia, masses, 1.0, GRAVITY) is StateClass.ADMISSIBLE
+        assert ConstraintSets(masses, 1.0, GRAVITY).classify(torque, inertia) is StateClass.ADMISSIBLE
     assert np.hypot(0.0482, -0.0026) > 0.025  # e_a(0)
 
 

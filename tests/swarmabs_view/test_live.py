@@ -21,7 +21,7 @@ from tests.swarmabs_bag.sample_run import make_run, make_step
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import TOPIC_OF, EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.swarm_state import RobotIdentity, SwarmState
-from swarmabs_core.theory.constraint_sets import StateClass, classify
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.program import SwarmNode
 from swarmabs_ros.start import initialise
@@ -209,7 +209,7 @@ def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:
             ((admissible + reachable) / 2, StateClass.PARTIAL),
             (reachable * 1.01, StateClass.UNREACHABLE),
         ):
-            assert classify(torque, inertia, masses, length, gravity) is expected
+            assert ConstraintSets(masses, length, gravity).classify(torque, inertia) is expected
 
 
 def test_weights_that_stand_still_shift_the_sets() -> None:

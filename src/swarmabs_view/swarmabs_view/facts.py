@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_config import configure
 from swarmabs_core.swarm_state import finite
-from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_view.frame import robots_of
 from swarmabs_view.protocol import Manifold, Plane, Regions
 
@@ -83,14 +83,15 @@ def regions(
         return None
     shift = gravity * fsum(mass * place for mass, place in standing)
     lift = fsum(mass * place**2 for mass, place in standing)
-    reach = min(_MARGIN * torque_max + abs(shift), gravity * fsum(masses) * length / 2.0)
+    sets = ConstraintSets(masses, length, gravity)
+    reach = min(_MARGIN * torque_max + abs(shift), sets.largest_torque)
     samples = 4 * _SAMPLES if len(masses) <= _FEW else _SAMPLES
     # Without the weights that stand still, the sets are symmetric in the torque.
     half = [reach * index / samples for index in range(samples + 1)]
     curves = [
-        [finite(lift + smallest_inertia(torque, masses, gravity)) for torque in half],
-        [finite(lift + largest_admissible_inertia(torque, masses, length, gravity)) for torque in half],
-        [finite(lift + largest_inertia(torque, masses, length, gravity).lower) for torque in half],
+        [finite(lift + sets.smallest_inertia(torque)) for torque in half],
+        [finite(lift + sets.largest_admissible_inertia(torque)) for torque in half],
+        [finite(lift + sets.largest_inertia(torque).lower) for torque in half],
     ]
     smallest, admissible, reachable = ([*reversed(curve[1:]), *curve] for curve in curves)
     return Regions(

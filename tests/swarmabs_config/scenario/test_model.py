@@ -22,11 +22,11 @@ from swarmabs_config.scenario import (
     Sine,
     SingleIntegratorAgent,
     Swarm,
-    largest_position,
     parse_scenario,
     spread,
 )
 from swarmabs_config.scenario.loader import default_name
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 PAPER = (
     SingleIntegratorAgent(id=1, mass=0.3552, position=0.125),
@@ -216,8 +216,8 @@ def test_largest_position_is_attained() -> None:
     masses, positions = (0.5, 1.5), (0.4, -0.1)
     torque = 9.81 * sum(m * p for m, p in zip(masses, positions, strict=True))
     inertia = sum(m * p * p for m, p in zip(masses, positions, strict=True))
-    assert largest_position(torque, inertia, masses, 9.81) == pytest.approx(0.4, rel=1e-12)
-    assert largest_position(5.0, 0.0, masses, 9.81) == math.inf
+    assert ConstraintSets(masses, 1.0, 9.81).largest_position(torque, inertia) == pytest.approx(0.4, rel=1e-12)
+    assert ConstraintSets(masses, 1.0, 9.81).largest_position(5.0, 0.0) == math.inf
 
 
 def test_the_papers_manifold_leaves_the_set_it_should_stay_in() -> None:

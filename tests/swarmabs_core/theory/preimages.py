@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.theory.constraint_sets import StateClass, smallest_inertia
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def preimage_positions(
     ValueError
         If the preimage is empty.
     """
-    least = smallest_inertia(torque, masses, gravity)
+    least = ConstraintSets(masses, 1.0, gravity).smallest_inertia(torque)
     if inertia < least:
         raise ValueError(f"no positions have {torque!r} N m and less than {least!r} kg m^2, got {inertia!r}")
     weights = np.asarray(masses)
@@ -80,7 +80,7 @@ def sampled_class(
     count, seed : int
         Number of samples and what they are drawn from.
     """
-    if inertia < smallest_inertia(torque, masses, gravity):
+    if inertia < ConstraintSets(masses, 1.0, gravity).smallest_inertia(torque):
         return StateClass.EMPTY
     positions = preimage_positions(torque, inertia, masses, gravity, count, seed)
     on_plane = (np.abs(positions) <= length / 2).all(axis=1)

@@ -9,13 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from swarmabs_core.theory.constrained_region import Ball, clearance, constrained_region, manifold_clearance
-from swarmabs_core.theory.constraint_sets import (
-    StateClass,
-    classify,
-    largest_admissible_inertia,
-    manifold_reach,
-    smallest_inertia,
-)
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 
 G = 9.81
 PAPER = (0.3552, 0.3532, 0.6762, 0.4596)
@@ -24,16 +18,20 @@ PAPER = (0.3552, 0.3532, 0.6762, 0.4596)
 def around(torque: float, inertia: float, radius: float) -> set[StateClass]:
     angles = np.linspace(0, 2 * math.pi, 721)
     return {
-        classify(torque + radius * math.cos(a), inertia + radius * math.sin(a), PAPER, 1.0, G) for a in angles.tolist()
+        ConstraintSets(PAPER, 1.0, G).classify(torque + radius * math.cos(a), inertia + radius * math.sin(a))
+        for a in angles.tolist()
     }
 
 
 @settings(max_examples=60)
 @given(st.floats(-8.0, 8.0), st.floats(0.02, 0.98))
 def test_ball_of_the_clearance_touches_the_boundary(torque: float, share: float) -> None:
-    least, most = smallest_inertia(torque, PAPER, G), largest_admissible_inertia(torque, PAPER, 1.0, G)
+    least, most = (
+        ConstraintSets(PAPER, 1.0, G).smallest_inertia(torque),
+        ConstraintSets(PAPER, 1.0, G).largest_admissible_inertia(torque),
+    )
     inertia = least + share * (most - least)
-    found = clearance(torque, inertia, PAPER, 1.0, G)
+    found = clearance(ConstraintSets(PAPER, 1.0, G), torque, inertia)
     assert around(torque, inertia, found.radius * (1 - 1e-6)) == {StateClass.ADMISSIBLE}
     assert len(around(torque, inertia, found.radius * 1.001)) > 1
 
@@ -43,7 +41,7 @@ def test_ball_of_the_clearance_touches_the_boundary(torque: float, share: float)
     [(0.0, 0.025), (1.0, 0.0375), (-2.0, 0.2), (5.0, 0.3375), (3.0, 0.01), (0.01, 0.3), (9.1, 0.3)],
 )
 def test_clearance_is_the_distance_to_the_nearest_point_of_each_curve(torque: float, inertia: float) -> None:
-    found = clearance(torque, inertia, PAPER, 1.0, G)
+    found = clearance(ConstraintSets(PAPER, 1.0, G), torque, inertia)
     end = G * sum(PAPER) / 2
     taus = np.linspace(-1.1 * end, 1.1 * end, 200_001)
     lower = np.hypot(taus - torque, (taus / G) ** 2 / sum(PAPER) - inertia).min()
@@ -52,31 +50,34 @@ def test_clearance_is_the_distance_to_the_nearest_point_of_each_curve(torque: fl
     upper_curve = (taus / G) ** 2 / sum(PAPER) + left**2 / (1 / min(PAPER) - 1 / sum(PAPER))
     upper = np.hypot(taus - torque, upper_curve - inertia).min()
     assert [abs(x) for x in found] == pytest.approx([lower, upper], rel=1e-5)
-    inside = classify(torque, inertia, PAPER, 1.0, G) is StateClass.ADMISSIBLE
+    inside = ConstraintSets(PAPER, 1.0, G).classify(torque, inertia) is StateClass.ADMISSIBLE
     assert (found.radius >= 0) == inside
 
 
 def test_room_of_the_papers_manifold() -> None:
     # 0.025 is the manifold's height at 0, where the lower bound is 0.
     for torque_max in (0.32, 1.0, 2.0):
-        found = manifold_clearance(0.0125, 0.025, torque_max, PAPER, 1.0, G)
-        grid = [clearance(t, 0.0125 * t * t + 0.025, PAPER, 1.0, G) for t in np.linspace(0, torque_max, 1999).tolist()]
+        found = manifold_clearance(ConstraintSets(PAPER, 1.0, G), 0.0125, 0.025, torque_max)
+        grid = [
+            clearance(ConstraintSets(PAPER, 1.0, G), t, 0.0125 * t * t + 0.025)
+            for t in np.linspace(0, torque_max, 1999).tolist()
+        ]
         assert found.lower == pytest.approx(min(x.lower for x in grid), rel=1e-6) == pytest.approx(0.025)
         assert found.upper == pytest.approx(min(x.upper for x in grid), rel=1e-6)
     # No room up to 5; the room ends where the manifold leaves A_A.
-    assert manifold_clearance(0.0125, 0.025, 5.0, PAPER, 1.0, G).radius < -0.1
-    end = manifold_reach(0.0125, 0.025, PAPER, 1.0, G).admissible
-    assert manifold_clearance(0.0125, 0.025, end, PAPER, 1.0, G).upper == pytest.approx(0.0, abs=1e-9)
+    assert manifold_clearance(ConstraintSets(PAPER, 1.0, G), 0.0125, 0.025, 5.0).radius < -0.1
+    end = ConstraintSets(PAPER, 1.0, G).manifold_reach(0.0125, 0.025).admissible
+    assert manifold_clearance(ConstraintSets(PAPER, 1.0, G), 0.0125, 0.025, end).upper == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_papers_first_error_has_no_room() -> None:
     """By the letter, D_ac leaves out the errors with which the paper's PD run starts, for any torque_max."""
     # Of the errors that the paper accepts, |e_tau| < 2 and |e_J| <= 0.03, some belong to no positions.
-    assert classify(0.0, 0.025 - 0.03, PAPER, 1.0, G) is StateClass.EMPTY
+    assert ConstraintSets(PAPER, 1.0, G).classify(0.0, 0.025 - 0.03) is StateClass.EMPTY
     initial = math.hypot(0.0482, -0.0026)
-    assert initial > manifold_clearance(0.0125, 0.025, 0.01, PAPER, 1.0, G).radius
+    assert initial > manifold_clearance(ConstraintSets(PAPER, 1.0, G), 0.0125, 0.025, 0.01).radius
     # What remains inside A_A is larger if the run's torques, at most 0.32, are taken.
-    assert initial < manifold_clearance(0.0125, 0.025, 0.32, PAPER, 1.0, G).upper
+    assert initial < manifold_clearance(ConstraintSets(PAPER, 1.0, G), 0.0125, 0.025, 0.32).upper
 
 
 @pytest.mark.parametrize(("level", "decides"), [(0.02, "S"), (9.0, "parent"), (9.1, "abstract")])

@@ -7,7 +7,7 @@ import pytest
 from tests.swarmabs_core.theory.preimages import preimage_positions, sampled_class
 
 from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions, classify_points
-from swarmabs_core.theory.constraint_sets import StateClass, classify
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 
 G = 9.81
 PAPER = (0.3552, 0.3532, 0.6762, 0.4596)
@@ -29,7 +29,7 @@ def test_closed_forms_agree_with_samples_of_the_preimage(masses: tuple[float, ..
     agree, classes = 0, set()
     cases = states(masses, 300)
     for torque, inertia in cases:
-        exact = classify(torque, inertia, masses, 1.0, G)
+        exact = ConstraintSets(masses, 1.0, G).classify(torque, inertia)
         sampled = sampled_class(torque, inertia, masses, 1.0, G, count=3000, seed=5)
         classes.add(exact)
         agree += exact is sampled
@@ -53,9 +53,9 @@ def test_preimage_of_the_papers_example_is_an_ellipse_through_all_its_points() -
 
 def test_points_keep_their_shape_and_class() -> None:
     torque, inertia = abstract_states(box_positions(PAPER, 1.0, 60, seed=1), PAPER, G)
-    found = classify_points(torque.reshape(3, 20), inertia.reshape(3, 20), PAPER, 1.0, G)
+    found = classify_points(torque.reshape(3, 20), inertia.reshape(3, 20), ConstraintSets(PAPER, 1.0, G))
     assert found.shape == (3, 20)
-    expected = [classify(t, j, PAPER, 1.0, G) for t, j in zip(torque, inertia, strict=True)]
+    expected = [ConstraintSets(PAPER, 1.0, G).classify(t, j) for t, j in zip(torque, inertia, strict=True)]
     assert found.ravel().tolist() == expected
     assert set(expected) == {StateClass.ADMISSIBLE, StateClass.PARTIAL}
 

@@ -13,17 +13,7 @@ from scipy.optimize import minimize
 from tests.swarmabs_core.theory.preimages import preimage_positions
 
 from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions
-from swarmabs_core.theory.constraint_sets import (
-    Bracket,
-    StateClass,
-    box_edges,
-    classify,
-    largest_admissible_inertia,
-    largest_inertia,
-    largest_position,
-    manifold_reach,
-    smallest_inertia,
-)
+from swarmabs_core.theory.constraint_sets import Bracket, ConstraintSets, StateClass, box_edges
 
 G = 9.81
 PAPER = (0.3552, 0.3532, 0.6762, 0.4596)
@@ -92,14 +82,14 @@ def optimised(objective: np.ndarray, torque: float, masses: tuple[float, ...], s
 @given(masses, fractions)
 def test_largest_inertia_is_that_of_the_best_vertex(masses: list[float], fraction: float) -> None:
     torque = fraction * G * sum(masses) / 2
-    found = largest_inertia(torque, masses, 1.0, G)
+    found = ConstraintSets(masses, 1.0, G).largest_inertia(torque)
     assert found.exact
     assert found.lower == pytest.approx(enumerated_largest_inertia(torque * (1 - 1e-15), masses, 1.0), rel=1e-10)
 
 
 @pytest.mark.parametrize("torque", [0.0, 1.0, 3.3, 8.0])
 def test_no_optimiser_finds_a_larger_inertia_and_one_finds_it(torque: float) -> None:
-    exact = largest_inertia(torque, PAPER, 1.0, G).lower
+    exact = ConstraintSets(PAPER, 1.0, G).largest_inertia(torque).lower
     assert optimised(np.zeros(4), torque, PAPER, 7, half=0.5) == pytest.approx(exact, rel=1e-7)
 
 
@@ -116,7 +106,7 @@ def test_halves_find_what_all_signs_give() -> None:
                 x = (moment - (signs @ weights - signs[:, free] * weights[free])) / weights[free]
                 x = x[abs(x) <= 1]
                 best = max(best, ((weights.sum() - weights[free] * (1 - x**2)) / 4).max(initial=-math.inf))
-            found = largest_inertia(float(torque), weights.tolist(), 1.0, G)
+            found = ConstraintSets(weights.tolist(), 1.0, G).largest_inertia(float(torque))
             assert found == (pytest.approx(best, rel=1e-12),) * 2
 
 
@@ -143,7 +133,7 @@ def test_bracket_of_many_robots_holds_the_largest_inertia(count: int, width: flo
     # Moments everywhere, and near the end, where few robots or none can stand on the other side.
     for moment in (0, total // 3, total - 5000, total - 1500, total - 600, total - 37, total):
         exact = float(total - whole_number_deficit(moment, weights))
-        found = largest_inertia(float(moment), weights, 2.0, 1.0)
+        found = ConstraintSets(weights, 2.0, 1.0).largest_inertia(float(moment))
         assert found.lower <= exact * (1 + 1e-14) and exact * (1 - 1e-14) <= found.upper, moment
         assert found.lower >= exact - width * total
         if total - moment <= 2 * weights[13]:
@@ -152,9 +142,9 @@ def test_bracket_of_many_robots_holds_the_largest_inertia(count: int, width: flo
 
 def test_any_number_of_equal_robots_is_exact() -> None:
     # Torque 0: halves on both sides; of an odd number one stands in the middle.
-    assert largest_inertia(0.0, [0.5] * 1000, 1.0, G) == Bracket(125.0, 125.0)
-    assert largest_inertia(0.0, [0.5] * 1001, 1.0, G) == Bracket(125.0, 125.0)
-    assert largest_inertia(0.25 * G, [0.5] * 1000, 1.0, G) == Bracket(124.875, 124.875)
+    assert ConstraintSets([0.5] * 1000, 1.0, G).largest_inertia(0.0) == Bracket(125.0, 125.0)
+    assert ConstraintSets([0.5] * 1001, 1.0, G).largest_inertia(0.0) == Bracket(125.0, 125.0)
+    assert ConstraintSets([0.5] * 1000, 1.0, G).largest_inertia(0.25 * G) == Bracket(124.875, 124.875)
 
 
 def test_all_robots_at_ends_give_the_largest_inertia_of_all() -> None:
@@ -164,15 +154,17 @@ def test_all_robots_at_ends_give_the_largest_inertia_of_all() -> None:
         weights = rng.uniform(0.25, 0.75, count).tolist()
         for signs in product((-1, 1), repeat=count):
             torque = G * math.fsum(m * sign / 2 for m, sign in zip(weights, signs, strict=True))
-            assert largest_inertia(torque, weights, 1.0, G).lower == pytest.approx(sum(weights) / 4, rel=1e-9)
+            assert ConstraintSets(weights, 1.0, G).largest_inertia(torque).lower == pytest.approx(
+                sum(weights) / 4, rel=1e-9
+            )
 
 
 def test_beyond_the_largest_torque_there_is_none() -> None:
     end = G * sum(PAPER) / 2
-    assert largest_inertia(end, PAPER, 1.0, G) == pytest.approx((sum(PAPER) / 4,) * 2, rel=1e-12)
-    assert largest_inertia(1.0001 * end, PAPER, 1.0, G) == (-math.inf, -math.inf)
-    assert largest_admissible_inertia(end, PAPER, 1.0, G) == pytest.approx(sum(PAPER) / 4, rel=1e-12)
-    assert largest_admissible_inertia(1.0001 * end, PAPER, 1.0, G) == -math.inf
+    assert ConstraintSets(PAPER, 1.0, G).largest_inertia(end) == pytest.approx((sum(PAPER) / 4,) * 2, rel=1e-12)
+    assert ConstraintSets(PAPER, 1.0, G).largest_inertia(1.0001 * end) == (-math.inf, -math.inf)
+    assert ConstraintSets(PAPER, 1.0, G).largest_admissible_inertia(end) == pytest.approx(sum(PAPER) / 4, rel=1e-12)
+    assert ConstraintSets(PAPER, 1.0, G).largest_admissible_inertia(1.0001 * end) == -math.inf
 
 
 def test_its_curve_is_the_upper_envelope_of_the_edges() -> None:
@@ -181,7 +173,7 @@ def test_its_curve_is_the_upper_envelope_of_the_edges() -> None:
     for torque in np.linspace(-9, 9, 37).tolist():
         moment = torque / G * 2
         over = [(sum(PAPER) - m + (moment - rest) ** 2 / m) / 4 for m, rest in edges if abs(moment - rest) <= m]
-        assert largest_inertia(torque, PAPER, 1.0, G).lower == pytest.approx(max(over), rel=1e-12)
+        assert ConstraintSets(PAPER, 1.0, G).largest_inertia(torque).lower == pytest.approx(max(over), rel=1e-12)
     assert len(list(box_edges([0.5] * 5))) == 5  # 80 edges, of which 16 each are alike
 
 
@@ -193,10 +185,10 @@ def test_upper_boundary_of_a_a_is_where_a_robot_reaches_the_end(
     masses: list[float], fraction: float, more: float
 ) -> None:
     torque = fraction * G * sum(masses) / 2
-    least = smallest_inertia(torque, masses, G)
-    boundary = largest_admissible_inertia(torque, masses, 1.0, G)
+    least = ConstraintSets(masses, 1.0, G).smallest_inertia(torque)
+    boundary = ConstraintSets(masses, 1.0, G).largest_admissible_inertia(torque)
     inertia = least + more * (boundary - least)
-    assert largest_position(torque, inertia, masses, G) == pytest.approx(
+    assert ConstraintSets(masses, 1.0, G).largest_position(torque, inertia) == pytest.approx(
         abs(torque) / G / sum(masses) + math.sqrt(more) * (0.5 - abs(torque) / G / sum(masses)), rel=1e-6
     )
 
@@ -213,7 +205,7 @@ def test_no_optimiser_finds_a_position_farther_out_and_one_finds_it(
         for robot in range(len(masses))
         for sign in (-1, 1)
     ]
-    assert max(found) == pytest.approx(largest_position(torque, inertia, masses, G), rel=1e-6)
+    assert max(found) == pytest.approx(ConstraintSets(masses, 1.0, G).largest_position(torque, inertia), rel=1e-6)
 
 
 # Classes
@@ -228,7 +220,7 @@ def test_robots_on_the_plane_are_never_called_off_it(masses: list[float], data: 
     )
     torque = G * math.fsum(m * p for m, p in zip(masses, positions, strict=True))
     inertia = math.fsum(m * p * p for m, p in zip(masses, positions, strict=True))
-    found = classify(torque, inertia, masses, 1.0, G)
+    found = ConstraintSets(masses, 1.0, G).classify(torque, inertia)
     assert found in {StateClass.ADMISSIBLE, StateClass.PARTIAL, StateClass.UNDECIDED}
     if found is StateClass.UNDECIDED:
         assert len(set(masses)) > 21
@@ -240,51 +232,61 @@ def test_class_does_not_depend_on_side_order_or_units(
 ) -> None:
     total = sum(masses)
     torque, inertia = fraction * G * total / 2, height * total / 4
-    expected = classify(torque, inertia, masses, 1.0, G)
-    assert classify(-torque, inertia, masses, 1.0, G) is expected
-    assert classify(torque, inertia, masses[::-1], 1.0, G) is expected
+    expected = ConstraintSets(masses, 1.0, G).classify(torque, inertia)
+    assert ConstraintSets(masses, 1.0, G).classify(-torque, inertia) is expected
+    assert ConstraintSets(masses[::-1], 1.0, G).classify(torque, inertia) is expected
     # Powers of 2 change no digit: masses, lengths, gravity.
-    assert classify(4 * torque, 4 * inertia, [4 * m for m in masses], 1.0, G) is expected
-    assert classify(4 * torque, 16 * inertia, masses, 4.0, G) is expected
-    assert classify(4 * torque, inertia, masses, 1.0, 4 * G) is expected
+    assert ConstraintSets([4 * m for m in masses], 1.0, G).classify(4 * torque, 4 * inertia) is expected
+    assert ConstraintSets(masses, 4.0, G).classify(4 * torque, 16 * inertia) is expected
+    assert ConstraintSets(masses, 1.0, 4 * G).classify(4 * torque, inertia) is expected
 
 
 def test_classes_of_the_four_robots_from_below_to_above() -> None:
     torque = 2.0
     bounds = (
-        smallest_inertia(torque, PAPER, G),
-        largest_admissible_inertia(torque, PAPER, 1.0, G),
+        ConstraintSets(PAPER, 1.0, G).smallest_inertia(torque),
+        ConstraintSets(PAPER, 1.0, G).largest_admissible_inertia(torque),
         enumerated_largest_inertia(torque, list(PAPER), 1.0),
     )
     assert bounds[0] < bounds[1] < bounds[2]
     order = (StateClass.EMPTY, StateClass.ADMISSIBLE, StateClass.PARTIAL, StateClass.UNREACHABLE)
     for bound, (below, above) in zip(bounds, pairwise(order), strict=True):
-        assert classify(torque, bound * (1 - 1e-9), PAPER, 1.0, G) is below
-        assert classify(torque, bound * (1 + 1e-9), PAPER, 1.0, G) is above
+        assert ConstraintSets(PAPER, 1.0, G).classify(torque, bound * (1 - 1e-9)) is below
+        assert ConstraintSets(PAPER, 1.0, G).classify(torque, bound * (1 + 1e-9)) is above
     end = G * sum(PAPER) / 2
-    assert classify(1.01 * end, smallest_inertia(1.01 * end, PAPER, G) * 1.001, PAPER, 1.0, G) is StateClass.UNREACHABLE
-    assert classify(1.01 * end, smallest_inertia(1.01 * end, PAPER, G) * 0.999, PAPER, 1.0, G) is StateClass.EMPTY
+    assert (
+        ConstraintSets(PAPER, 1.0, G).classify(
+            1.01 * end, ConstraintSets(PAPER, 1.0, G).smallest_inertia(1.01 * end) * 1.001
+        )
+        is StateClass.UNREACHABLE
+    )
+    assert (
+        ConstraintSets(PAPER, 1.0, G).classify(
+            1.01 * end, ConstraintSets(PAPER, 1.0, G).smallest_inertia(1.01 * end) * 0.999
+        )
+        is StateClass.EMPTY
+    )
 
 
 def test_undecided_only_in_the_bracket() -> None:
     weights = np.random.default_rng(1).uniform(0.25, 0.75, 200).tolist()
-    bound = largest_inertia(3.0, weights, 1.0, G)
+    bound = ConstraintSets(weights, 1.0, G).largest_inertia(3.0)
     assert not bound.exact
     for inertia, expected in (
         (bound.lower, StateClass.PARTIAL),
         ((bound.lower + bound.upper) / 2, StateClass.UNDECIDED),
         (bound.upper * (1 + 1e-9), StateClass.UNREACHABLE),
     ):
-        assert classify(3.0, inertia, weights, 1.0, G) is expected
+        assert ConstraintSets(weights, 1.0, G).classify(3.0, inertia) is expected
 
 
 @pytest.mark.parametrize("masses", [(), (0.5,)])
 def test_one_robot_is_refused(masses: tuple[float, ...]) -> None:
     for call in (
-        lambda: classify(0.0, 0.1, masses, 1.0, G),
-        lambda: largest_inertia(0.0, masses, 1.0, G),
-        lambda: largest_admissible_inertia(0.0, masses, 1.0, G),
-        lambda: manifold_reach(0.01, 0.02, masses, 1.0, G),
+        lambda: ConstraintSets(masses, 1.0, G).classify(0.0, 0.1),
+        lambda: ConstraintSets(masses, 1.0, G).largest_inertia(0.0),
+        lambda: ConstraintSets(masses, 1.0, G).largest_admissible_inertia(0.0),
+        lambda: ConstraintSets(masses, 1.0, G).manifold_reach(0.01, 0.02),
     ):
         with pytest.raises(ValueError, match=f"need at least two robots, got {len(masses)}$"):
             call()
@@ -295,15 +297,15 @@ def test_one_robot_is_refused(masses: tuple[float, ...]) -> None:
 
 def test_preimage_of_the_papers_example() -> None:
     # By hand: T = 1.01937, T/M = .12742, T^2/M = .12989, 1/2 - 1/8 = .375, sqrt(.87011 * .375) = .57122.
-    assert largest_position(10.0, 1.0, EXAMPLE, G) == pytest.approx(0.12742 + 0.57122, abs=1e-5)
-    assert classify(10.0, 1.0, EXAMPLE, 1.0, G) is StateClass.PARTIAL
-    assert classify(10.0, 1.0, EXAMPLE, 1.3972, G) is StateClass.PARTIAL
-    assert classify(10.0, 1.0, EXAMPLE, 1.3974, G) is StateClass.ADMISSIBLE
+    assert ConstraintSets(EXAMPLE, 1.0, G).largest_position(10.0, 1.0) == pytest.approx(0.12742 + 0.57122, abs=1e-5)
+    assert ConstraintSets(EXAMPLE, 1.0, G).classify(10.0, 1.0) is StateClass.PARTIAL
+    assert ConstraintSets(EXAMPLE, 1.3972, G).classify(10.0, 1.0) is StateClass.PARTIAL
+    assert ConstraintSets(EXAMPLE, 1.3974, G).classify(10.0, 1.0) is StateClass.ADMISSIBLE
 
 
 def test_the_papers_manifold_leaves_a_a_long_before_its_end() -> None:
     """The claim that it lies in A_A for |tau| <= 5 is false, and 2.288 is right."""
-    reach = manifold_reach(0.0125, 0.025, PAPER, 1.0, G)
+    reach = ConstraintSets(PAPER, 1.0, G).manifold_reach(0.0125, 0.025)
     assert reach.admissible == pytest.approx(2.288, abs=5e-4)
     assert reach.nonempty == math.inf
     for torque in np.linspace(0, 5, 101).tolist():
@@ -331,10 +333,10 @@ def test_the_papers_manifold_leaves_a_a_long_before_its_end() -> None:
 @settings(max_examples=60)
 @given(masses, st.floats(0.0, 0.05), st.floats(0.001, 1.0))
 def test_reach_separates_the_classes(masses: list[float], curvature: float, offset: float) -> None:
-    reach = manifold_reach(curvature, offset, masses, 1.0, G)
+    reach = ConstraintSets(masses, 1.0, G).manifold_reach(curvature, offset)
 
     def at(torque: float) -> StateClass:
-        return classify(torque, curvature * torque * torque + offset, masses, 1.0, G)
+        return ConstraintSets(masses, 1.0, G).classify(torque, curvature * torque * torque + offset)
 
     reachable = {StateClass.ADMISSIBLE, StateClass.PARTIAL}
     assert reach.reachable.exact
@@ -353,8 +355,10 @@ def test_reach_of_two_robots() -> None:
     # By hand: on the slice T = 0 the light robot stands at an end and the heavy one a third as far on the other side.
     middle = (0.25 + 0.75 / 9) / 4
     end = G * math.sqrt(0.999 * middle)
-    assert manifold_reach(0.0, 0.999 * middle, (0.25, 0.75), 1.0, G).reachable == pytest.approx((end, end), rel=1e-12)
-    assert manifold_reach(0.0, 1.001 * middle, (0.25, 0.75), 1.0, G).reachable == (-math.inf, -math.inf)
+    assert ConstraintSets((0.25, 0.75), 1.0, G).manifold_reach(0.0, 0.999 * middle).reachable == pytest.approx(
+        (end, end), rel=1e-12
+    )
+    assert ConstraintSets((0.25, 0.75), 1.0, G).manifold_reach(0.0, 1.001 * middle).reachable == (-math.inf, -math.inf)
 
 
 def test_reach_ends_at_a_gap_however_narrow() -> None:
@@ -368,32 +372,36 @@ def test_reach_ends_at_a_gap_however_narrow() -> None:
     ]
     assert dips
     for torque, curvature in dips:
-        assert manifold_reach(curvature * (1 + 1e-6), 0.1, PAPER, 1.0, G).reachable.upper < torque
-        assert manifold_reach(curvature * (1 - 1e-3), 0.1, PAPER, 1.0, G).reachable.lower > torque + 0.01
+        assert ConstraintSets(PAPER, 1.0, G).manifold_reach(curvature * (1 + 1e-6), 0.1).reachable.upper < torque
+        assert ConstraintSets(PAPER, 1.0, G).manifold_reach(curvature * (1 - 1e-3), 0.1).reachable.lower > torque + 0.01
 
 
 def test_reach_of_many_robots_is_bracketed() -> None:
     weights = np.random.default_rng(2).uniform(0.25, 0.75, 60).tolist()
-    reach = manifold_reach(0.0125, 0.025, weights, 1.0, G)
+    reach = ConstraintSets(weights, 1.0, G).manifold_reach(0.0125, 0.025)
     lower, upper = reach.reachable
     assert lower < upper < 1.01 * lower
     for torque in np.linspace(0, lower, 50).tolist():
-        assert classify(torque, 0.0125 * torque**2 + 0.025, weights, 1.0, G) in {
+        assert ConstraintSets(weights, 1.0, G).classify(torque, 0.0125 * torque**2 + 0.025) in {
             StateClass.ADMISSIBLE,
             StateClass.PARTIAL,
         }
     beyond = upper * (1 + 1e-9)
-    assert classify(beyond, 0.0125 * beyond**2 + 0.025, weights, 1.0, G) is StateClass.UNREACHABLE
+    assert ConstraintSets(weights, 1.0, G).classify(beyond, 0.0125 * beyond**2 + 0.025) is StateClass.UNREACHABLE
 
 
 def test_box_samples_lie_between_the_curves() -> None:
     positions = box_positions(PAPER, 1.0, 2000, seed=4)
     for torque, inertia in zip(*(x.tolist() for x in abstract_states(positions, PAPER, G)), strict=True):
-        assert smallest_inertia(torque, PAPER, G) <= inertia <= largest_inertia(torque, PAPER, 1.0, G).upper
+        assert (
+            ConstraintSets(PAPER, 1.0, G).smallest_inertia(torque)
+            <= inertia
+            <= ConstraintSets(PAPER, 1.0, G).largest_inertia(torque).upper
+        )
 
 
 def test_as_many_robots_as_there_are_ids() -> None:
     """All with another mass: the edges are not even counted one by one."""
     masses = [1.0 + number * 1e-6 for number in range(65_535)]
-    reach = manifold_reach(1e-4, 0.025, masses, 1.0, G)
+    reach = ConstraintSets(masses, 1.0, G).manifold_reach(1e-4, 0.025)
     assert 0.0 < reach.admissible <= reach.reachable.lower <= reach.reachable.upper <= reach.nonempty

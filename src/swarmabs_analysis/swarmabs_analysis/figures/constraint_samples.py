@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.theory.constraint_sets import classify
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 Floats: TypeAlias = NDArray[np.float64]
 Classes: TypeAlias = NDArray[np.object_]
@@ -25,23 +25,17 @@ def abstract_states(positions: Floats, masses: Sequence[float], gravity: float) 
     return gravity * (positions * weights).sum(axis=1), (positions**2 * weights).sum(axis=1)
 
 
-def classify_points(
-    torques: Floats, inertias: Floats, masses: Sequence[float], length: float, gravity: float
-) -> Classes:
+def classify_points(torques: Floats, inertias: Floats, sets: ConstraintSets) -> Classes:
     """Return the `StateClass` of each abstract state, as `classify` does.
 
     Parameters
     ----------
     torques, inertias : array
         N m and kg m^2, of one shape, which is that of the result.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
+    sets : ConstraintSets
+        The robots on their plane.
     """
     pairs = zip(np.ravel(torques).tolist(), np.ravel(inertias).tolist(), strict=True)
     found = np.empty(np.size(torques), dtype=object)
-    found[:] = [classify(torque, inertia, masses, length, gravity) for torque, inertia in pairs]
+    found[:] = [sets.classify(torque, inertia) for torque, inertia in pairs]
     return found.reshape(np.shape(torques))

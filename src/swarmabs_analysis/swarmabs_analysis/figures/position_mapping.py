@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,13 +10,7 @@ from matplotlib.figure import Figure
 from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions, classify_points
 from swarmabs_analysis.figures.style import BLACK, BLUE, COLUMN, DASHED, GREEN, GREY, PURPLE, SKY, SOLID, VERMILION
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.theory.constraint_sets import (
-    StateClass,
-    box_edges,
-    largest_admissible_inertia,
-    manifold_reach,
-    smallest_inertia,
-)
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass, box_edges
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,23 +36,12 @@ LOOKS = {
 _FINE = 400
 
 
-class Swarm(NamedTuple):
-    """What the abstract space depends on: masses in kg, the plane's length in m, gravity in m/s^2."""
-
-    masses: tuple[float, ...]
-    length: float
-    gravity: float
-
-    @property
-    def largest_torque(self) -> float:
-        """The torque (N m) with all robots at one end."""
-        return self.gravity * sum(self.masses) * self.length / 2.0
-
-
 def draw_position_mapping() -> Figure:
     """Draw how the box of positions maps into the abstract space, and where the manifold leaves A_A."""
     scenario = find_scenario(SCENARIO)
-    swarm = Swarm(tuple(agent.mass for agent in scenario.agents), scenario.plane.length, scenario.plane.gravity)
+    swarm = ConstraintSets(
+        tuple(agent.mass for agent in scenario.agents), scenario.plane.length, scenario.plane.gravity
+    )
     figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
     axes = figure.add_subplot()
     _samples(axes, swarm)
@@ -76,7 +59,7 @@ def draw_position_mapping() -> Figure:
     return figure
 
 
-def edge_curves(swarm: Swarm) -> Iterator[tuple[Floats, Floats]]:
+def edge_curves(swarm: ConstraintSets) -> Iterator[tuple[Floats, Floats]]:
     """Yield torque (N m) and inertia (kg m^2) along each edge of the box |p_i| <= L/2."""
     half, total = swarm.length / 2.0, sum(swarm.masses)
     x = np.linspace(-1.0, 1.0, 61)
@@ -84,15 +67,15 @@ def edge_curves(swarm: Swarm) -> Iterator[tuple[Floats, Floats]]:
         yield swarm.gravity * half * (edge.rest + edge.mass * x), half**2 * (total - edge.mass * (1.0 - x * x))
 
 
-def samples(swarm: Swarm) -> tuple[Floats, Floats]:
+def samples(swarm: ConstraintSets) -> tuple[Floats, Floats]:
     """Return torques (N m) and inertias (kg m^2) of random positions, uniform within each width."""
     drawn = [box_positions(swarm.masses, spread * swarm.length, SAMPLES, seed) for seed, spread in enumerate(SPREADS)]
     return abstract_states(np.concatenate(drawn), swarm.masses, swarm.gravity)
 
 
-def _samples(axes: Axes, swarm: Swarm) -> None:
+def _samples(axes: Axes, swarm: ConstraintSets) -> None:
     torque, inertia = samples(swarm)
-    classes = classify_points(torque, inertia, swarm.masses, swarm.length, swarm.gravity)
+    classes = classify_points(torque, inertia, swarm)
     for kind, (colour, marker, size) in LOOKS.items():
         chosen = classes == kind
         axes.scatter(
@@ -106,7 +89,7 @@ def _samples(axes: Axes, swarm: Swarm) -> None:
         )
 
 
-def _box(axes: Axes, swarm: Swarm) -> None:
+def _box(axes: Axes, swarm: ConstraintSets) -> None:
     ends = []
     for number, (torque, inertia) in enumerate(edge_curves(swarm)):
         axes.plot(torque, inertia, color=PURPLE, linewidth=0.6, label="" if number else "edge of the hypercube")
@@ -123,19 +106,19 @@ def _box(axes: Axes, swarm: Swarm) -> None:
     )
 
 
-def _boundaries(axes: Axes, swarm: Swarm) -> None:
+def _boundaries(axes: Axes, swarm: ConstraintSets) -> None:
     torque = np.linspace(-swarm.largest_torque, swarm.largest_torque, _FINE + 1)
-    least = [smallest_inertia(t, swarm.masses, swarm.gravity) for t in torque.tolist()]
-    inner = [largest_admissible_inertia(t, swarm.masses, swarm.length, swarm.gravity) for t in torque.tolist()]
+    least = [swarm.smallest_inertia(t) for t in torque.tolist()]
+    inner = [swarm.largest_admissible_inertia(t) for t in torque.tolist()]
     axes.plot(torque, least, color=SKY, linestyle=SOLID, linewidth=1.8, label="lower bound")
     axes.plot(torque, inner, color=BLACK, linestyle=DASHED, linewidth=1.0, label="upper boundary of A_A")
 
 
-def _manifold(axes: Axes, swarm: Swarm, manifold: Manifold) -> None:
+def _manifold(axes: Axes, swarm: ConstraintSets, manifold: Manifold) -> None:
     torque = np.linspace(-manifold.torque_max, manifold.torque_max, _FINE + 1)
     inertia = [manifold.inertia(t) for t in torque.tolist()]
     axes.plot(torque, inertia, color=GREEN, linewidth=2.2, label="manifold A_c")
-    reach = manifold_reach(manifold.curvature, manifold.offset, swarm.masses, swarm.length, swarm.gravity)
+    reach = swarm.manifold_reach(manifold.curvature, manifold.offset)
     leaves = reach.admissible
     axes.plot(
         [-leaves, leaves],

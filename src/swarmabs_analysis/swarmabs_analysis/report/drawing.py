@@ -23,7 +23,7 @@ from swarmabs_analysis.figures.style import (
 )
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
 from swarmabs_core.messages import EventKind
-from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, largest_inertia, smallest_inertia
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -249,17 +249,18 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
     inertias = np.concatenate([state.inertia for state in states])
     reach = max(1.25 * float(np.nanmax(np.abs(torques), initial=0.0)), 0.1 * manifold.torque_max)
     high = 1.25 * max(float(np.nanmax(inertias, initial=0.0)), manifold.inertia(min(reach, manifold.torque_max)))
-    boundary = 1.15 * largest_admissible_inertia(0.0, masses, plane.length, plane.gravity)
+    sets = ConstraintSets(masses, plane.length, plane.gravity)
+    boundary = 1.15 * sets.largest_admissible_inertia(0.0)
     high = boundary if high < boundary < 4.0 * high else high
     torque = np.linspace(-reach, reach, _FINE)
-    least = np.array([smallest_inertia(t, masses, plane.gravity) for t in torque.tolist()])
-    inner = np.array([largest_admissible_inertia(t, masses, plane.length, plane.gravity) for t in torque.tolist()])
+    least = np.array([sets.smallest_inertia(t) for t in torque.tolist()])
+    inner = np.array([sets.largest_admissible_inertia(t) for t in torque.tolist()])
     inner = np.clip(inner, least, 2.0 * high)
     axes.fill_between(torque, least, inner, color=SKY, alpha=0.35, linewidth=0.0, label="A_A")
     if (inner < high).any():
         # Even in the torque, and slow to compute for many different masses.
         sides = np.linspace(0.0, reach, _COARSE)
-        highest = [largest_inertia(t, masses, plane.length, plane.gravity).lower for t in sides.tolist()]
+        highest = [sets.largest_inertia(t).lower for t in sides.tolist()]
         outer = np.interp(np.abs(torque), sides, np.clip(highest, 0.0, 2.0 * high))
         axes.fill_between(
             torque, inner, outer, color=ORANGE, alpha=0.25, linewidth=0.0, label="A_P", where=outer > inner

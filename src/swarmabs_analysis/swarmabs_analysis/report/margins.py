@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_core.theory.constrained_region import clearance
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -106,13 +107,12 @@ def margins(recorded: Recorded, on_plane: Weights) -> Margins:
     for begin, end, masses in on_plane.spans():
         if len(masses) < 2 or not min(masses) > 0:
             continue
+        sets = ConstraintSets(masses, plane.length, plane.gravity)
         chosen = np.flatnonzero((rows >= begin) & (rows < end))
         for found, state in ((actual, arrays.abstract), (desired, arrays.desired)):
             pairs = zip(state.torque[rows[chosen]].tolist(), state.inertia[rows[chosen]].tolist(), strict=True)
             found[chosen] = [
-                clearance(torque, inertia, masses, plane.length, plane.gravity).upper
-                if np.isfinite(torque) and np.isfinite(inertia)
-                else np.nan
+                clearance(sets, torque, inertia).upper if np.isfinite(torque) and np.isfinite(inertia) else np.nan
                 for torque, inertia in pairs
             ]
     with np.errstate(divide="ignore", invalid="ignore"):

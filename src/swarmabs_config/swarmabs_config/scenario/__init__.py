@@ -5,7 +5,6 @@ from swarmabs_core.manifold import Manifold
 from swarmabs_core.plant import Disturbance, Plane
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.swarm_law import SwarmGains
-from swarmabs_core.theory.constraint_sets import largest_position
 from swarmabs_core.trajectory import Constant, QuinticStep, Sine
 
 from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
@@ -88,7 +87,6 @@ __all__ = [
     "SwarmGains",
     "dump_scenario",
     "json_schema",
-    "largest_position",
     "load_scenario",
     "parse_scenario",
     "spread",

@@ -13,7 +13,7 @@ from swarmabs_core.controllers.feedback import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.parameters import SettingError
-from swarmabs_core.theory.constraint_sets import largest_position
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .fault_checks import faults, lasting_faults, offset_law, settings
@@ -213,14 +213,14 @@ def _total_mass(agents: Iterable["Agent"]) -> float:
 
 
 def _outside_reachable_set(scenario: "Scenario") -> Iterator[str]:
-    manifold, half = scenario.manifold, scenario.plane.length / 2
-    masses = [agent.mass for agent in scenario.agents]
+    manifold, plane = scenario.manifold, scenario.plane
+    sets = ConstraintSets([agent.mass for agent in scenario.agents], plane.length, plane.gravity)
 
     def reach(torque: float) -> float:
         inertia = manifold.curvature * torque * torque + manifold.offset
-        return largest_position(torque, inertia, masses, scenario.plane.gravity)
+        return sets.largest_position(torque, inertia)
 
-    leaves = _first_crossing(reach, half, manifold.torque_max)
+    leaves = _first_crossing(reach, plane.length / 2, manifold.torque_max)
     if leaves is not None:
         yield (
             f"manifold: from |tau| = {leaves:.4g} N m on, below torque_max = {manifold.torque_max!r}, "

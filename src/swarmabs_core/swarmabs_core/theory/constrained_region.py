@@ -18,7 +18,6 @@ inertia, below which there is nothing the swarm could do wrong. Both distances a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, inf
 from typing import NamedTuple
@@ -26,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from swarmabs_core.theory.constraint_sets import largest_admissible_inertia, smallest_inertia
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 
 class Clearance(NamedTuple):
@@ -71,56 +70,47 @@ class ConstrainedRegion:
         return value <= self.level and parent_error <= self.parent_radius and abstract_error <= self.abstract_radius
 
 
-def clearance(torque: float, inertia: float, masses: Sequence[float], length: float, gravity: float) -> Clearance:
+def clearance(sets: ConstraintSets, torque: float, inertia: float) -> Clearance:
     """Return how far an abstract state is from the boundaries of A_A.
 
     Parameters
     ----------
+    sets : ConstraintSets
+        The robots on their plane.
     torque, inertia : float
         The abstract state, N m and kg m^2.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
     """
+    masses, length, gravity = sets.masses, sets.length, sets.gravity
     # J_A is c2 |tau|^2 + c1 |tau| + c0 up to the torque at which all robots stand at one end.
     total = sum(masses)
     end = gravity * total * length / 2
     across = 1 / (1 / min(masses) - 1 / total)
     reach = abs(torque)
-    lower = _distance(reach, inertia, (smallest_inertia(1.0, masses, gravity), 0.0, 0.0), (0.0, inf))
+    lower = _distance(reach, inertia, (sets.smallest_inertia(1.0), 0.0, 0.0), (0.0, inf))
     coefficients = (
-        smallest_inertia(1.0, masses, gravity) + across / (gravity * total) ** 2,
+        sets.smallest_inertia(1.0) + across / (gravity * total) ** 2,
         -across * length / (gravity * total),
         across * length * length / 4,
     )
     upper = _distance(reach, inertia, coefficients, (0.0, end))
-    inside_lower = inertia >= smallest_inertia(torque, masses, gravity)
-    inside_upper = inertia <= largest_admissible_inertia(torque, masses, length, gravity)
+    inside_lower = inertia >= sets.smallest_inertia(torque)
+    inside_upper = inertia <= sets.largest_admissible_inertia(torque)
     return Clearance(lower if inside_lower else -lower, upper if inside_upper else -upper)
 
 
-def manifold_clearance(
-    curvature: float, offset: float, torque_max: float, masses: Sequence[float], length: float, gravity: float
-) -> Clearance:
+def manifold_clearance(sets: ConstraintSets, curvature: float, offset: float, torque_max: float) -> Clearance:
     """Return the smallest distances of a manifold J = curvature tau^2 + offset, |tau| <= torque_max, in A_A.
 
     Parameters
     ----------
+    sets : ConstraintSets
+        The robots on their plane.
     curvature, offset, torque_max : float
         kg m^2/(N m)^2, kg m^2, N m.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
     """
 
     def at(torque: float) -> Clearance:
-        return clearance(torque, curvature * torque * torque + offset, masses, length, gravity)
+        return clearance(sets, torque, curvature * torque * torque + offset)
 
     grid = np.linspace(0.0, torque_max, 201).tolist()
     states = [at(torque) for torque in grid]

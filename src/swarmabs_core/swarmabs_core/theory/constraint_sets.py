@@ -22,6 +22,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from math import copysign, fsum, inf, prod, sqrt
@@ -90,173 +91,180 @@ class ManifoldReach(NamedTuple):
     """There are positions, on the plane or off it."""
 
 
-def largest_position(torque: float, inertia: float, masses: Sequence[float], gravity: float) -> float:
-    """Return the largest |p_i| (m) that any robot can have in the preimage of an abstract state.
-
-    With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
-    attained; it is infinite where the preimage is empty.
+@dataclass(frozen=True, slots=True)
+class ConstraintSets:
+    """The constraint sets of robots on a plane.
 
     Parameters
     ----------
-    torque, inertia : float
-        The abstract state: tau_s in N m, Js in kg m^2.
     masses : sequence of float
-        The robots' masses in kg.
-    gravity : float
-        g in m/s^2.
-    """
-    total = fsum(masses)
-    moment = torque / gravity
-    free = inertia - moment * moment / total
-    if free < 0:
-        return inf
-    return abs(moment) / total + sqrt(free * max(0.0, 1 / min(masses) - 1 / total))
-
-
-def smallest_inertia(torque: float, masses: Sequence[float], gravity: float) -> float:
-    """Return J_min = T^2/M (kg m^2), below which no positions have this torque (N m): the domain's lower bound."""
-    moment = torque / gravity
-    return moment * moment / fsum(masses)
-
-
-def largest_admissible_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> float:
-    """Return J_A (kg m^2), the upper boundary of A_A, at a torque.
-
-    It is where `largest_position` equals L/2; -inf where no state with this torque lies in A_A.
-
-    Parameters
-    ----------
-    torque : float
-        N m.
-    masses : sequence of float
-        kg, of at least two robots.
+        The robots' masses, kg; most sets need at least two robots.
     length : float
         Of the plane, m.
     gravity : float
         m/s^2.
     """
-    total = _total(masses)
-    left = length / 2 - abs(torque) / (gravity * total)
-    if left < -_ROUNDING * length:
-        return -inf
-    return smallest_inertia(torque, masses, gravity) + max(left, 0.0) ** 2 / (1 / min(masses) - 1 / total)
 
+    masses: Sequence[float]
+    length: float
+    gravity: float
 
-def largest_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> Bracket:
-    """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque.
+    @property
+    def total(self) -> float:
+        """The mass of all robots, kg.
 
-    It is exact for up to 21 different masses, for any number of equal ones, and for torques so large that hardly a
-    robot can stand on the other side. Both bounds are -inf where no positions on the plane have this torque.
+        Raises
+        ------
+        ValueError
+            If there are fewer than two.
+        """
+        if len(self.masses) < 2:
+            raise ValueError(f"the constraint sets need at least two robots, got {len(self.masses)}")
+        return fsum(self.masses)
 
-    Parameters
-    ----------
-    torque : float
-        N m.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
-    """
-    half, total = length / 2, _total(masses)
-    wanted = abs(torque) / (gravity * half)
-    if wanted > total * (1 + _ROUNDING):
-        return Bracket(-inf, -inf)
-    wanted = min(wanted, total)
-    members = sorted(masses)
-    if len(set(members)) * min(_sums(part) for part in _halves(members)) <= _MOST_SUMS:
-        exact, missing = True, _least_missing(wanted, tuple(members))
-    else:
-        # If the torque is large enough, every robot that can be on the other side is among the lightest. Else robots
-        # of all masses are free, and the others stand such that these have little left to do.
-        exact = total - wanted <= 2 * members[_FREE - 1]
-        free = range(_FREE) if exact else range(0, len(members), len(members) // _FREE)[:_FREE]
-        left = wanted
-        for index in reversed(range(len(members))):
-            if index not in free:
-                left -= members[index] if left >= 0 else -members[index]
-        least = _least_missing(left, tuple(members[index] for index in free))
-        missing = min(least, _missing(wanted, _chain(members, total), _ROUNDING * total))
-    lower = half * half * (total - missing)
-    return Bracket(lower, lower if exact else half * half * total)
+    @property
+    def largest_torque(self) -> float:
+        """The torque (N m) with all robots at one end of the plane."""
+        return self.gravity * fsum(self.masses) * self.length / 2
 
+    def largest_position(self, torque: float, inertia: float) -> float:
+        """Return the largest |p_i| (m) that any robot can have in the preimage of an abstract state.
 
-def classify(torque: float, inertia: float, masses: Sequence[float], length: float, gravity: float) -> StateClass:
-    """Return the class of an abstract state: A_A, A_P, A_U, or empty.
+        With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
+        attained; it is infinite where the preimage is empty.
 
-    UNDECIDED occurs only where `largest_inertia` is not exact.
+        Parameters
+        ----------
+        torque, inertia : float
+            The abstract state: tau_s in N m, Js in kg m^2.
+        """
+        total = fsum(self.masses)
+        moment = torque / self.gravity
+        free = inertia - moment * moment / total
+        if free < 0:
+            return inf
+        return abs(moment) / total + sqrt(free * max(0.0, 1 / min(self.masses) - 1 / total))
 
-    Parameters
-    ----------
-    torque, inertia : float
-        The abstract state: tau_s in N m, Js in kg m^2.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
-    """
-    slack = _ROUNDING * length * length * _total(masses) / 4
-    if inertia < smallest_inertia(torque, masses, gravity) - slack:
-        return StateClass.EMPTY
-    if inertia <= largest_admissible_inertia(torque, masses, length, gravity) + slack:
-        return StateClass.ADMISSIBLE
-    if inertia <= _chain_inertia(torque, masses, length, gravity):
-        return StateClass.PARTIAL  # as are nearly all states of robots on the plane, without a search
-    bound = largest_inertia(torque, masses, length, gravity)
-    if inertia <= bound.lower + slack:
-        return StateClass.PARTIAL
-    return StateClass.UNREACHABLE if inertia > bound.upper + slack else StateClass.UNDECIDED
+    def smallest_inertia(self, torque: float) -> float:
+        """Return J_min = T^2/M (kg m^2), below which no positions have this torque (N m): the domain's lower bound."""
+        moment = torque / self.gravity
+        return moment * moment / fsum(self.masses)
 
+    def largest_admissible_inertia(self, torque: float) -> float:
+        """Return J_A (kg m^2), the upper boundary of A_A, at a torque.
 
-def manifold_reach(
-    curvature: float, offset: float, masses: Sequence[float], length: float, gravity: float
-) -> ManifoldReach:
-    """Return how far along a manifold J = curvature tau^2 + offset its states stay in A_A, and in A_A or A_P.
+        It is where `largest_position` equals L/2; -inf where no state with this torque lies in A_A.
 
-    Parameters
-    ----------
-    curvature : float
-        kg m^2/(N m)^2, not negative.
-    offset : float
-        kg m^2, positive.
-    masses : sequence of float
-        kg, of at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
-    """
-    half, total = length / 2, _total(masses)
-    # All over s = T/h, in kg, with inertias divided by h^2.
-    rise, start, unit = curvature * gravity**2, offset / half**2, gravity * half
-    spread = 1 / min(masses) - 1 / total
-    shortage = 1 / total - rise
-    nonempty = sqrt(start / shortage) if shortage > 0 else inf
-    # In A_A: (1 - s/M)^2 - spread (start - shortage s^2) >= 0, on s <= M.
-    inside = _nonnegative(1 / total**2 + spread * shortage, -2 / total, 1 - spread * start, 0.0, total)
-    admissible = _first_gap(inside, total)
-    ceiling = total if start <= total else -inf
-    if rise > 0 and start <= total:
-        ceiling = min(ceiling, sqrt((total - start) / rise))
-    complete = _edge_count(masses) <= _MOST_EDGES
-    edges = box_edges(masses) if complete else _chains(sorted(masses))
-    below = (
-        interval
-        for mass, rest in edges
-        for interval in _nonnegative(
-            1 / mass - rise,
-            -2 * rest / mass,
-            rest * rest / mass + total - mass - start,
-            max(rest - mass, 0.0),
-            rest + mass,
+        Parameters
+        ----------
+        torque : float
+            N m.
+        """
+        total = self.total
+        left = self.length / 2 - abs(torque) / (self.gravity * total)
+        if left < -_ROUNDING * self.length:
+            return -inf
+        return self.smallest_inertia(torque) + max(left, 0.0) ** 2 / (1 / min(self.masses) - 1 / total)
+
+    def largest_inertia(self, torque: float) -> Bracket:
+        """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque.
+
+        It is exact for up to 21 different masses, for any number of equal ones, and for torques so large that hardly a
+        robot can stand on the other side. Both bounds are -inf where no positions on the plane have this torque.
+
+        Parameters
+        ----------
+        torque : float
+            N m.
+        """
+        half, total = self.length / 2, self.total
+        wanted = abs(torque) / (self.gravity * half)
+        if wanted > total * (1 + _ROUNDING):
+            return Bracket(-inf, -inf)
+        wanted = min(wanted, total)
+        members = sorted(self.masses)
+        if len(set(members)) * min(_sums(part) for part in _halves(members)) <= _MOST_SUMS:
+            exact, missing = True, _least_missing(wanted, tuple(members))
+        else:
+            # If the torque is large enough, every robot that can be on the other side is among the lightest. Else
+            # robots of all masses are free, and the others stand such that these have little left to do.
+            exact = total - wanted <= 2 * members[_FREE - 1]
+            free = range(_FREE) if exact else range(0, len(members), len(members) // _FREE)[:_FREE]
+            left = wanted
+            for index in reversed(range(len(members))):
+                if index not in free:
+                    left -= members[index] if left >= 0 else -members[index]
+            least = _least_missing(left, tuple(members[index] for index in free))
+            missing = min(least, _missing(wanted, _chain(members, total), _ROUNDING * total))
+        lower = half * half * (total - missing)
+        return Bracket(lower, lower if exact else half * half * total)
+
+    def classify(self, torque: float, inertia: float) -> StateClass:
+        """Return the class of an abstract state: A_A, A_P, A_U, or empty.
+
+        UNDECIDED occurs only where `largest_inertia` is not exact.
+
+        Parameters
+        ----------
+        torque, inertia : float
+            The abstract state: tau_s in N m, Js in kg m^2.
+        """
+        slack = _ROUNDING * self.length * self.length * self.total / 4
+        if inertia < self.smallest_inertia(torque) - slack:
+            return StateClass.EMPTY
+        if inertia <= self.largest_admissible_inertia(torque) + slack:
+            return StateClass.ADMISSIBLE
+        if inertia <= self._chain_inertia(torque):
+            return StateClass.PARTIAL  # as are nearly all states of robots on the plane, without a search
+        bound = self.largest_inertia(torque)
+        if inertia <= bound.lower + slack:
+            return StateClass.PARTIAL
+        return StateClass.UNREACHABLE if inertia > bound.upper + slack else StateClass.UNDECIDED
+
+    def manifold_reach(self, curvature: float, offset: float) -> ManifoldReach:
+        """Return how far along a manifold J = curvature tau^2 + offset its states stay in A_A, and in A_A or A_P.
+
+        Parameters
+        ----------
+        curvature : float
+            kg m^2/(N m)^2, not negative.
+        offset : float
+            kg m^2, positive.
+        """
+        half, total = self.length / 2, self.total
+        # All over s = T/h, in kg, with inertias divided by h^2.
+        rise, start, unit = curvature * self.gravity**2, offset / half**2, self.gravity * half
+        spread = 1 / min(self.masses) - 1 / total
+        shortage = 1 / total - rise
+        nonempty = sqrt(start / shortage) if shortage > 0 else inf
+        # In A_A: (1 - s/M)^2 - spread (start - shortage s^2) >= 0, on s <= M.
+        inside = _nonnegative(1 / total**2 + spread * shortage, -2 / total, 1 - spread * start, 0.0, total)
+        admissible = _first_gap(inside, total)
+        ceiling = total if start <= total else -inf
+        if rise > 0 and start <= total:
+            ceiling = min(ceiling, sqrt((total - start) / rise))
+        complete = _edge_count(self.masses) <= _MOST_EDGES
+        edges = box_edges(self.masses) if complete else _chains(sorted(self.masses))
+        below = (
+            interval
+            for mass, rest in edges
+            for interval in _nonnegative(
+                1 / mass - rise,
+                -2 * rest / mass,
+                rest * rest / mass + total - mass - start,
+                max(rest - mass, 0.0),
+                rest + mass,
+            )
         )
-    )
-    lower = min(_first_gap(below, total), nonempty)
-    upper = lower if complete else min(ceiling, nonempty)
-    return ManifoldReach(unit * min(admissible, nonempty), Bracket(unit * lower, unit * upper), unit * nonempty)
+        lower = min(_first_gap(below, total), nonempty)
+        upper = lower if complete else min(ceiling, nonempty)
+        return ManifoldReach(unit * min(admissible, nonempty), Bracket(unit * lower, unit * upper), unit * nonempty)
+
+    def _chain_inertia(self, torque: float) -> float:
+        """Return a lower bound of J_max (kg m^2) at a torque (N m) from one chain of edges; -inf off the plane."""
+        half, total = self.length / 2, fsum(self.masses)
+        chain = _chain(sorted(self.masses), total)
+        return half * half * (total - _missing(abs(torque) / (self.gravity * half), chain, 0.0))
 
 
 def box_edges(masses: Sequence[float]) -> Iterator[Edge]:
@@ -265,19 +273,6 @@ def box_edges(masses: Sequence[float]) -> Iterator[Edge]:
     for mass in groups:
         for rest in _signed_sums(groups - Counter((mass,))):
             yield Edge(mass, rest)
-
-
-def _total(masses: Sequence[float]) -> float:
-    if len(masses) < 2:
-        raise ValueError(f"the constraint sets need at least two robots, got {len(masses)}")
-    return fsum(masses)
-
-
-def _chain_inertia(torque: float, masses: Sequence[float], length: float, gravity: float) -> float:
-    """Return a lower bound of J_max (kg m^2) at a torque (N m) from one chain of edges; -inf off the plane."""
-    half, total = length / 2, fsum(masses)
-    chain = _chain(sorted(masses), total)
-    return half * half * (total - _missing(abs(torque) / (gravity * half), chain, 0.0))
 
 
 def _signed_sums(groups: Counter[float]) -> list[float]:

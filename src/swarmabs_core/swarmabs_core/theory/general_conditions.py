@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.theory.constrained_region import Ball, constrained_region, manifold_clearance
-from swarmabs_core.theory.constraint_sets import classify, largest_position, manifold_reach
 from swarmabs_core.theory.error_dynamics import deepest_swing
 from swarmabs_core.theory.report import Condition, Form, finite
 
@@ -45,13 +44,11 @@ def constraints(setting: Setting, torque: float) -> Constraints:
     value, and all positions with such a torque and inertia are looked at.
     """
     bounds = _largest_error(setting, 0), _largest_error(setting, 1)
-    masses = setting.masses
-    gravity, manifold = setting.plane.gravity, setting.manifold
     positions = []
     for index in range(GRID + 1):
         swarm = (torque + bounds[0]) * index / GRID
         desired = min(torque, swarm + bounds[0])
-        positions.append(largest_position(swarm, manifold.inertia(desired) + bounds[1], masses, gravity))
+        positions.append(setting.sets.largest_position(swarm, setting.manifold.inertia(desired) + bounds[1]))
     return Constraints(torque, max(positions), bounds)
 
 
@@ -67,10 +64,7 @@ def _largest_error(setting: Setting, axis: int) -> float:
 def constrained_conditions(setting: Setting, found: Constraints, parent: ParentCheck) -> tuple[Condition, ...]:
     """Return the conditions of thm. GeneralConstrainedStability, given what `constraints` has found."""
     plane, manifold = setting.plane, setting.manifold
-    masses = setting.masses
-    room = manifold_clearance(
-        manifold.curvature, manifold.offset, manifold.torque_max, masses, plane.length, plane.gravity
-    )
+    room = manifold_clearance(setting.sets, manifold.curvature, manifold.offset, manifold.torque_max)
     angle_room = STEEPEST - parent.largest_angle
     of_plane, of_swarm = parent.growths
     region = constrained_region(parent.level, Ball(angle_room, of_plane), Ball(room.radius, of_swarm))
@@ -104,19 +98,18 @@ def constrained_conditions(setting: Setting, found: Constraints, parent: ParentC
 
 def abstract_states(setting: Setting, found: Constraints) -> dict[str, Document]:
     """Return how initial, desired and reached abstract states lie in the constraint sets."""
-    plane, manifold, initial = setting.plane, setting.manifold, setting.initial
-    masses = setting.masses
+    plane, manifold, initial, sets = setting.plane, setting.manifold, setting.initial, setting.sets
     desired = setting.desired_torque
 
     def state(torque: float, inertia: float) -> dict[str, Document]:
         return {
             "torque": torque,
             "inertia": inertia,
-            "class": classify(torque, inertia, masses, plane.length, plane.gravity).value,
-            "largest_position": finite(largest_position(torque, inertia, masses, plane.gravity)),
+            "class": sets.classify(torque, inertia).value,
+            "largest_position": finite(sets.largest_position(torque, inertia)),
         }
 
-    reach = manifold_reach(manifold.curvature, manifold.offset, masses, plane.length, plane.gravity)
+    reach = sets.manifold_reach(manifold.curvature, manifold.offset)
     torque_max = manifold.torque_max
     ends = {"admissible": reach.admissible, "reachable": reach.reachable.lower, "nonempty": reach.nonempty}
     return {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from swarmabs_core.abstraction import Abstraction, Weight, abstraction
 from swarmabs_core.messages import Kind, PlaneState
+from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import (
     ErrorDynamics,
     epsilon_bound,
@@ -95,9 +96,9 @@ class Setting:
         return tuple(robot for robot in self.robots if robot.life.first_step == 0)
 
     @cached_property
-    def masses(self) -> list[float]:
-        """Their masses, kg."""
-        return [robot.mass for robot in self.initial_robots]
+    def sets(self) -> ConstraintSets:
+        """Their constraint sets."""
+        return ConstraintSets([robot.mass for robot in self.initial_robots], self.plane.length, self.plane.gravity)
 
     @cached_property
     def kind(self) -> SwarmKind:
