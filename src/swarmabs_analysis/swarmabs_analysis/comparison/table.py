@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -14,7 +15,7 @@ from swarmabs_analysis.responsive_table import FittingTable
 from swarmabs_config.scenario.errors import printable, shorten
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from rich.console import RenderableType
 
@@ -90,25 +91,40 @@ def _topics(topics: Sequence[TopicComparison]) -> FittingTable:
 
 def _fields(topics: Sequence[TopicComparison]) -> FittingTable | str:
     """Return a table by topic and field, narrow enough for 80 characters unless something is not finite."""
-    undefined = any(field.undefined for topic in topics for field in topic.fields)
+    rows = [{"topic": topic.topic, **asdict(field)} for topic in topics for field in topic.fields]
+    columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "agent", "rms": "rms"}
+    if any(row["undefined"] for row in rows):
+        columns["undefined"] = "not finite"
+    return deviations_table(rows, columns) if rows else ""
+
+
+def deviations_table(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> FittingTable:
+    """Return how far fields deviate, below the name of their topic each.
+
+    Parameters
+    ----------
+    rows : iterable of mapping
+        What `FieldDeviation` says of each field, and its ``topic``; fields of a topic stand together.
+    columns : mapping
+        Headings, by what of it is shown.
+    """
     table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("field", no_wrap=True)
-    for heading in ("differ", "largest", "at step", "agent", "rms", *(["not finite"] if undefined else [])):
+    for heading in columns.values():
         table.add_column(heading, justify="right")
-    for topic in topics:
-        if topic.fields:
-            table.add_row(topic.topic)
-        for field in topic.fields:
-            table.add_row(
-                f"  {field.field}",
-                f"{field.differing:,}",
-                _number(field.largest),
-                "-" if field.step is None else str(field.step),
-                str(field.agent) if field.agent else "-",
-                _number(field.rms),
-                *([f"{field.undefined:,}"] if undefined else []),
-            )
-    return table if table.row_count else ""
+    topic = None
+    for row in rows:
+        if row["topic"] != topic:
+            topic = row["topic"]
+            table.add_row(topic)
+        table.add_row(f"  {row['field']}", *(_cell(name, row[name]) for name in columns))
+    return table
+
+
+def _cell(name: str, value: float | None) -> str:
+    if name in {"step", "agent"}:  # no robot is number 0
+        return "-" if value is None or (name == "agent" and not value) else str(value)
+    return _number(value)
 
 
 def _settings(name: str, differences: Sequence[SettingDifference]) -> Table:

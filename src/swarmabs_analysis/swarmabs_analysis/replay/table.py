@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from swarmabs_analysis.responsive_table import FittingTable
+from swarmabs_analysis.comparison.table import deviations_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,19 +27,8 @@ def result_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
         f"{compared}; the first that differs: step {first['step']}, {first['topic']}{robot}, {_what(first)}\n"
         "open loop: this is what the nodes would have said to what was recorded; nothing else has reacted"
     )
-    table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("field", no_wrap=True)
-    for name in ("differ", "largest", "at step", "robot"):
-        table.add_column(name, justify="right")
-    topic = None
-    for row in result["deviations"]:
-        if row["topic"] != topic:
-            topic = row["topic"]
-            table.add_row(topic)
-        largest = "-" if row["largest"] is None else f"{row['largest']:.6g}"
-        step = "-" if row["step"] is None else str(row["step"])
-        table.add_row(f"  {row['field']}", f"{row['differing']:,}", largest, step, str(row["agent"] or "-"))
-    return Text(text), table
+    columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "robot"}
+    return Text(text), deviations_table(result["deviations"], columns)
 
 
 def _what(first: Mapping[str, Any]) -> str:
