@@ -18,7 +18,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_fleet import scripts
 from swarmabs_fleet.environment import environment_file, node_environment, tool_environment
 from swarmabs_fleet.keys import Keys
-from swarmabs_fleet.manifest import MANIFEST, SUMS, manifest
+from swarmabs_fleet.manifest import MANIFEST, SUMS, FileFacts, manifest_of
 from swarmabs_fleet.parameters import parameter_file, parameters
 from swarmabs_fleet.places import Places
 from swarmabs_fleet.profile import fleet_profile, profile_roles
@@ -110,8 +110,8 @@ def host_bundle(loaded: LoadedFleet, host: str, keys: Keys | None) -> dict[str, 
     files = dict(sorted(files.items()))
     sums = [(path, sha256(file.content).hexdigest()) for path, file in files.items()]
     files[SUMS] = _text(scripts.checksums(sums))
-    listed = {path: (sha256(file.content).hexdigest(), file.mode) for path, file in files.items()}
-    facts = manifest(loaded, host, listed)
+    listed = {path: FileFacts(sha256=sha256(file.content).hexdigest(), mode=file.mode) for path, file in files.items()}
+    facts = manifest_of(loaded, host, listed).model_dump(mode="json")
     files[MANIFEST] = _text(json.dumps(facts, indent=2) + "\n")
     return files
 

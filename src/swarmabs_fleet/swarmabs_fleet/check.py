@@ -90,7 +90,7 @@ def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) 
     found = {(manifest.fleet, manifest.host): manifest for manifest in bundles.values()}
     for loaded in fleets:
         for name in (one.name for one in loaded.fleet.hosts):
-            found.setdefault((loaded.fleet.name, name), manifest_of(loaded, name))
+            found.setdefault((loaded.fleet.name, name), manifest_of(loaded, name, {}))
     named = [manifest for (_, name), manifest in found.items() if name == host]
     if not named:
         raise InputError(f"no host '{host}'; {nearest(host, [name for _, name in found])}")

@@ -37,7 +37,7 @@ def clock_state() -> ClockState | None:
         (("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP"), read_pmc),
         (("timedatectl", "show", "--property=NTPSynchronized", "--value"), read_timedatectl),
     ):
-        if (text := _answer(command)) and (state := read(text)):
+        if (text := answer(*command)) and (state := read(text)):
             return state
     return None
 
@@ -73,7 +73,7 @@ def read_timedatectl(text: str) -> ClockState | None:
     return ClockState("systemd", synchronised=answer == "yes") if answer in {"yes", "no"} else None
 
 
-def _answer(command: tuple[str, ...]) -> str:
+def answer(*command: str) -> str:
     """Return what a program says; nothing if it is not there or fails."""
     if shutil.which(command[0]) is None:
         return ""

@@ -6,16 +6,14 @@ import importlib.util
 import os
 import pwd
 import re
-import shutil
 import socket
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import psutil
 
-from swarmabs_fleet.clock import clock_state
+from swarmabs_fleet.clock import answer, clock_state
 from swarmabs_run.doctor import Finding
 
 if TYPE_CHECKING:
@@ -218,7 +216,7 @@ class Reader:
 
 
 def _systemd(manifest: Manifest) -> Finding:
-    version = _output("systemctl", "--version")
+    version = answer("systemctl", "--version")
     found = re.match(r"systemd (\d+)", version)
     if found is None:
         return Finding("systemd", "bad", "there is none; bundles are for hosts with systemd")
@@ -234,19 +232,7 @@ def _systemd(manifest: Manifest) -> Finding:
 
 
 def _active(manifest: Manifest) -> bool:
-    return _output("systemctl", "is-active", f"swarmabs-{manifest.fleet}.target").strip() == "active"
-
-
-def _output(*command: str) -> str:
-    if shutil.which(command[0]) is None:
-        return ""
-    try:
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=5.0, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout
+    return answer("systemctl", "is-active", f"swarmabs-{manifest.fleet}.target").strip() == "active"
 
 
 _CHECKS: tuple[Callable[[Manifest], Finding], ...] = (

@@ -6,7 +6,7 @@ import json
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field, PlainSerializer, ValidationError
 
 from swarmabs_bag.definitions import READABLE
 from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface
@@ -37,7 +37,9 @@ class FileFacts(Model):
     """A file as it was written."""
 
     sha256: str = Field(description="SHA-256 of its content")
-    mode: Annotated[int, BeforeValidator(_octal)] = Field(description="its mode, an octal text")
+    mode: Annotated[int, BeforeValidator(_octal), PlainSerializer("{:04o}".format)] = Field(
+        description="its mode, an octal text"
+    )
 
 
 class Manifest(Model):
@@ -62,30 +64,30 @@ class Manifest(Model):
     files: dict[str, FileFacts] = Field(description="its files")
 
 
-def manifest(loaded: LoadedFleet, host: str, files: Mapping[str, tuple[str, int]]) -> dict[str, object]:
-    """Return the manifest of a host's bundle; `files` are SHA-256 and mode by path."""
+def manifest_of(loaded: LoadedFleet, host: str, files: Mapping[str, FileFacts]) -> Manifest:
+    """Return the manifest of a host's bundle; before it is made there are no files."""
     fleet = loaded.fleet
     nodes = nodes_on(fleet, host)
     places = Places.of(fleet, host)
-    return {
-        "bundle": FORMAT,
-        "fleet": fleet.name,
-        "host": host,
-        "domain": fleet.network.domain,
-        "interface": fleet.interface(host),
-        "address": fleet.address(host),
-        "ports": sorted(port for node in nodes for port in ports(fleet, node)),
-        "nodes": [node.name for node in nodes],
-        "modules": sorted({node.module for node in nodes}),
-        "security": fleet.security.level,
-        "ros": fleet.ros(host),
-        "checkout": fleet.installation.checkout,
-        "installed": places.installed,
-        "user": fleet.user(host),
-        "max_offset": fleet.time.max_offset,
-        "versions": versions(),
-        "files": {path: {"sha256": digest, "mode": f"{mode:04o}"} for path, (digest, mode) in files.items()},
-    }
+    return Manifest(
+        bundle=FORMAT,
+        fleet=fleet.name,
+        host=host,
+        domain=fleet.network.domain,
+        interface=fleet.interface(host),
+        address=fleet.address(host),
+        ports=tuple(sorted(port for node in nodes for port in ports(fleet, node))),
+        nodes=tuple(node.name for node in nodes),
+        modules=tuple(sorted({node.module for node in nodes})),
+        security=fleet.security.level,
+        ros=fleet.ros(host),
+        checkout=fleet.installation.checkout,
+        installed=places.installed,
+        user=fleet.user(host),
+        max_offset=fleet.time.max_offset,
+        versions=versions(),
+        files=dict(files),
+    )
 
 
 def versions() -> dict[str, str]:
@@ -95,11 +97,6 @@ def versions() -> dict[str, str]:
     except PackageNotFoundError:
         own = "unknown"
     return {"swarmabs": own} | {name.rpartition("/")[2]: hashes[-1] for name, hashes in READABLE.items()}
-
-
-def manifest_of(loaded: LoadedFleet, host: str) -> Manifest:
-    """Return what is known of a host whose bundle has not been made, without files."""
-    return Manifest.model_validate(manifest(loaded, host, {}))
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -1,4 +1,4 @@
-"""Files made from templates: how those of runs and of fleets are read."""
+"""Files made from templates: how those of runs, fleets and reports are read."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 
 def templates(package: str) -> Environment:
-    """Return the templates of a package; XML is escaped, and a value that a template names must be given."""
+    """Return the templates of a package; markup is escaped, and a value that a template names must be given."""
     return Environment(
         loader=PackageLoader(package),
-        autoescape=select_autoescape(enabled_extensions=("xml.j2",)),
+        autoescape=select_autoescape(enabled_extensions=("html.j2", "xml.j2")),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -6,13 +6,14 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from swarmabs_analysis.report.formatting import counted, printable_lines, sentence, shown
 from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.messages import EventKind, Kind, SwarmEvent, said
+from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,14 +100,7 @@ def page(recorded: Recorded, panels: Sequence[Panel], margin: Margins) -> str:
 
 def _environment() -> Environment:
     """Return the templates, which escape whatever they are given."""
-    made = Environment(
-        loader=PackageLoader("swarmabs_analysis.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    made = templates("swarmabs_analysis.report")
     made.filters |= {
         "counted": counted,
         "digits": format,

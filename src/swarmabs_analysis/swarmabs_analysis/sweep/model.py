@@ -9,7 +9,7 @@ from math import prod
 from statistics import NormalDist
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from swarmabs_config.overrides import DottedPath
 from swarmabs_config.scenario.errors import describe, show
@@ -24,7 +24,7 @@ from swarmabs_config.scenario.fields import (
     problem,
     raise_findings,
 )
-from swarmabs_config.scenario.model import LONGEST_NAME, is_name
+from swarmabs_config.scenario.model import FolderName
 from swarmabs_config.scenario.versions import known_version
 from swarmabs_core.theory.attraction import ANGLE_MAX
 
@@ -143,7 +143,7 @@ class Sweep(Model):
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
     )
-    name: str = Field(default="sweep", description="name of the sweep, by default the file's stem")
+    name: FolderName = Field(default="sweep", description="name of the sweep, by default the file's stem")
     scenario: str = Field(description="a built-in scenario, or a file, relative to this one")
     settings: dict[DottedPath, Any] = Field(
         default={}, alias="set", description="values that differ from the scenario's in all cases"
@@ -155,16 +155,6 @@ class Sweep(Model):
     results: Annotated[tuple[Result, ...], AsTuple] = Field(default=RESULTS, description="what is kept of each case")
     attraction: Attraction = Field(default=Attraction(), description="the estimates of the region of attraction")
     picture: Picture | None = Field(default=None, description="axes of the picture; by default the first two numbers")
-
-    @field_validator("name")
-    @classmethod
-    def _check_name(cls, name: str) -> str:
-        if not is_name(name):
-            raise problem(
-                f"{describe(name)} cannot name a folder",
-                f"use 1 to {LONGEST_NAME} printable characters, no / or \\, first a letter, a digit or _",
-            )
-        return name
 
     @model_validator(mode="after")
     def _check_together(self) -> Sweep:

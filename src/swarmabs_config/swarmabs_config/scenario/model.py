@@ -1,9 +1,9 @@
 """The scenario: everything a run depends on, checked once and then immutable."""
 
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from swarmabs_core.behaviours.base import Lockstep, Run
 from swarmabs_core.manifold import Manifold
@@ -38,6 +38,30 @@ LONGEST_NAME = 60
 DEFAULT_OBSERVER = "sum"
 OBSERVERS = {each.type: model_of(each, tag="type") for each in (SumObserver, ParentResponse)}
 """The model of each ``observer.type``."""
+
+
+def is_name(text: str) -> bool:
+    """Say whether `text` can name a scenario and, with a number, the folder of a run."""
+    return (
+        0 < len(text) <= LONGEST_NAME
+        and text.isprintable()
+        and not set(text) & {"/", "\\"}
+        and (text[0].isalnum() or text[0] == "_")
+        and not text.endswith(" ")
+    )
+
+
+def _folder_name(name: str) -> str:
+    if not is_name(name):
+        raise problem(
+            f"{describe(name)} cannot name a folder",
+            f"use 1 to {LONGEST_NAME} printable characters, no / or \\, first a letter, a digit or _",
+        )
+    return name
+
+
+FolderName: TypeAlias = Annotated[str, AfterValidator(_folder_name)]
+"""A name that the folder of a run or a sweep begins with."""
 
 
 class Swarm(Model):
@@ -85,7 +109,7 @@ class Scenario(Model):
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
     )
-    name: str = Field(
+    name: FolderName = Field(
         default="scenario",
         description="name of the scenario, by default the file's stem",
         json_schema_extra={"minLength": 1, "maxLength": LONGEST_NAME},
@@ -110,16 +134,6 @@ class Scenario(Model):
     faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )
-
-    @field_validator("name")
-    @classmethod
-    def _check_name(cls, name: str) -> str:
-        if not is_name(name):
-            raise problem(
-                f"{describe(name)} cannot name a folder",
-                f"use 1 to {LONGEST_NAME} printable characters, no / or \\, first a letter, a digit or _",
-            )
-        return name
 
     @model_validator(mode="after")
     def _check_together(self) -> "Scenario":
@@ -191,14 +205,3 @@ class Scenario(Model):
     def warnings(self) -> tuple[str, ...]:
         """Return what is legal but likely to go wrong, one line each."""
         return checks.warnings(self)
-
-
-def is_name(text: str) -> bool:
-    """Say whether `text` can name a scenario and, with a number, the folder of a run."""
-    return (
-        0 < len(text) <= LONGEST_NAME
-        and text.isprintable()
-        and not set(text) & {"/", "\\"}
-        and (text[0].isalnum() or text[0] == "_")
-        and not text.endswith(" ")
-    )
