@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from swarmabs_cli.elapsed import SETUP, setup_seconds, since_start, startup_seconds
+from swarmabs_cli.elapsed import SETUP, setup_seconds, since_start, times
 from swarmabs_run.orchestration.progress import Outcome
 
 
@@ -24,8 +24,8 @@ def test_only_the_process_that_was_set_up_counts_it(
 
 def test_start_is_what_lies_between_set_up_and_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SETUP, f"{os.getpid()}:85.25")
-    assert startup_seconds(86.0, Outcome("ok", None, {}, start_seconds=1.5)) == pytest.approx(2.25)
-    assert startup_seconds(86.0, Outcome("failed", "no", {})) is None
+    assert times(86.0, Outcome("ok", None, {}, start_seconds=1.5)).startup == pytest.approx(2.25)
+    assert times(86.0, Outcome("failed", "no", {})).startup is None
 
 
 def test_the_clock_runs_since_the_process_was_started() -> None:

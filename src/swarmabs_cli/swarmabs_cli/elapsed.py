@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.summary import Times
 
 SETUP = "SWARMABS_SETUP"
 """Environment variable in which ``scripts/swarm`` says which process it became, and after how many seconds."""
@@ -29,8 +30,8 @@ def setup_seconds() -> float:
     return float(seconds) if pid == str(os.getpid()) else 0.0
 
 
-def startup_seconds(loading: float, outcome: Outcome) -> float | None:
-    """Return the time from the end of the set-up to the first step, s, None if there was no step.
+def times(loading: float, outcome: Outcome) -> Times:
+    """Return what has taken how long.
 
     Parameters
     ----------
@@ -39,4 +40,5 @@ def startup_seconds(loading: float, outcome: Outcome) -> float | None:
     outcome : Outcome
         How the run ended.
     """
-    return None if outcome.start_seconds is None else loading - setup_seconds() + outcome.start_seconds
+    setup, start = setup_seconds(), outcome.start_seconds
+    return Times(since_start(), setup, None if start is None else loading - setup + start)

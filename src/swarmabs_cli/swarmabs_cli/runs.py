@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 import click
 from rich.console import Console
@@ -12,7 +13,7 @@ from swarmabs_analysis.rerun import RecordedRun, recorded_run
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.splitting import Split
-from swarmabs_cli.elapsed import setup_seconds, since_start, startup_seconds
+from swarmabs_cli.elapsed import since_start, times
 from swarmabs_cli.interrupts import no_more_interrupts
 from swarmabs_cli.options import (
     duration_option,
@@ -30,10 +31,24 @@ from swarmabs_config.theory import check_scenario
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.theory.warnings import theory_warnings
 from swarmabs_run.orchestration.progress import Outcome, Progress
-from swarmabs_run.summary import Times, summarise, summary_table
+from swarmabs_run.summary import summarise, summary_table
 from swarmabs_view.display import shown_progress
 
-Execute = Callable[[Scenario, RunFolder, bool, Split, Callable[[Progress], None]], Outcome]
+
+class Execute(Protocol):
+    """Carries a run out, such as `swarmabs_run.simulated_run.simulate_run`."""
+
+    def __call__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        *,
+        record: bool,
+        split: Split,
+        on_progress: Callable[[Progress], None],
+    ) -> Outcome:
+        """Run a scenario and leave its results in a folder."""
+        ...
 
 
 def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
@@ -110,12 +125,13 @@ def carry_out(
     try:
         loading = since_start()
         with shown_progress(loaded) as show:
-            outcome = execute(loaded, folder, not no_bag, Split(max_bag_size, max_bag_duration * 10**9), show)
+            split = Split(max_bag_size, max_bag_duration * 10**9)
+            outcome = execute(loaded, folder, record=not no_bag, split=split, on_progress=show)
             no_more_interrupts()
         summary = summarise(
             loaded,
             outcome,
-            Times(since_start(), setup_seconds(), startup_seconds(loading, outcome)),
+            times(loading, outcome),
             rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)
             if recorded is not None
             else None,

@@ -15,14 +15,14 @@ from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_analysis.replay.table import result_parts
 from swarmabs_bag.reader import open_bag
-from swarmabs_cli.elapsed import setup_seconds, since_start, startup_seconds
+from swarmabs_cli.elapsed import since_start, times
 from swarmabs_cli.interrupts import no_more_interrupts
 from swarmabs_cli.options import bag_argument, json_option, namespace_option, output_option, set_option
 from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.publishers import NodeName
 from swarmabs_run.interruption import end_asked
-from swarmabs_run.summary import Times, summarise, summary_table
+from swarmabs_run.summary import summarise, summary_table
 from swarmabs_view.display import shown_progress
 
 _POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
@@ -95,7 +95,7 @@ def _replay(
         summary = summarise(
             scenario,
             outcome,
-            Times(since_start(), setup_seconds(), startup_seconds(loading, outcome)),
+            times(loading, outcome),
         )
         result = made.result(folder, summary["digest"]) if outcome.status == "ok" else None
         summary["replay"] = result

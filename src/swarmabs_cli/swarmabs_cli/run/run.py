@@ -11,14 +11,13 @@ from typing import Any
 import click
 
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.splitting import Split
 from swarmabs_cli.browser import open_page
 from swarmabs_cli.interrupts import interrupt_once
 from swarmabs_cli.runs import carry_out, run_options
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration import LockstepRun, RealtimeRun
-from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.orchestration.progress import Outcome
 from swarmabs_run.steering.pace import SLOWEST
 from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewer_process import PageViewer, markers_viewer
@@ -86,13 +85,7 @@ def run(
         raise click.UsageError(f"{'--open' if open_browser else '--view-port'} is for a run with --view.")
     with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
 
-        def execute(
-            scenario: Scenario,
-            folder: RunFolder,
-            record: bool,  # noqa: FBT001
-            split: Split,
-            show: Callable[[Progress], None],
-        ) -> Outcome:
+        def execute(scenario: Scenario, folder: RunFolder, **recording: Any) -> Outcome:
             if viewer is not None:
                 viewer.start(folder.path)
                 click.echo(f"view: {viewer.url}", err=True)
@@ -102,17 +95,15 @@ def run(
                     open_page(viewer.url)
             with shown(folder.path):
                 if realtime:
-                    return RealtimeRun(scenario, folder, record=record, on_progress=show, split=split).run()
+                    return RealtimeRun(scenario, folder, **recording).run()
                 return LockstepRun(
                     scenario,
                     folder,
-                    record=record,
-                    on_progress=show,
                     agents_per_process=agents_per_process,
                     packed=packed,
-                    split=split,
                     steered=steer,
                     step_seconds=_step_seconds(scenario, rate),
+                    **recording,
                 ).run()
 
         shown = _shown_beside(options, clock=not realtime)
