@@ -31,7 +31,7 @@ from swarmabs_bag.channels import bag_channel
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_config.scenarios import find_scenario
+from swarmabs_bag.scenarios import scenario_of
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, SwarmabsError
@@ -59,7 +59,7 @@ class Reading:
         self._output = folder / "output"
         self._content = content(whole)
         self._arrays = load_arrays(whole)
-        self._scenario = find_scenario(str(whole))
+        self._scenario = scenario_of(str(whole))
 
     def __call__(self, damaged: Damage, seed: int) -> None:
         self._file.write_bytes(damaged.data)
@@ -120,7 +120,7 @@ class Reading:
         if document:
             json.loads(document)
         try:
-            scenario = find_scenario(str(self._file))
+            scenario = scenario_of(str(self._file))
         except SwarmabsError as error:
             check_line(error)
             for name in ("run", "simulate"):
@@ -148,7 +148,7 @@ class Commands:
     def __init__(self, whole: Path, folder: Path, *, report_every: int = 12) -> None:
         self._whole = whole
         self._arrays = load_arrays(whole)
-        self._scenario = find_scenario(str(whole)).resolved()
+        self._scenario = scenario_of(str(whole)).resolved()
         self._file = folder / "x.mcap"
         self._output = folder / "output"
         self._report_every = report_every
@@ -176,7 +176,7 @@ class Commands:
         if document and json.loads(document)["ok"] != (code == 0):
             raise WrongAnswerError(f"swarm verify exits {code}, but says {document[:300]}")
         complete = code == 0 and json.loads(document)["complete"]
-        if complete and find_scenario(str(bag)).resolved() == self._scenario:
+        if complete and scenario_of(str(bag)).resolved() == self._scenario:
             found = load_arrays(bag)
             if not same(found, self._arrays):
                 raise WrongAnswerError("another run of the same scenario is verified")

@@ -20,9 +20,9 @@ from swarmabs_bag.index import FileIndex
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
+from swarmabs_bag.scenarios import scenario_of
 from swarmabs_bag.steps import recorded_steps
 from swarmabs_bag.writer import BagWriter
-from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
@@ -104,7 +104,7 @@ def test_attachment_of_another_name(whole: bytes, file: Path) -> None:
 def test_scenario_that_is_no_text(file: Path) -> None:
     file.write_bytes(sealed(MAGIC + HEADER + attachment(b"scenario.yaml", b"\xff\xfe")))
     with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is not UTF-8 text, so it is not"):
-        find_scenario(str(file))
+        scenario_of(str(file))
     with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml is not UTF-8 text, so it is not"):
         find_runs([file], {"sample"})
 

@@ -20,9 +20,9 @@ from swarmabs_bag.info import bag_info
 from swarmabs_bag.places import find_bag
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
+from swarmabs_bag.scenarios import scenario_of
 from swarmabs_bag.splitting import Split
 from swarmabs_bag.writer import BagWriter
-from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message
 
@@ -117,7 +117,7 @@ def test_split_by_size_ends_files_between_steps(tmp_path: Path, run: list[Messag
 
 def test_a_bag_that_is_split_is_run_again_as_a_whole_or_from_one_file(files: list[Path]) -> None:
     for named in (files[0].parent, files[2]):
-        assert find_scenario(str(named)).name == "split"
+        assert scenario_of(str(named)).name == "split"
 
 
 def test_files_that_do_not_belong_together_are_not_read_as_one(files: list[Path]) -> None:
