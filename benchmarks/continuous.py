@@ -41,7 +41,7 @@ def solve(scenario: Scenario) -> Array:
     g, (g1, g2, g3, g4, g5, g6) = plane.gravity, plane.friction
     m = np.array([agent.mass for agent in scenario.agents])
     k = np.array(scenario.swarm.gains.k)
-    k1, k2 = scenario.controller.model_dump()["gains"]
+    k1, k2 = scenario.controller.model_dump(by_alias=True)["gains"]
 
     def rhs(t: float, x: Array) -> Array:
         th, w, tau, dtau = x[:4]

@@ -84,7 +84,7 @@ def test_no_limit_and_no_end_by_default() -> None:
 def test_a_single_integrator_has_neither_damping_nor_velocity(values: dict[str, Value]) -> None:
     (name,) = values
     with pytest.raises(InputError, match=rf"parameter {name}: a single integrator has none; leave it out"):
-        settings_from(PARAMETERS, kind="single_integrator", **values).made(AgentConfig)
+        make(settings_from(PARAMETERS, kind="single_integrator", **values), CHANNEL)
 
 
 @pytest.mark.parametrize("kind", ["single_integrator", "double_integrator"])

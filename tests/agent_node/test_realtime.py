@@ -7,7 +7,7 @@ from math import inf
 import pytest
 from tests.swarmabs_ros.nodes import realtime_settings_from
 
-from agent_node.realtime import PARAMETERS
+from agent_node.realtime import PARAMETERS, make
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
@@ -71,4 +71,4 @@ def test_zero_is_no_limit() -> None:
 
 def test_a_single_integrator_with_damping_is_refused() -> None:
     with pytest.raises(InputError, match="damping"):
-        realtime_settings_from(PARAMETERS, damping=0.1).made(RealtimeAgentConfig)
+        make(realtime_settings_from(PARAMETERS, damping=0.1), None)  # type: ignore[arg-type]

@@ -10,9 +10,7 @@ from swarmabs_cli.elapsed import SETUP, setup_seconds, since_start, times
 from swarmabs_run.orchestration.progress import Outcome
 
 
-@pytest.mark.parametrize(
-    ("told", "seconds"), [("{own}:85.25", 85.25), ("{parent}:85.25", 0.0), ("", 0.0), (None, 0.0)]
-)
+@pytest.mark.parametrize(("told", "seconds"), [("{own}:85.25", 85.25), ("{parent}:85.25", 0.0), ("", 0.0), (None, 0.0)])
 def test_only_the_process_that_was_set_up_counts_it(
     monkeypatch: pytest.MonkeyPatch, told: str | None, seconds: float
 ) -> None:

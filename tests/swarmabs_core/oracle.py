@@ -37,7 +37,7 @@ class _Pd:
     """tau_raw = k1 th + k2 w; it has no state of its own."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._gains = scenario.controller.gains
+        self._gains = scenario.controller.model_dump(by_alias=True)["gains"]
 
     def __call__(self, t: float, th: float, w: float, mu: Array) -> tuple[float, Array]:
         return self._gains[0] * th + self._gains[1] * w, np.zeros(5)

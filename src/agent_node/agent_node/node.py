@@ -14,7 +14,9 @@ PARAMETERS = (AgentConfig, PACKED, STEERED)
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour."""
-    agent: Listener = make_newcomer(settings.made(AgentConfig), steered=settings.flag(STEERED.name))
+    config = settings.made(AgentConfig)
+    config.refuse_contradictions()
+    agent: Listener = make_newcomer(config, steered=settings.flag(STEERED.name))
     if settings.flag(PACKED.name):
         agent = Unpacking(agent)
     return NodeSpec(agent)

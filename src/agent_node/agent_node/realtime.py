@@ -52,6 +52,7 @@ def _connect(wiring: Wiring, node: RealtimeNode) -> Link:
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour, the drive open."""
     config = settings.made(RealtimeAgentConfig)
+    config.refuse_contradictions()
     agent = RealtimeAgent(config, drive_of(config, node))
     return RealtimeSpec(
         agent,

@@ -219,7 +219,7 @@ def test_random_scenarios_against_the_definitions(seed: int) -> None:
     scenario = drawn(seed)
     report = check_scenario(scenario)
     robots, plane = scenario.agents, scenario.plane
-    (gains,) = [scenario.controller.model_dump()["gains"]]
+    (gains,) = [scenario.controller.model_dump(by_alias=True)["gains"]]
     torque = 9.81 * sum(robot.mass * robot.position for robot in robots)
     inertia = sum(robot.mass * robot.position**2 for robot in robots)
     wanted = gains[0] * plane.angle

@@ -10,6 +10,7 @@ from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, refuse_co
 from swarmabs_core.behaviours.inbox import Inbox
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
+from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault, RobotFaults
 from swarmabs_core.law_registry import LAWS, PAPER, Robot
 from swarmabs_core.membership import ChangeKind
@@ -35,7 +36,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.parameters import SettingError, Settings
+from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
 from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
@@ -84,18 +85,18 @@ class RobotConfig:
     law: str = choice(LAWS.find, LAWS.built_in, PAPER.name, "law of the swarm")
     law_settings: Settings = field(default_factory=dict, hash=False)
 
-    def __post_init__(self) -> None:
-        """Refuse what a robot of its kind does not have.
+    def refuse_contradictions(self) -> None:
+        """Refuse what a robot of its kind does not have; a body that something else moves may have it all the same.
 
         Raises
         ------
-        SettingError
+        InputError
             If a single integrator has a damping or a velocity.
         """
         if self.kind is Kind.SINGLE_INTEGRATOR:
             for name, value in (("damping", self.damping), ("velocity", self.velocity)):
                 if value:
-                    raise SettingError(name, "a single integrator has none", "leave it out")
+                    raise InputError(f"parameter {name}: a single integrator has none; leave it out")
 
 
 @dataclass(frozen=True, slots=True)
