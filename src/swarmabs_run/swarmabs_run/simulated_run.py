@@ -48,8 +48,9 @@ def simulate_run(
         When the bag goes on in a new file, by default never.
     """
     folder.fill(scenario)
-    recording = Recording(scenario, folder.bag if record else None, driver="simulate", split=split)
-    return record_steps(simulated_steps(scenario), scenario, recording, on_progress=on_progress)
+    with end_asked() as ended:  # from before there is a bag, so that it is completed whenever that is
+        recording = Recording(scenario, folder.bag if record else None, driver="simulate", split=split)
+        return record_steps(simulated_steps(scenario), scenario, recording, on_progress=on_progress, ended=ended)
 
 
 def record_steps(
@@ -58,6 +59,7 @@ def record_steps(
     recording: Recording,
     *,
     on_progress: Callable[[Progress], None] | None = None,
+    ended: Callable[[], bool] = lambda: False,
 ) -> Outcome:
     """Record steps that are computed in this process.
 
@@ -71,6 +73,8 @@ def record_steps(
         Where they go; it is completed, however they end.
     on_progress : callable, optional
         Told how the run goes, some ten times a second.
+    ended : callable
+        Tells whether an end was asked for before.
     """
     begun = told = time.monotonic()
 
@@ -85,7 +89,7 @@ def record_steps(
         with end_asked() as asked:
             for step in steps:
                 recording.add(step)
-                if asked():
+                if asked() or ended():
                     return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
                 now = time.monotonic()
                 if now - told >= _TELL_EVERY:
