@@ -6,11 +6,14 @@ fails when a table is not what this script would write.
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import sys
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args, get_type_hints
+from xml.etree import ElementTree as ET
 
 import click
 from pydantic import BaseModel
@@ -54,7 +57,8 @@ if TYPE_CHECKING:
 
 DOCS = Path(__file__).parent
 VIEW_SCHEMA = DOCS / "view_messages.schema.json"
-MESSAGES = DOCS.parent / "src" / "swarmabs_msgs" / "msg"
+SOURCES = DOCS.parent / "src"
+MESSAGES = SOURCES / "swarmabs_msgs" / "msg"
 _CHOSEN = {
     "controller": "`{type: pd}`",
     "observer": "`{type: sum}`",
@@ -258,9 +262,98 @@ def _parameter(found: click.Parameter) -> str:
     return ", ".join([*map(code, others), code(last + given)])
 
 
+@cache
+def manifests() -> dict[str, ET.Element]:
+    """Return the manifest of each package in `src` by its name."""
+    paths = sorted(SOURCES.glob("*/package.xml"))
+    return {path.parent.name: ET.parse(path).getroot() for path in paths}  # noqa: S314 - the project's own
+
+
+def packages() -> dict[str, str]:
+    """Return what each package in `src` says of itself in its package.xml, by its name."""
+    return {name: root.findtext("description", "") for name, root in manifests().items()}
+
+
+def imported(path: Path) -> set[str]:
+    """Return the top-level modules that a file imports, also those that only type checkers read."""
+    modules: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            modules.add(node.module.partition(".")[0])
+    return modules
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """Return which packages of the project each one imports."""
+    names = packages().keys()
+    found = {
+        name: set[str]().union(*(imported(path) for path in (SOURCES / name).rglob("*.py") if path.name != "setup.py"))
+        for name in names
+    }
+    return {name: (modules & names) - {name} for name, modules in found.items()}
+
+
+def needs() -> dict[str, set[str]]:
+    """Return which packages of the project each one needs as it runs: by import or by name."""
+    found = {
+        name: {str(entry.text) for entry in root.iter("exec_depend")} & manifests().keys()
+        for name, root in manifests().items()
+    }
+    return {name: found[name] | others for name, others in imports().items()}
+
+
+def layers(arrows: dict[str, set[str]]) -> list[list[str]]:
+    """Return the packages from the top down: each stands above all that it imports.
+
+    Raises
+    ------
+    ValueError
+        If packages import each other in a circle.
+    """
+    found: list[list[str]] = []
+    below: set[str] = set()
+    while len(below) < len(arrows):
+        layer = sorted(name for name, needed in arrows.items() if name not in below and needed <= below)
+        if not layer:
+            raise ValueError(f"an import circle among {', '.join(sorted(arrows.keys() - below))}")
+        found.insert(0, layer)
+        below.update(layer)
+    return found
+
+
+def direct(arrows: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Return the arrows that no way over other packages replaces."""
+    reached: dict[str, set[str]] = {}
+    for name in (name for layer in reversed(layers(arrows)) for name in layer):
+        reached[name] = arrows[name].union(*(reached[other] for other in arrows[name]))
+    return {name: {to for to in tos if not any(to in reached[other] for other in tos)} for name, tos in arrows.items()}
+
+
+def drawing() -> str:
+    """Return the packages as a Mermaid graph, arrows down: without implied ones; dashed where there is no import."""
+    imported_by, arrows = imports(), needs()
+    shown = direct(arrows)
+    lines = ["graph TD"]
+    for name in (name for layer in layers(arrows) for name in layer):
+        lines += [f"    {name} {'-->' if to in imported_by[name] else '-.->'} {to}" for to in sorted(shown[name])]
+    return "```mermaid\n" + "".join(f"{line}\n" for line in lines) + "```\n"
+
+
+def package_table() -> str:
+    """Return the packages from the top down, with what each says of itself."""
+    said = packages()
+    names = [name for layer in layers(needs()) for name in layer]
+    return table(("package", "content"), ((code(name), said[name].rstrip(".")) for name in names))
+
+
 def all_tables() -> dict[str, str]:
     """Return every table by its name."""
     return {
+        "packages": package_table(),
+        "structure": drawing(),
         "commands": commands(),
         "topics": topics(),
         "message fields": message_fields(),
