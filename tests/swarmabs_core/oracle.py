@@ -7,6 +7,7 @@ tanh(e2/smoothing).
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -47,7 +48,8 @@ class _Arise:
     """ARISE on the sine trajectory; mu = (mu1, mu2) is integrated with the loop."""
 
     def __init__(self, scenario: Scenario) -> None:
-        c = scenario.controller
+        given = scenario.controller.model_dump(by_alias=True)
+        c = SimpleNamespace(**{**given, "trajectory": SimpleNamespace(**given["trajectory"])})
         self._c = c
         self._slopes = np.array([scenario.plane.friction[i] for i in (1, 2, 4)])
         self._gamma, self._lam0 = np.array(c.gamma), np.array(c.adaptive_initial)
