@@ -75,10 +75,15 @@ def _descriptors() -> set[str]:
 
 
 def _shared_memory() -> set[str]:
-    """Return the files of shared memory, without the semaphores of Python's multiprocessing, which no run uses."""
+    """Return the files of shared memory that a test has to take away.
+
+    No run uses the semaphores of Python's multiprocessing. The tracing library of ROS makes its files for every program
+    with rclpy, also for a node that a test starts by itself or kills; a command leaves none (`tests/system`).
+    """
     if not _SHARED_MEMORY.is_dir():
         return set()
-    return {path.name for path in _SHARED_MEMORY.iterdir() if not path.name.startswith("sem.mp-")}
+    names = {path.name for path in _SHARED_MEMORY.iterdir()}
+    return {name for name in names if not name.startswith(("sem.mp-", "lttng-ust-wait-"))}
 
 
 def _things() -> dict[str, set[Any]]:

@@ -55,6 +55,16 @@ def test_the_folder_holds_what_the_contract_says(run_folder: Path) -> None:
     assert (run_folder / "logs" / "launcher.log").read_bytes() == b""
 
 
+def test_no_file_of_the_tracing_library_remains(tmp_path: Path) -> None:
+    """Neither those that the run's nodes make nor those that somebody left whom nobody needs any more."""
+    memory = Path("/dev/shm")
+    mapped = Path("/proc/self/maps").read_text(encoding="utf-8")
+    left = {path.name for path in memory.glob("lttng-ust-wait-*") if path.name not in mapped}
+    assert swarm("run", "pd_het_4", "--duration", 0.1, "--no-bag", "-o", tmp_path / "run").code == 0
+    now = {path.name for path in memory.glob("lttng-ust-wait-*") if path.name not in mapped}
+    assert not now - left
+
+
 def test_every_message_is_there_exactly_once(messages: list[BagMessage]) -> None:
     found = Counter((m.topic, m.step, m.agent_id) for m in messages if m.topic in MAIN_TOPICS)
     expected = {
