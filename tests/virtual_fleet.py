@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, REALTIME, ROBOT, agent_name, endpoints
 from swarmabs_core.messages import EVENTS, TOPIC_OF, Mode
-from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig, ideal_motion
+from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig, RealtimeLaw
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
@@ -87,7 +87,7 @@ class _Body(SimulatedDrive):
     """A body that moves by the time of the world, whatever the clock of its node says."""
 
     def __init__(self, fleet: VirtualFleet, name: str, config: RealtimeAgentConfig, start: tuple[float, float]) -> None:
-        super().__init__(ideal_motion(config), config.schedule, *start)
+        super().__init__(RealtimeLaw(config).controller.ideal, config.schedule, *start)
         self._fleet = fleet
         self._name = name
 

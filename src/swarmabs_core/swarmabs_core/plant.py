@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.5
 """Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
-TORQUE_DEGREE = 3
-INERTIA_DEGREE = 6
 
 
 class RobotPath(NamedTuple):

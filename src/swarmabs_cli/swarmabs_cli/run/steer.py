@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from swarmabs_cli.options import json_option
+from swarmabs_cli.options import json_option, run_argument
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
 from swarmabs_run.steering.client import SteeringClient
@@ -16,7 +16,7 @@ ACTIONS = ("reference", "disturbance", "kill", "freeze", "remove", "leave", "add
 
 
 @click.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
-@click.argument("run", type=click.Path(path_type=Path), metavar="RUN")
+@run_argument
 @click.argument("action", type=click.Choice(ACTIONS))
 @click.argument("value", required=False, metavar="[VALUE|ROBOT]")
 @json_option

@@ -151,8 +151,6 @@ def as_tuple(length: int | None) -> Callable[[object], object]:
 
 AsTuple = BeforeValidator(as_tuple(None))
 AsPair = BeforeValidator(as_tuple(2))
-AsFour = BeforeValidator(as_tuple(4))
-AsSix = BeforeValidator(as_tuple(6))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,13 +21,7 @@ from swarmabs_core.realtime.refusals import Refusals
 from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, RobotController
 
 if TYPE_CHECKING:
-    from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
     from swarmabs_core.messages import Broadcast, Message, Messages
-    from swarmabs_core.parameters import Settings
-
-if TYPE_CHECKING:
-    from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-    from swarmabs_core.messages import Message, Messages
     from swarmabs_core.realtime.drives import Drive, Measurement
 
 FAREWELLS = 10
@@ -101,11 +95,6 @@ class RealtimeLaw:
     def brake(self, velocity: float) -> float:
         """Return the command of a robot that stops from a velocity (m/s)."""
         return self.controller.brake(velocity)
-
-
-def ideal_motion(config: RealtimeAgentConfig) -> SingleIntegratorDrive | DoubleIntegratorDrive:
-    """Return how a robot moves that does exactly what its law expects, over one period."""
-    return RealtimeLaw(config).controller.ideal
 
 
 class RealtimeAgent:
