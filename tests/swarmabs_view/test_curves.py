@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from swarmabs_core.swarm_state import Abstract, Instant
+from swarmabs_bag.swarm_state import Abstract, Instant
 from swarmabs_view.curves import CurveBuffer
 
 

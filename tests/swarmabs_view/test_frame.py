@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmabs_core.swarm_state import Abstract, Instant, ShownRobot
+from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
 from swarmabs_view.frame import frame_of
 from swarmabs_view.protocol import Frame
 

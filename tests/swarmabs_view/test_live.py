@@ -18,9 +18,9 @@ import rclpy
 from tests.processes import until
 from tests.swarmabs_bag.sample_run import make_run, make_step
 
+from swarmabs_bag.swarm_state import RobotIdentity, SwarmState
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import TOPIC_OF, EventKind, Kind, PlaneState, SwarmEvent
-from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.program import SwarmNode

@@ -11,8 +11,8 @@ from tests.swarmabs_analysis.figures.conftest import ReadBag, record
 from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import write_bag
 
+from swarmabs_bag.swarm_state import SILENT_STEPS, STATUSES
 from swarmabs_core.messages import AgentState
-from swarmabs_core.swarm_state import SILENT_STEPS, STATUSES
 from swarmabs_view.facts import regions
 from swarmabs_view.playback import COLUMNS, PlaybackSession, Recording, open_recording
 from swarmabs_view.protocol import Frame, Message, Pause, Play, Seek, Sets, Speed, State

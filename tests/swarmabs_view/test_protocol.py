@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 from tests.docs.pages import ROOT
 
-from swarmabs_core.swarm_state import finite
+from swarmabs_bag.swarm_state import finite
 from swarmabs_view.protocol import (
     CONTROL,
     FROM_PAGE,

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from tests.swarmabs_view.test_live import HELLO
 
-from swarmabs_core.swarm_state import SwarmState
+from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_run.steering.place import SOCKET
 from swarmabs_view import steering_bridge as module
 from swarmabs_view.live import LiveSession, LiveView

@@ -13,9 +13,19 @@ from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import is_realtime, law_begins
+from swarmabs_bag.swarm_state import (
+    STATUS_NAMES,
+    STATUSES,
+    Instant,
+    RobotHistory,
+    ShownRobot,
+    TimedEvent,
+    instant_of,
+    is_silent,
+    shown_robot,
+)
 from swarmabs_config import configure
 from swarmabs_core.arrays import MessageArrays
-from swarmabs_core.membership_timeline import MembershipTimeline
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -29,16 +39,6 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.swarm_state import (
-    STATUS_NAMES,
-    STATUSES,
-    Instant,
-    ShownRobot,
-    TimedEvent,
-    instant_of,
-    is_silent,
-    shown_robot,
-)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,10 +46,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bag.reader import BagReader
+    from swarmabs_bag.swarm_state import Members, RobotStatus
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.arrays import RunArrays, Tables
-    from swarmabs_core.membership_timeline import Members
-    from swarmabs_core.swarm_state import RobotStatus
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -101,11 +100,11 @@ class RecordedSwarm:
         return np.array([reference(t) if t == t else t for t in self.law_time.tolist()])  # noqa: PLR0124 - NaN stays
 
     @cached_property
-    def timeline(self) -> MembershipTimeline:
+    def timeline(self) -> RobotHistory:
         """Who is in, dead or gone by step, in the order of the scenario."""
         there = {agent.id for agent in self.scenario.initial_agents}
         robots = [agent.id for agent in self.scenario.agents]
-        timeline = MembershipTimeline(robots, [robot for robot in robots if robot not in there])
+        timeline = RobotHistory(robots, [robot for robot in robots if robot not in there], changes=None)
         for event in self.events:
             timeline.take(event)
         return timeline
@@ -211,6 +210,30 @@ class RecordedSwarm:
             int(agents.status[row, column]),
             *(float(values[row, column]) for values in numbers),
         )
+
+
+def column_points(column: Integers, values: Floats) -> Integers:
+    """Return which points of a line stand for it in a picture, ascending.
+
+    Parameters
+    ----------
+    column : ndarray of int, (n,)
+        The column of the picture in which each point lies, ascending.
+    values : ndarray, (n,)
+        Their heights; NaN is a gap, whose borders are kept.
+    """
+    begins = np.flatnonzero(np.diff(column, prepend=column[0] - 1))
+    ends = np.append(begins[1:], len(column))
+    missing = np.isnan(values)
+    gaps = np.flatnonzero(missing[1:] != missing[:-1])
+    lowest = np.where(missing, np.inf, values)
+    highest = np.where(missing, -np.inf, values)
+    extremes = [
+        found
+        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)
+        for found in (begin + int(np.argmin(lowest[begin:end])), begin + int(np.argmax(highest[begin:end])))
+    ]
+    return np.unique(np.concatenate([begins, ends - 1, gaps, gaps + 1, np.array(extremes, dtype=np.int64)]))
 
 
 def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:

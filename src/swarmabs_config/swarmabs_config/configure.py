@@ -12,7 +12,6 @@ from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.parent_response import ParentResponse
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
-from swarmabs_core.swarm_state import RobotIdentity, SwarmState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -157,16 +156,6 @@ def reference(scenario: Scenario) -> OffsetReference:
     """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
     offsets = StepSchedule(step_changes(scenario, REFERENCE))
     return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
-
-
-def swarm_state(scenario: Scenario) -> SwarmState:
-    """Return what is shown of a scenario's swarm before anything is heard of it; its robots are listed."""
-    there = {agent.id for agent in scenario.initial_agents}
-    robots = [
-        RobotIdentity(agent.id, Kind[agent.kind.upper()], agent.mass, agent.damping, joins=agent.id not in there)
-        for agent in scenario.agents
-    ]
-    return SwarmState(robots, reference=reference(scenario), period_ns=scenario.step_ns)
 
 
 def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from swarmabs_view.frame import curves_of
 
 if TYPE_CHECKING:
-    from swarmabs_core.swarm_state import Instant
+    from swarmabs_bag.swarm_state import Instant
     from swarmabs_view.protocol import Curves
 
 MOST = 4000

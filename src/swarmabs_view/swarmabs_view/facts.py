@@ -6,8 +6,7 @@ from itertools import chain
 from math import fsum, isfinite
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_config import configure
-from swarmabs_core.swarm_state import finite
+from swarmabs_bag.swarm_state import SwarmState, finite
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_view.frame import robots_of
 from swarmabs_view.protocol import Manifold, Plane, Regions
@@ -39,7 +38,7 @@ def scenario_facts(scenario: Scenario) -> dict[str, Any]:
     return {
         "period": scenario.period,
         "last_step": scenario.steps,
-        "robots": robots_of(configure.swarm_state(scenario).robots),
+        "robots": robots_of(SwarmState.of(scenario).robots),
         "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia, gravity=scenario.plane.gravity),
         "manifold": Manifold(
             curvature=scenario.manifold.curvature,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from swarmabs_bag.swarm_state import Abstract, Instant, finite
 from swarmabs_core.messages import EventKind, Kind
-from swarmabs_core.swarm_state import Abstract, Instant, finite
 from swarmabs_view.protocol import Curves, Event, Frame, Robot, RobotStates
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from swarmabs_core.swarm_state import RobotIdentity, ShownRobot, TimedEvent
+    from swarmabs_bag.swarm_state import RobotIdentity, ShownRobot, TimedEvent
 
 _SHARED = tuple(name for name in Instant._fields if name in Frame.model_fields)
 """What a frame has of an instant, by the same names: all but its stamp."""

@@ -14,8 +14,8 @@ from swarmabs_view.shading import Shading
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from swarmabs_bag.swarm_state import SwarmState
     from swarmabs_core.messages import Message
-    from swarmabs_core.swarm_state import SwarmState
     from swarmabs_view import protocol
     from swarmabs_view.listener import Listener
     from swarmabs_view.protocol import Control, Health, Phase

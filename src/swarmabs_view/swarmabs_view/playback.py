@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.recorded_swarm import read_swarm
-from swarmabs_core.swarm_state import MOST_EVENTS
-from swarmabs_core.thinning import column_points
+from swarmabs_bag.recorded_swarm import column_points, read_swarm
+from swarmabs_bag.swarm_state import MOST_EVENTS
 from swarmabs_view.facts import scenario_facts
 from swarmabs_view.frame import curves_of, events_of, frame_of
 from swarmabs_view.protocol import (

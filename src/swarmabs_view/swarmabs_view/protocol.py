@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import models_json_schema
 
-from swarmabs_core.swarm_state import RobotStatus
+from swarmabs_bag.swarm_state import RobotStatus
 
 VERSION = 1
 """Of the messages; it is raised when one changes its meaning or goes. Messages and fields of the server may be added: a

@@ -7,7 +7,7 @@ from math import nan
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from swarmabs_core.membership_timeline import Members
+from swarmabs_bag.swarm_state import Members
 from swarmabs_view.facts import regions
 from swarmabs_view.protocol import Sets
 

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_config import configure
+from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_core.swarm_state import SwarmState
 from swarmabs_run.orchestration.run_environment import RunOverError, environment_of_run, goes_on, read_processes
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
@@ -120,7 +119,7 @@ class RunView:
         scenario = find_scenario(str(self._folder.scenario))
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
-        self._live.learn(hello, configure.swarm_state(scenario))
+        self._live.learn(hello, SwarmState.of(scenario))
 
     async def _watch(self, processes: Mapping[str, int]) -> None:
         watch = ProcessWatch(processes)

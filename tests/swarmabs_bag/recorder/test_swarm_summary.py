@@ -14,11 +14,11 @@ from swarmabs_bag.recorder.swarm_summary import (
     describe_event,
 )
 from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.swarm_state import SILENT_STEPS
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, AgentState, EventKind, Message, Status, SwarmEvent
 from swarmabs_core.record import Record
-from swarmabs_core.swarm_state import SILENT_STEPS
 from swarmabs_run.simulation import simulated_steps
 from swarmabs_run.vector_simulation import vectorisable
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swarmabs_config import configure
+from swarmabs_bag.swarm_state import SILENT_STEPS, SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.messages import (
     NEVER,
@@ -26,7 +26,6 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
-from swarmabs_core.swarm_state import SILENT_STEPS, SwarmState
 from swarmabs_view.visualization.geometry import Layout, Vector, tilt, tilted
 from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Scene, Shape
 
@@ -172,7 +171,7 @@ def test_the_reference_has_its_offsets() -> None:
 
 def test_a_scenario_with_offsets_is_drawn_with_them() -> None:
     scenario = find_scenario("pd_het_4", ["faults=[{kind: reference, at: 1.0, offset: 0.1}]"]).resolved()
-    _, shapes = drawn(plane(100, 0.0), scene=(Scene.of(scenario), configure.swarm_state(scenario)))
+    _, shapes = drawn(plane(100, 0.0), scene=(Scene.of(scenario), SwarmState.of(scenario)))
     assert shapes["reference", 0].pose.orientation == tilt(0.1)
 
 
@@ -214,7 +213,7 @@ def test_by_a_clock_the_reference_begins_with_the_law() -> None:
 
 def test_a_scenario_gives_its_dimensions() -> None:
     scenario = find_scenario("arise_het_200", ["plane.length=3"]).resolved()
-    scene = (Scene.of(scenario), configure.swarm_state(scenario))
+    scene = (Scene.of(scenario), SwarmState.of(scenario))
     layout = scene[0].layout
     assert (layout.length, len(layout.robots)) == (3.0, 200)
     lanes = sorted(robot.lane for robot in layout.robots.values())

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_core.thinning import column_points
+from swarmabs_bag.recorded_swarm import column_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

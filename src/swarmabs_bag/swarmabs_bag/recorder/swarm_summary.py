@@ -6,15 +6,15 @@ from collections import Counter, deque
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from swarmabs_bag.swarm_state import RobotHistory
 from swarmabs_core.messages import AgentState, EventKind, SwarmEvent, said
-from swarmabs_core.swarm_state import RobotHistory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from swarmabs_bag.recording import Step
+    from swarmabs_bag.swarm_state import RobotStatus
     from swarmabs_core.messages import Message
-    from swarmabs_core.swarm_state import RobotStatus
 
 SHOWN_ROBOTS = 200
 """More robots than these are only counted: a report must stay below 4 KiB."""

@@ -14,8 +14,8 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_bag.run_folder import new_folder
 from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_bag.writer import BagWriter
-from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
@@ -62,7 +62,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
     scenario = attached_scenario(bag).resolved()
-    scene, translator, swarm = Scene.of(scenario), Translator(), configure.swarm_state(scenario)
+    scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     check_definitions(bag.path, bag.channels)
     own = tuple(topic for topic in RECORDED if topic in bag.topics())
     drawn = {topic: Topic(topic.name, PlaneState, topic.ros_type) for topic in _recordable()}

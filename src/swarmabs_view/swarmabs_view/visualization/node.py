@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmabs_config import configure
+from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import agent_id_of
 from swarmabs_core.errors import InputError
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
-    from swarmabs_core.swarm_state import SwarmState
     from swarmabs_ros.status import StatusChannel
     from swarmabs_view.visualization.sinks import Sink
 
@@ -88,7 +87,7 @@ def show(
     scenario: Scenario, listener: Listener, sinks: Sequence[Sink], settings: Settings, wait: Callable[[float], bool]
 ) -> None:
     """Show the swarm, a frame whenever there is a new step and it is time for one."""
-    scene, translator, swarm = Scene.of(scenario), Translator(), configure.swarm_state(scenario)
+    scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     urdf = description(plane_urdf(scene.layout, scenario.plane.inertia))
     for sink in sinks:
         sink.publish(*urdf)

@@ -12,8 +12,8 @@ from swarmabs_view.visualization.geometry import Layout, Pose, Quaternion, Vecto
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, SwarmState
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.swarm_state import RobotStatus, ShownRobot, SwarmState
 
 LABELLED = 50
 """More robots than these have no labels."""

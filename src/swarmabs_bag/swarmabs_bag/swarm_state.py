@@ -10,14 +10,16 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass, field
 from math import isfinite
+from operator import itemgetter
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args, overload
 
-from swarmabs_core.membership_timeline import MembershipTimeline
+from swarmabs_config import configure
 from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     Basis,
     DesiredAbstractState,
+    EventKind,
     Kind,
     Message,
     PlaneState,
@@ -31,8 +33,9 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
-    from swarmabs_core.membership_timeline import Members, Out
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.steering import OffsetReference
 
     Integers = NDArray[np.int64]
@@ -65,6 +68,20 @@ class RobotIdentity(NamedTuple):
     mass: float | None
     damping: float | None
     joins: bool = False
+
+
+class Out(NamedTuple):
+    """How a robot is out; `place` (m) is where the weight of a dead one stands."""
+
+    status: Literal["absent", "dead", "left"]
+    place: float = 0.0
+
+
+class Members(NamedTuple):
+    """Ids of the robots that are commanded; ids and places (m) of those whose weights stand still on the plane."""
+
+    moving: tuple[int, ...]
+    standing: tuple[tuple[int, float], ...]
 
 
 class ShownRobot(NamedTuple):
@@ -190,6 +207,9 @@ def instant_of(
 class RobotHistory:
     """What robots have said, and who of them is in, dead or gone, by step.
 
+    Events may come in any order, and more than once. Only the observer knows which robots are dead, and announces when
+    one is back. What a robot says of itself after its end changes nothing, except that it leaves and joins.
+
     Parameters
     ----------
     robots : iterable of int
@@ -198,12 +218,25 @@ class RobotHistory:
         Those of them that take part only from when they have joined.
     states : int
         States that are kept of a robot, the latest.
+    changes : int, optional
+        How often a robot is in and out that is remembered, the latest times, and of how many robots is limited then.
     """
 
-    def __init__(self, robots: Iterable[int] = (), absent: Iterable[int] = (), *, states: int = PENDING) -> None:
-        self._timeline = MembershipTimeline(robots, absent, most=MOST_CHANGES)
+    def __init__(
+        self,
+        robots: Iterable[int] = (),
+        absent: Iterable[int] = (),
+        *,
+        states: int = PENDING,
+        changes: int | None = MOST_CHANGES,
+    ) -> None:
+        self._robots = tuple(robots)
+        self._changes: dict[int, list[tuple[int, Out | None]]] = {robot: [(-1, Out("absent"))] for robot in absent}
+        self._most_changes = changes
         self._states: dict[int, list[AgentState]] = {}
-        self._most = states
+        self._most_states = states
+        self._steps: list[int] | None = None
+        self._members: dict[int, Members] = {}
 
     def add(self, state: AgentState) -> None:
         """Take what a robot says."""
@@ -214,22 +247,57 @@ class RobotHistory:
             place = bisect_left(known, state.step, key=_step_of)
             if known[place].step != state.step:
                 known.insert(place, state)
-        del known[: -self._most]
+        del known[: -self._most_states]
 
     def take(self, event: SwarmEvent) -> None:
         """Take an event; those that do not say who takes part change nothing, nor do those of too many strangers."""
-        if event.agent_id in self._states or len(self._timeline) < MOST_ROBOTS:
-            self._timeline.take(event)
+        if event.kind == EventKind.JOINED:
+            out = None
+        elif event.kind == EventKind.DEAD:
+            out = Out("dead", event.value)
+        elif event.kind == EventKind.LEFT:
+            out = Out("left")
+        else:
+            return
+        known = event.agent_id in self._changes or event.agent_id in self._states
+        if self._most_changes is not None and not known and len(self._changes) >= MOST_ROBOTS:
+            return
+        changes = self._changes.setdefault(event.agent_id, [])
+        insort(changes, (event.step, out), key=itemgetter(0))
+        if self._most_changes is not None:
+            del changes[: -self._most_changes]
+        self._steps = None
+
+    def out(self, robot: int, step: int) -> Out | None:
+        """Return how a robot is out in a step, None if it is in."""
+        changes = self._changes.get(robot, [])
+        place = bisect_right(changes, step, key=itemgetter(0))
+        return changes[place - 1][1] if place else None
+
+    def changes(self, robot: int) -> tuple[tuple[int, Out | None], ...]:
+        """Return the steps in which a robot goes out (how) or comes in (None), ascending."""
+        return tuple(self._changes.get(robot, ()))
+
+    def members(self, step: int) -> Members:
+        """Return who takes part in a step, of the robots that were known beforehand."""
+        if self._steps is None:
+            self._steps = sorted({step for known in self._changes.values() for step, _ in known})
+            self._members.clear()
+        place = bisect_right(self._steps, step)
+        found = self._members.get(place)
+        if found is None:
+            outs = [(robot, self.out(robot, step)) for robot in self._robots]
+            found = self._members[place] = Members(
+                tuple(robot for robot, out in outs if out is None),
+                tuple((robot, out.place) for robot, out in outs if out is not None and out.status == "dead"),
+            )
+        return found
 
     def shown(self, robot: int, step: int) -> ShownRobot:
         """Return what is shown of a robot in a step."""
         known = self._states.get(robot, [])
         place = bisect_right(known, step, key=_step_of)
-        return shown_robot(self._timeline.out(robot, step), known[place - 1] if place else None, step)
-
-    def members(self, step: int) -> Members:
-        """Return who takes part in a step, of the robots that were known beforehand."""
-        return self._timeline.members(step)
+        return shown_robot(self.out(robot, step), known[place - 1] if place else None, step)
 
 
 @dataclass(slots=True)
@@ -308,6 +376,16 @@ class SwarmState:
         self._plane: PlaneState | None = None
         self._shown = _Step()
         self._steps: dict[int, _Step] = {}
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """Return what is shown of a scenario's swarm before anything is heard of it; its robots are listed."""
+        there = {agent.id for agent in scenario.initial_agents}
+        robots = [
+            RobotIdentity(agent.id, Kind[agent.kind.upper()], agent.mass, agent.damping, joins=agent.id not in there)
+            for agent in scenario.agents
+        ]
+        return cls(robots, reference=configure.reference(scenario), period_ns=scenario.step_ns)
 
     @property
     def step(self) -> int | None:

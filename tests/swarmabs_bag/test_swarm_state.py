@@ -7,10 +7,18 @@ import random
 import pytest
 from tests.swarmabs_bag.sample_run import PERIOD, make_run, make_step
 
-from swarmabs_config import configure
+from swarmabs_bag import swarm_state as module
+from swarmabs_bag.swarm_state import (
+    MOST_EVENTS,
+    SILENT_STEPS,
+    Abstract,
+    Instant,
+    Members,
+    RobotIdentity,
+    ShownRobot,
+    SwarmState,
+)
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core import swarm_state as module
-from swarmabs_core.membership_timeline import Members
 from swarmabs_core.messages import (
     AgentState,
     Basis,
@@ -24,15 +32,6 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
-from swarmabs_core.swarm_state import (
-    MOST_EVENTS,
-    SILENT_STEPS,
-    Abstract,
-    Instant,
-    RobotIdentity,
-    ShownRobot,
-    SwarmState,
-)
 
 
 def ten_times() -> OffsetReference:
@@ -219,7 +218,7 @@ def test_without_a_period_a_clock_counts_from_the_first_message() -> None:
 
 def test_a_scenario_gives_its_robots_its_period_and_its_offsets() -> None:
     changes = ["faults=[{kind: reference, at: 1.0, offset: 0.1}, {kind: join, at: 2.0, agent: 3}]"]
-    made = configure.swarm_state(find_scenario("pd_het_4", changes).resolved())
+    made = SwarmState.of(find_scenario("pd_het_4", changes).resolved())
     assert [(robot.id, robot.joins) for robot in made.robots] == [(1, False), (2, False), (3, True), (4, False)]
     made.add(PlaneState(0, 100, 0.0, 0.0))
     assert (shown(made)[0].time, shown(made)[0].reference) == (1.0, 0.1)
