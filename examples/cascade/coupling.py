@@ -25,7 +25,7 @@ from swarmabs_core.messages import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_core.behaviours import Behaviour, Controller, Listener
+    from swarmabs_core.behaviours import Agent, Behaviour, Controller
     from swarmabs_core.controllers import ParentContext, ParentController
 
 
@@ -220,12 +220,12 @@ class Coupled:
         return self._inner.handle(kept) if kept is not None else ()
 
 
-def carried(agent: Listener, drive: TiltDrive, plane: Topic, last_step: int) -> Coupled:
+def carried(agent: Agent, drive: TiltDrive, plane: Topic, last_step: int) -> Coupled:
     """Return a robot whose drive is a lower plane: to move from step k to k+1 it needs that plane's state k+1.
 
     Parameters
     ----------
-    agent : Listener
+    agent : Agent
         A robot with this drive.
     drive : TiltDrive
         Its drive.

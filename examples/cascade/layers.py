@@ -14,7 +14,7 @@ from coupling import Coupled, Following, TiltDrive, carried, led
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.behaviours import Agent, Controller, Observer, Plane, make_agent, with_faults
+from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
 from swarmabs_core.controllers import ParentContext
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPIC_OF, Topic
@@ -129,7 +129,7 @@ def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupli
     (config,) = (config for config in configure.agent_configs(upper) if config.agent_id == robot)
     angle, rate = plane.plane.angle, plane.plane.angular_velocity
     drive = TiltDrive(coupling.ratio, upper.period, angle, rate)
-    agent = with_faults(Agent(replace(config, velocity=coupling.ratio * angle), drive), config)
+    agent = Agent(replace(config, velocity=coupling.ratio * angle), drive)
     return carried(agent, drive, absolute(PLANE_STATE, lower(robot)), upper.steps)
 
 
@@ -173,7 +173,7 @@ class CascadeSimulation:
         self._add(UPPER, upper, controller, list(robots.values()))
         for robot, scenario in cascade.lower.items():
             follower = led_controller(scenario, robot, coupling, recording_window=0)
-            self._add(lower(robot), scenario, follower, list(map(make_agent, configure.agent_configs(scenario))))
+            self._add(lower(robot), scenario, follower, list(map(Agent, configure.agent_configs(scenario))))
             self._hear[lower(robot), PLANE_STATE].append((UPPER, robots[robot]))
             self._hear[UPPER, AGENT_STATE].append((lower(robot), follower))
 

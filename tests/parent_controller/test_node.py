@@ -7,7 +7,7 @@ from tests.swarmabs_ros.nodes import settings_from
 
 from parent_controller.node import PARAMETERS, make
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP
-from swarmabs_core.behaviours import Controller, PackingController
+from swarmabs_core.behaviours import Controller
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -55,7 +55,9 @@ def test_it_hears_a_recorder_only_if_there_is_one() -> None:
 
 def test_it_packs_the_broadcasts_if_asked_to() -> None:
     settings = settings_of("pd", packed=True)
-    assert isinstance(make(settings, CHANNEL).behaviour, PackingController)
+    behaviour = make(settings, CHANNEL).behaviour
+    behaviour.handle(PlaneState(0, 0, 0.5, 0.0))
+    assert behaviour.awaits() == (ABSTRACT_STATE,)
     ends = settings.endpoints(CONTROLLER, LOCKSTEP)
     assert set(ends.publications) == {DESIRED_ABSTRACT_STATE, BROADCAST, EVENTS}
     assert set(ends.subscriptions) == {PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE}

@@ -8,7 +8,7 @@ from pathlib import Path
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, ROBOT, Option
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.behaviours import AgentGroup, Unpacking
+from swarmabs_core.behaviours import AgentGroup
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.parameters import Parameter
@@ -37,11 +37,11 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     missing = [agent_id for agent_id in settings.integers("agent_ids") if agent_id not in configs]
     if missing:
         raise InputError(f"parameter agent_ids: the scenario has no robot {missing[0]}")
-    group: AgentGroup | Unpacking = AgentGroup(
-        [configs[agent_id] for agent_id in settings.integers("agent_ids")], steered=settings.flag(STEERED.name)
+    group = AgentGroup(
+        [configs[agent_id] for agent_id in settings.integers("agent_ids")],
+        packed=settings.flag(PACKED.name),
+        steered=settings.flag(STEERED.name),
     )
-    if settings.flag(PACKED.name):
-        group = Unpacking(group)
     feeling = (Option.FEELING,) if PLANE_STATE in group.needs else ()
     return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling))
 

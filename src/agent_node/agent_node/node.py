@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import ROBOT
-from swarmabs_core.behaviours import AgentConfig, Listener, Unpacking, make_newcomer
+from swarmabs_core.behaviours import Agent, AgentConfig
 from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -16,10 +16,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     """Return the behaviour."""
     config = settings.made(AgentConfig)
     config.refuse_contradictions()
-    agent: Listener = make_newcomer(config, steered=settings.flag(STEERED.name))
-    if settings.flag(PACKED.name):
-        agent = Unpacking(agent)
-    return NodeSpec(agent)
+    return NodeSpec(Agent(config, packed=settings.flag(PACKED.name), steered=settings.flag(STEERED.name)))
 
 
 def main(args: list[str] | None = None) -> int:

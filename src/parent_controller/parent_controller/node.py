@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import CONTROLLER
-from swarmabs_core.behaviours import Controller, ControllerConfig, PackingController, Steered
+from swarmabs_core.behaviours import Controller, ControllerConfig, Steered
 from swarmabs_core.controllers.base import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
@@ -26,9 +26,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     law = config.law.make(config.period_ns / 1e9, config.manifold)
     if config.offsets and not isinstance(law, OffsetController):
         raise InputError("parameter offsets: the law has no method offset_torque; leave the parameter out")
-    plain = Controller(config, law)
-    controller = Steered(plain) if settings.flag(STEERED.name) else plain
-    return NodeSpec(PackingController(controller) if settings.flag(PACKED.name) else controller)
+    controller = Controller(config, law, packed=settings.flag(PACKED.name))
+    return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller)
 
 
 def main(args: list[str] | None = None) -> int:

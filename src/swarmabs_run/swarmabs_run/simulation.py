@@ -11,7 +11,7 @@ from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core.arrays import RunArrays, run_arrays, table
-from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
+from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import with_ends
 from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, TOPIC_OF
@@ -55,7 +55,7 @@ def nodes_in_process(scenario: Scenario) -> dict[NodeName, NodeInProcess]:
 
 def robot_in_process(config: AgentConfig) -> NodeInProcess:
     """Return the node of a robot."""
-    agent = make_agent(config)
+    agent = Agent(config)
     return _node(agent, ROBOT, *((Option.FEELING,) if PLANE_STATE in agent.needs else ()))
 
 

@@ -22,7 +22,7 @@ from swarmabs_analysis.verification import Ending, LockstepVerification
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import command_filter, desired_state, drive, plant
-from swarmabs_core.behaviours import Agent, AgentConfig, Listener, Observer, make_agent
+from swarmabs_core.behaviours import Agent, AgentConfig, Observer
 from swarmabs_core.cdr import agent_id_of, decode, encode
 from swarmabs_core.controllers import arise
 from swarmabs_core.errors import MalformedMessageError, RunError
@@ -259,12 +259,10 @@ def test_a_missing_event_comes_before_a_later_difference() -> None:
 # A robot cheats, and what it does afterwards fits
 
 
-def run_with(
-    monkeypatch: pytest.MonkeyPatch, scenario: Scenario, make: Callable[[AgentConfig], Listener]
-) -> list[Stored]:
+def run_with(monkeypatch: pytest.MonkeyPatch, scenario: Scenario, make: Callable[[AgentConfig], Agent]) -> list[Stored]:
     """Return a whole run, closed loop and all, in which robots are made otherwise."""
     with monkeypatch.context() as patch:
-        patch.setattr(simulation, "make_agent", make)
+        patch.setattr(simulation, "Agent", make)
         return record(scenario)
 
 
@@ -310,7 +308,7 @@ def test_a_robot_that_is_not_the_one_of_the_scenario_is_found(
     monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], step: int, field: str
 ) -> None:
     scenario = world("pd_het_4", SHORT)
-    bag = run_with(monkeypatch, scenario, lambda c: make_agent(replace(c, **change) if c.agent_id == 3 else c))
+    bag = run_with(monkeypatch, scenario, lambda c: Agent(replace(c, **change) if c.agent_id == 3 else c))
     assert place(first_difference(scenario, bag)) == ("swarm/agent_state", step, 3, field)
 
 

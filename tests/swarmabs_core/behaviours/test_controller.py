@@ -131,7 +131,7 @@ def test_steep_plane_fails_the_run(angle: float) -> None:
 
 def test_what_no_correct_peer_sends() -> None:
     node, _ = controller([0.1] * 3, window=1)
-    with pytest.raises(StepAheadError, match="plane: step 0 expected, 1 received"):
+    with pytest.raises(StepAheadError, match="plane/state: step 0 expected, 1 received"):
         node.handle(plane(1))
     with pytest.raises(UnexpectedMessageError, match="parent controller: a AgentState was delivered"):
         node.handle(agent_state(1))

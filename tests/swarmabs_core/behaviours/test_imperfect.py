@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from tests.swarmabs_core.helpers import PERIOD_NS, Run, broadcasts, builtin
 
 from swarmabs_config import configure
-from swarmabs_core.behaviours import AgentConfig, Listener, Plane, make_agent
+from swarmabs_core.behaviours import Agent, AgentConfig, Plane
 from swarmabs_core.messages import AgentState, Kind, PlaneState
 from swarmabs_core.sensing import Sensor, standard_normal
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
@@ -36,7 +36,7 @@ def config(kind: Kind, **settings: Any) -> AgentConfig:
     )
 
 
-def states(agent: Listener, count: int) -> list[AgentState]:
+def states(agent: Agent, count: int) -> list[AgentState]:
     """Return the states of a robot that hears the same wish for some steps."""
     found = list(agent.start())
     for step in range(count):
@@ -48,7 +48,7 @@ def states(agent: Listener, count: int) -> list[AgentState]:
 @kinds
 def test_decides_by_what_it_measures_and_moves_in_truth(kind: Kind) -> None:
     sensor = Sensor((0.02, 0.05), (0.003, 0.0))
-    run = states(make_agent(config(kind, sensor=sensor, seed=5)), 20)
+    run = states(Agent(config(kind, sensor=sensor, seed=5)), 20)
     for step, (before, after) in enumerate(pairwise(run)):
         position, velocity = sensor.measure(before.position, before.velocity, f"5:{step}:3")
         if kind is SI:
@@ -65,7 +65,7 @@ def test_decides_by_what_it_measures_and_moves_in_truth(kind: Kind) -> None:
 
 @kinds
 def test_lag_delays_what_the_drive_does_and_not_what_it_is_told(kind: Kind) -> None:
-    run = states(make_agent(config(kind, actuator_lag=LAG)), 50)
+    run = states(Agent(config(kind, actuator_lag=LAG)), 50)
     if kind is SI:
         system = np.array([[0, 1, 0], [0, -1 / LAG, 1 / LAG], [0, 0, 0]])
         state = np.array([0.12, 0.0])
@@ -86,7 +86,7 @@ def test_lag_delays_what_the_drive_does_and_not_what_it_is_told(kind: Kind) -> N
 
 def test_weight_acts_at_once_and_the_command_late() -> None:
     """On a steep plane a robot with a very slow drive slides as if it had none."""
-    agent = make_agent(config(DI, actuator_lag=1e9, feels_gravity=True))
+    agent = Agent(config(DI, actuator_lag=1e9, feels_gravity=True))
     agent.start()
     for message in (*broadcasts(0), PlaneState(0, 0, 0.5, 0.0)):
         answer = agent.handle(message)

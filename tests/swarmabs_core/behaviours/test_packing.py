@@ -8,7 +8,7 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Agent, Controller, PackingController, Unpacking
+from swarmabs_core.behaviours import Agent, Controller
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -43,9 +43,9 @@ def desired(step: int) -> DesiredAbstractState:
     return DesiredAbstractState(step * PERIOD, step, 1, 0.3, 0.025, 0.01, 0.01, 0.01, 0.01, 0.1, 0.1)
 
 
-def controller(last_step: int | None = None) -> Controller:
+def controller(last_step: int | None = None, *, packed: bool = True) -> Controller:
     config = configure.controller_config(SCENARIO, recording_window=0)
-    return Controller(replace(config, last_step=last_step), configure.parent_controller(SCENARIO))
+    return Controller(replace(config, last_step=last_step), configure.parent_controller(SCENARIO), packed=packed)
 
 
 def broadcasts(answer: Messages) -> list[Broadcast]:
@@ -54,7 +54,7 @@ def broadcasts(answer: Messages) -> list[Broadcast]:
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0), (0, 2, 1), (2, 0, 1), (1, 0, 2)])
 def test_the_broadcast_comes_with_the_last_part_in_any_order(order: tuple[int, int, int]) -> None:
-    packing, alone = PackingController(controller()), controller()
+    packing, alone = controller(), controller(packed=False)
     for step in range(3):
         messages = (abstract(step), auxiliary(step), plane(step))
         answers = [packing.handle(messages[index]) for index in order]
@@ -68,7 +68,7 @@ def test_the_broadcast_comes_with_the_last_part_in_any_order(order: tuple[int, i
 
 
 def test_it_waits_for_the_plane_and_then_for_the_observer() -> None:
-    packing = PackingController(controller(last_step=0))
+    packing = controller(last_step=0)
     assert packing.awaits() == (PLANE_STATE,)
     packing.handle(plane(0))
     assert packing.awaits() == (ABSTRACT_STATE,)
@@ -80,7 +80,7 @@ def test_it_waits_for_the_plane_and_then_for_the_observer() -> None:
 
 
 def test_repetitions_change_nothing_and_contradictions_are_refused() -> None:
-    packing = PackingController(controller())
+    packing = controller()
     packing.handle(abstract(0))
     assert packing.handle(abstract(0)) == ()
     with pytest.raises(ConflictError, match="abstract_state"):
@@ -95,7 +95,7 @@ def test_repetitions_change_nothing_and_contradictions_are_refused() -> None:
 @pytest.mark.parametrize("index", range(4))
 def test_a_robot_does_the_same_with_packed_broadcasts(index: int) -> None:
     config = configure.agent_configs(SCENARIO)[index]
-    alone, packed = Agent(config), Unpacking(Agent(config))
+    alone, packed = Agent(config), Agent(config, packed=True)
     assert packed.needs == packed.awaits() == (BROADCAST,)
     assert packed.start() == alone.start()
     for step in range(5):
@@ -104,12 +104,12 @@ def test_a_robot_does_the_same_with_packed_broadcasts(index: int) -> None:
         message = Broadcast(step * PERIOD, step, *parts)
         assert packed.handle(message) == expected
         assert packed.handle(message) == ()  # repeated
-        assert packed.missing() == alone.missing()
+        assert packed.missing() == (step + 1, ("swarm/broadcast",))
 
 
 def test_a_robot_that_feels_gravity_still_waits_for_the_plane() -> None:
     config = replace(configure.agent_configs(SCENARIO)[2], feels_gravity=True)
-    packed = Unpacking(Agent(config))
+    packed = Agent(config, packed=True)
     assert packed.needs == (BROADCAST, PLANE_STATE)
     packed.start()
     assert packed.handle(Broadcast(0, 0, abstract(0), auxiliary(0), desired(0))) == ()
@@ -118,6 +118,6 @@ def test_a_robot_that_feels_gravity_still_waits_for_the_plane() -> None:
 
 
 def test_a_robot_with_packed_broadcasts_refuses_single_ones() -> None:
-    packed = Unpacking(Agent(configure.agent_configs(SCENARIO)[0]))
+    packed = Agent(configure.agent_configs(SCENARIO)[0], packed=True)
     with pytest.raises(UnexpectedMessageError):
         packed.handle(abstract(0))

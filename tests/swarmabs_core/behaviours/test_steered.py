@@ -14,17 +14,15 @@ from swarmabs_bag.recording import RecordedStep, RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.behaviours import (
+    Agent,
     Controller,
     Decision,
     Observer,
-    PackingController,
     Plane,
     Request,
     Steered,
     SteeringConfig,
     SteeringController,
-    Unpacking,
-    make_newcomer,
 )
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError
 from swarmabs_core.errors import InputError
@@ -79,23 +77,19 @@ class Swarm:
         self.controller = SteeringController(steering_config(scenario))
         observer = Steered(Observer(configure.observer_config(scenario)))
         plane = Steered(Plane(configure.plane_config(scenario)))
-        controller: Behaviour = Steered(
-            Controller(configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario))
-        )
-        heard: tuple[Topic, ...] = (PLANE_STATE, STEERING)
-        if packed:
-            controller, heard = PackingController(controller), (*heard, ABSTRACT_STATE, AUXILIARY_STATE)
+        config = configure.controller_config(scenario, recording_window=0)
+        controller = Steered(Controller(config, configure.parent_controller(scenario), packed=packed))
+        observed = (ABSTRACT_STATE, AUXILIARY_STATE) if packed else ()
         self.nodes = [
             Node(self.controller, (PLANE_STATE, EVENTS)),
             Node(observer, (AGENT_STATE, STEERING)),
             Node(plane, (AGENT_STATE, EVENTS, STEERING)),
-            Node(controller, heard),
+            Node(controller, (PLANE_STATE, STEERING, *observed)),
         ]
         self.robots = {}
-        for config in configure.agent_configs(scenario):
-            robot = make_newcomer(config, steered=True)
-            robot = Unpacking(robot) if packed else robot
-            self.robots[config.agent_id] = Node(robot, robot.needs)
+        for agent_config in configure.agent_configs(scenario):
+            robot = Agent(agent_config, packed=packed, steered=True)
+            self.robots[agent_config.agent_id] = Node(robot, robot.needs)
         self.nodes += self.robots.values()
         self.collector = RunCollector(
             configure.members(scenario), configure.schedule(scenario), scenario.steps, steered=True

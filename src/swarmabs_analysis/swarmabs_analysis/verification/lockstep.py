@@ -17,7 +17,7 @@ from swarmabs_analysis.verification.base import Ending, Verification
 from swarmabs_analysis.verification.window import WINDOW, Window
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
-from swarmabs_core.behaviours import Controller, Observer, Plane, make_agent
+from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT
@@ -75,7 +75,7 @@ class LockstepVerification(Verification):
         self._controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
         )
-        self._agents = {config.agent_id: make_agent(config) for config in configure.agent_configs(scenario)}
+        self._agents = {config.agent_id: Agent(config) for config in configure.agent_configs(scenario)}
         self._states: dict[int, AgentState] = {}
         self._told: dict[int, dict[bytes, SwarmEvent]] = {}
         self._late: dict[bytes, SwarmEvent] = {}

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import sin
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, refuse_conflict
-from swarmabs_core.behaviours.inbox import Inbox
+from swarmabs_core.behaviours.reception import Reception, Transmission
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import RobotFault, RobotFaults
 from swarmabs_core.law_registry import LAWS, PAPER, Robot
-from swarmabs_core.membership import ChangeKind
+from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AUXILIARY_STATE,
+    BROADCAST,
     DESIRED_ABSTRACT_STATE,
     NEVER,
     PLANE_STATE,
+    STEERING,
     TOPIC_OF,
     AbstractState,
+    Action,
     AgentState,
     AuxiliaryState,
     Broadcast,
@@ -33,6 +36,7 @@ from swarmabs_core.messages import (
     Mode,
     PlaneState,
     Status,
+    Steering,
     SwarmEvent,
     Topic,
 )
@@ -43,6 +47,8 @@ from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from swarmabs_core.drive import Drive
 
 
@@ -114,10 +120,6 @@ class AgentConfig(RobotConfig):
     sensor: RobotSensor = part(RobotSensor)
     actuator_lag: float = same(Run, "actuator_lag")
 
-    def injected(self) -> RobotFaults:
-        """Return what is injected into the robot."""
-        return RobotFaults(self.faults, self.seed, self.agent_id)
-
 
 class Agent:
     """One robot of the swarm. It never learns of any other.
@@ -128,6 +130,10 @@ class Agent:
         Configuration.
     drive : Drive, optional
         What moves the robot, if it is not the ideal drive of its kind.
+    packed : bool
+        Whether it hears the three broadcasts of a step as one message, which wakes it less often.
+    steered : bool
+        Whether the run is steered; then a robot of which nobody knows when it joins waits for the order that adds it.
 
     Attributes
     ----------
@@ -140,7 +146,9 @@ class Agent:
         If there is no such law, or it refuses its settings.
     """
 
-    def __init__(self, config: AgentConfig, drive: Drive | None = None) -> None:
+    def __init__(
+        self, config: AgentConfig, drive: Drive | None = None, *, packed: bool = False, steered: bool = False
+    ) -> None:
         self._config = config
         period = config.period_ns / 1e9
         robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
@@ -148,14 +156,16 @@ class Agent:
         self._controller = RobotController(robot, config.law, config.law_settings, config.limits, length)
         self._drive = drive or self._controller.ideal
         # The message that comes last is waited for first: then the others are there already.
-        self.needs: tuple[Topic, ...] = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
+        apart = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
+        self._topics: tuple[Topic, ...] = (BROADCAST,) if packed else apart
         if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR:
-            self.needs = (*self.needs, PLANE_STATE)
-        first = config.life.first_step
-        self._joined = first == 0
-        self._step = first if self._joined else first - 1  # a newcomer waits for the step before its first
+            self._topics = (*self._topics, PLANE_STATE)
+        self._absent = steered and config.life.first_step == UNPLANNED
+        self.needs = (STEERING, *self._topics) if self._absent else self._topics
+        self._begin(config.life.first_step)
         self._heard: dict[Topic, Message] = {}
-        self._inbox = Inbox(config.injected())
+        self._faults = RobotFaults(config.faults, config.seed, config.agent_id)
+        self._reception, self._transmission = Reception(self._faults), Transmission(self._faults)
         self._ended = False
         self._position, self._velocity = config.position, config.velocity
         self._command = 0.0
@@ -166,34 +176,55 @@ class Agent:
         self._status = Status.ACTIVE
         self._limited = False
 
+    def _begin(self, first_step: int) -> None:
+        self._joined = first_step == 0
+        self._step = first_step if self._joined else first_step - 1  # a newcomer waits for the step before its first
+
     def start(self) -> Messages:
         """Publish the initial state, unless the robot joins later."""
-        return (self._publish(),) if self._joined else ()
+        return self._transmission.published((self._state(),)) if self._joined else ()
 
     def handle(self, message: Message) -> Messages:
         """Take a broadcast; with the last one of the step answer the robot's next state."""
         topic = TOPIC_OF[type(message)]
         if topic not in self.needs:
             raise UnexpectedMessageError(f"agent {self._config.agent_id}", message)
-        if self._ended or message.step != self._step:
+        if isinstance(message, Steering):
+            self._steer(message)
+            return ()
+        answers = self._hear(topic, message)
+        if self._faults.hears_twice(message.step):
+            answers = (*answers, *self._hear(topic, message))
+        return answers
+
+    def _steer(self, order: Steering) -> None:
+        """Join if this robot is added."""
+        if self._absent and order.action == Action.ADD and order.agent_id == self._config.agent_id:
+            self._absent = False
+            self._config = replace(self._config, life=LifeSpan(order.step))
+            self._begin(order.step)
+
+    def _hear(self, topic: Topic, message: Message) -> Messages:
+        if self._absent or self._ended or message.step != self._step:
             return ()
         refuse_conflict(self._heard.setdefault(topic, message), message, topic.name)
-        return self._advance() if len(self._heard) == len(self.needs) else ()
+        return self._transmission.published(self._advance()) if len(self._heard) == len(self._topics) else ()
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for the one broadcast that is expected last among those missing."""
+        """Wait for the one broadcast that is expected last among those missing; for orders if it is not there yet."""
+        if self._absent:
+            return (STEERING,)
         if self._ended:
             return ()
-        for topic in self.needs:
-            if topic not in self._heard:
-                return (topic,)
-        return ()
+        return next(((topic,) for topic in self._topics if topic not in self._heard), ())
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and the topics not yet heard."""
-        return self._step, tuple(topic.name for topic in self.needs if topic not in self._heard)
+        """Return the current step and the topics not yet heard; none as long as the robot is not there."""
+        if self._absent:
+            return UNPLANNED, ()
+        return self._step, tuple(topic.name for topic in self._topics if topic not in self._heard)
 
-    def _publish(self) -> AgentState:
+    def _state(self) -> AgentState:
         config = self._config
         leaves = config.life.end is ChangeKind.LEAVE and config.life.end_step == self._step
         return AgentState(
@@ -220,16 +251,22 @@ class Agent:
         if not self._joined:
             self._joined = True
             self._step += 1
-            return (self._publish(),)
+            return (self._state(),)
+        events = self._decide() if self._reception.send(self._step, self._broadcast(heard)) else ()
+        self._move(heard.get(PLANE_STATE))
+        self._step += 1
+        return (*events, self._state())
+
+    def _broadcast(self, heard: dict[Topic, Message]) -> Broadcast:
+        """Return the three broadcasts of the current step."""
+        if packed := heard.get(BROADCAST):
+            assert isinstance(packed, Broadcast)  # noqa: S101 - kept by topic
+            return packed
         abstract, sums, desired = heard[ABSTRACT_STATE], heard[AUXILIARY_STATE], heard[DESIRED_ABSTRACT_STATE]
         assert isinstance(abstract, AbstractState)  # noqa: S101 - the three are kept by topic
         assert isinstance(sums, AuxiliaryState)  # noqa: S101
         assert isinstance(desired, DesiredAbstractState)  # noqa: S101
-        broadcast = Broadcast(desired.stamp, self._step, abstract, sums, desired)
-        events = self._decide() if self._inbox.send(self._step, broadcast) else ()
-        self._move(heard.get(PLANE_STATE))
-        self._step += 1
-        return (*events, self._publish())
+        return Broadcast(desired.stamp, self._step, abstract, sums, desired)
 
     def _move(self, plane: Message | None) -> None:
         """Move for a period under the command, and the weight if the robot feels it."""
@@ -258,12 +295,12 @@ class Agent:
 
     def _decide(self) -> Messages:
         """Update command, the step of the broadcasts that it rests on, and status; return the events."""
-        heard = self._inbox.newest
+        heard = self._reception.newest
         if heard is None:
             self._command, self._broadcast_step = 0.0, NEVER
             return ()
         position, velocity = self._sensed()
-        asked_to = STOPPED if self._inbox.stopped else RESET if heard.desired.mode != Mode.RUN else ""
+        asked_to = STOPPED if self._reception.stopped else RESET if heard.desired.mode != Mode.RUN else ""
         if asked_to:
             decision = Decision(self._controller.brake(velocity), 0.0, asked_to)
         else:
@@ -289,3 +326,37 @@ class Agent:
         """Return an event that holds from the state on that is about to be published."""
         step = self._step + 1
         return SwarmEvent(step * self._config.period_ns, step, self._config.agent_id, kind, value, detail)
+
+
+class AgentGroup:
+    """Robots in one process, for swarms larger than a machine has room for processes.
+
+    They share subscriptions and nothing else: each is its own state machine and hears the broadcasts alone.
+
+    Attributes
+    ----------
+    needs : tuple of Topic
+        The topics to which the robots listen.
+    """
+
+    def __init__(self, configs: Sequence[AgentConfig], *, packed: bool = False, steered: bool = False) -> None:
+        self._agents = [Agent(config, packed=packed, steered=steered) for config in configs]
+        self.needs = tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.needs))
+        self._listeners = {topic: [a for a in self._agents if topic in a.needs] for topic in self.needs}
+
+    def start(self) -> Messages:
+        """Publish the initial states of the robots that are there from the beginning."""
+        return tuple(message for agent in self._agents for message in agent.start())
+
+    def handle(self, message: Message) -> Messages:
+        """Hand a broadcast to every robot; with the last one of the step answer their next states."""
+        listeners = self._listeners[TOPIC_OF[type(message)]]
+        return tuple(answer for agent in listeners for answer in agent.handle(message))
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for whatever a robot waits for; empty when all have finished."""
+        return tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.awaits()))
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the first step that a robot waits in, and what is missing for it."""
+        return min((agent.missing() for agent in self._agents if agent.awaits()), default=self._agents[0].missing())

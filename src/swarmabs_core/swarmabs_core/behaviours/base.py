@@ -1,15 +1,19 @@
-"""What every node behaviour has in common."""
+"""What the nodes' behaviours have in common: settings of the run, errors, gathering of the robots' states."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from swarmabs_core.cdr import encode
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import Message, Messages, Topic
+from swarmabs_core.messages import Message, Messages, Status, Topic
+
+if TYPE_CHECKING:
+    from swarmabs_core.membership import Membership
+    from swarmabs_core.messages import AgentState
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +98,13 @@ class NegativeTimeError(ProtocolError):
         super().__init__(f"{source}: the message of step {step} has a time stamp of {stamp} ns; no run begins before 0")
 
 
+class UnexpectedMessageError(ProtocolError):
+    """A message on a topic to which this node does not listen."""
+
+    def __init__(self, node: str, message: Message) -> None:
+        super().__init__(f"{node}: a {type(message).__name__} was delivered, which this node does not use")
+
+
 def refuse_conflict(known: Message, message: Message, source: str) -> None:
     """Accept a message that repeats the known one.
 
@@ -106,8 +117,77 @@ def refuse_conflict(known: Message, message: Message, source: str) -> None:
         raise ConflictError(source, message.step)
 
 
-class UnexpectedMessageError(ProtocolError):
-    """A message on a topic to which this node does not listen."""
+def is_new(message: Message, known: Message | None, expected: int, source: str) -> bool:
+    """Tell whether a message is the first of the step that is expected; an earlier or a repeated one is not.
 
-    def __init__(self, node: str, message: Message) -> None:
-        super().__init__(f"{node}: a {type(message).__name__} was delivered, which this node does not use")
+    Raises
+    ------
+    StepAheadError
+        If its step cannot have begun yet.
+    ConflictError
+        If it differs from the one that is known.
+    """
+    if message.step > expected:
+        raise StepAheadError(source, got=message.step, expected=expected)
+    if message.step < expected:
+        return False
+    if known is not None:
+        refuse_conflict(known, message, source)
+    return known is None
+
+
+class Gathering:
+    """Collects the robots' states of one step until every member's is there.
+
+    The membership says whose state is waited for; it learns of robots that say that they leave.
+    """
+
+    def __init__(self, membership: Membership) -> None:
+        self._membership = membership
+        self._step = 0
+        self._states: dict[int, AgentState] = {}
+
+    @property
+    def step(self) -> int:
+        """The step that is gathered."""
+        return self._step
+
+    def add(self, state: AgentState) -> None:
+        """Take a state; late and repeated ones change nothing.
+
+        Raises
+        ------
+        UnknownAgentError
+            If the robot is not a member.
+        StepAheadError
+            If its step cannot have begun yet.
+        ConflictError
+            If it differs from one that is already there.
+        """
+        agent_id, step = state.agent_id, state.step
+        if not self._membership.publishes(agent_id, step):
+            if agent_id not in self._membership:
+                raise UnknownAgentError(agent_id)
+            return
+        if not is_new(state, self._states.get(agent_id), self._step, f"agent {agent_id}"):
+            return
+        self._states[agent_id] = state
+        if state.status == Status.LEFT:
+            self._membership.end(agent_id, step, stays=False, reason="left")
+
+    def complete(self) -> bool:
+        """Tell whether every member's state is there."""
+        members = self._membership.publishing(self._step)
+        states = self._states
+        return len(states) >= len(members) and all(agent_id in states for agent_id in members)
+
+    def missing(self) -> tuple[int, ...]:
+        """Return the ids of the members whose state is missing."""
+        return tuple(i for i in self._membership.publishing(self._step) if i not in self._states)
+
+    def take(self) -> list[AgentState]:
+        """Return the states of the complete step by ascending id, and turn to the next step."""
+        states = [self._states[i] for i in self._membership.publishing(self._step)]
+        self._step += 1
+        self._states = {}
+        return states

@@ -5,16 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessageError, refuse_conflict
+from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, is_new
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AUXILIARY_STATE,
+    BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
     NEVER,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    TOPIC_OF,
+    AbstractState,
     Action,
+    AuxiliaryState,
+    Broadcast,
     EventKind,
     Message,
     Messages,
@@ -57,10 +65,14 @@ class Controller:
         Configuration.
     law : ParentController
         The control law.
+    packed : bool
+        Whether it hears the observer's broadcasts, too, and sends the three of a step as one message besides.
     """
 
-    def __init__(self, config: ControllerConfig, law: ParentController) -> None:
+    def __init__(self, config: ControllerConfig, law: ParentController, *, packed: bool = False) -> None:
         self._config = config
+        self._packed = packed
+        self._parts: dict[Topic, Message] = {}
         self._generator = DesiredStateGenerator(config.period_ns, config.manifold, law)
         self._offsets = StepSchedule(config.offsets)
         self._step = 0
@@ -72,20 +84,24 @@ class Controller:
         return ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a plane state or the recorder's progress; answer the desired abstract state of the step."""
+        """Take a plane state or the recorder's progress; answer the desired abstract state of the step.
+
+        Where broadcasts are packed, take the observer's, and answer with the last of the three the packed one, too.
+        """
         if isinstance(message, PlaneState):
-            if message.step > self._step:
-                raise StepAheadError("plane", got=message.step, expected=self._step)
-            if message.step == self._step:
-                if self._plane is not None:
-                    refuse_conflict(self._plane, message, PLANE_STATE.name)
+            if is_new(message, self._plane, self._step, PLANE_STATE.name):
                 self._plane = message
         elif isinstance(message, RecordingProgress):
             if message.written_step != NEVER:
                 self._written = max(self._written, message.written_step)
+        elif self._packed and isinstance(message, (AbstractState, AuxiliaryState)):
+            topic = TOPIC_OF[type(message)]
+            if is_new(message, self._parts.get(topic), self._packing_step, topic.name):
+                self._parts[topic] = message
         else:
             raise UnexpectedMessageError("parent controller", message)
-        return self._finish() if self._plane is not None and self._credit() else ()
+        answer = self._finish() if self._plane is not None and self._credit() else ()
+        return (*answer, *self._pack())
 
     def steer(self, order: Steering) -> None:
         """Take over an offset of the reference that is ordered from outside."""
@@ -94,6 +110,8 @@ class Controller:
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, then, if the recorder is too far behind, for the recorder."""
+        if self._answered:  # what the observer has broadcast meanwhile
+            return (ABSTRACT_STATE,) if ABSTRACT_STATE not in self._parts else (AUXILIARY_STATE,)
         last = self._config.last_step
         if last is not None and self._step > last:
             return ()
@@ -101,7 +119,18 @@ class Controller:
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and who is waited for."""
+        if self._answered:
+            return self._packing_step, ("abstraction_observer",)
         return self._step, ("plane_sim",) if self._plane is None else ("recorder",)
+
+    @property
+    def _answered(self) -> bool:
+        """Whether the answer of a step waits to be packed with the observer's broadcasts."""
+        return DESIRED_ABSTRACT_STATE in self._parts
+
+    @property
+    def _packing_step(self) -> int:
+        return self._step - self._answered
 
     def _credit(self) -> bool:
         window = self._config.recording_window
@@ -116,4 +145,12 @@ class Controller:
         self._step += 1
         if (offset := self._offsets.changing(step)) is not None:
             events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)
+        if self._packed:
+            self._parts[DESIRED_ABSTRACT_STATE] = desired
         return (*events, desired)
+
+    def _pack(self) -> Messages:
+        if len(self._parts) < len(BROADCASTS):
+            return ()
+        abstract, auxiliary, desired = (self._parts.pop(topic) for topic in BROADCASTS)
+        return (Broadcast(desired.stamp, desired.step, abstract, auxiliary, desired),)  # type: ignore[arg-type]

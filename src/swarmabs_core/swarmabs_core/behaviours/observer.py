@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import Weight, observed
-from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessageError, refuse_conflict
-from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.behaviours.base import Gathering, Run, UnexpectedMessageError, is_new
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.friction import Friction
@@ -92,18 +91,11 @@ class Observer:
         if isinstance(message, AgentState):
             self._gathering.add(message)
         elif isinstance(message, PlaneState) and self._estimator is not None:
-            self._watch(message)
+            if is_new(message, self._plane, self._gathering.step, PLANE_STATE.name):
+                self._plane = message
         else:
             raise UnexpectedMessageError("observer", message)
         return self._proceed()
-
-    def _watch(self, plane: PlaneState) -> None:
-        if plane.step > self._gathering.step:
-            raise StepAheadError("plane", got=plane.step, expected=self._gathering.step)
-        if plane.step == self._gathering.step:
-            if self._plane is not None:
-                refuse_conflict(self._plane, plane, PLANE_STATE.name)
-            self._plane = plane
 
     def steer(self, order: Steering) -> None:
         """Take over a change of the membership that is ordered from outside."""

@@ -7,8 +7,7 @@ from math import copysign
 from typing import NamedTuple
 
 from swarmabs_core import plant
-from swarmabs_core.behaviours.base import Run, StepAheadError, UnexpectedMessageError
-from swarmabs_core.behaviours.gathering import Gathering
+from swarmabs_core.behaviours.base import Gathering, Run, StepAheadError, UnexpectedMessageError
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.faults import Falsification, true_state

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
-from swarmabs_core.behaviours.agent import LifeSpan
 from swarmabs_core.behaviours.base import Behaviour, StepAheadError, refuse_conflict
-from swarmabs_core.behaviours.faulty import make_agent
-from swarmabs_core.membership import UNPLANNED
-from swarmabs_core.messages import STEERING, Action, RecordingProgress, Steering, SwarmEvent
+from swarmabs_core.messages import STEERING, RecordingProgress, Steering, SwarmEvent
 from swarmabs_core.steering import STEERER
 
 if TYPE_CHECKING:
-    from swarmabs_core.behaviours.agent import AgentConfig
-    from swarmabs_core.behaviours.packing import Listener
     from swarmabs_core.messages import Message, Messages, Topic
 
 
@@ -120,48 +114,3 @@ class Steered:
         """Return the current step and what is missing for it."""
         step, missing = self._behaviour.missing()
         return step, missing if self.open else (STEERER,)
-
-
-class Newcomer:
-    """A robot that is there only when it is added: until then it listens to orders, and to nothing else.
-
-    Parameters
-    ----------
-    config : AgentConfig
-        Its configuration.
-
-    Attributes
-    ----------
-    needs : tuple of Topic
-        The topics to which it listens.
-    """
-
-    def __init__(self, config: AgentConfig) -> None:
-        self._config = config
-        self._robot: Listener | None = None
-        self.needs: tuple[Topic, ...] = (STEERING, *make_agent(config).needs)
-
-    def start(self) -> Messages:
-        """Publish nothing: it is not there."""
-        return ()
-
-    def handle(self, message: Message) -> Messages:
-        """Take an order, or, once it is added, a broadcast."""
-        if isinstance(message, Steering):
-            if message.action == Action.ADD and message.agent_id == self._config.agent_id and self._robot is None:
-                self._robot = make_agent(replace(self._config, life=LifeSpan(message.step)))
-            return ()
-        return () if self._robot is None else self._robot.handle(message)
-
-    def awaits(self) -> tuple[Topic, ...]:
-        """Wait for orders, then for what the robot waits for."""
-        return (STEERING,) if self._robot is None else self._robot.awaits()
-
-    def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the robot's step and what is missing for it; nothing is as long as it is not there."""
-        return (UNPLANNED, ()) if self._robot is None else self._robot.missing()
-
-
-def make_newcomer(config: AgentConfig, *, steered: bool) -> Listener:
-    """Return the state machine of a robot, which waits to be added if nobody knows when it joins."""
-    return Newcomer(config) if steered and config.life.first_step == UNPLANNED else make_agent(config)

@@ -1,0 +1,71 @@
+"""What reaches a robot of the broadcasts, and what others hear of it, with the faults that are injected."""
+
+from __future__ import annotations
+
+from swarmabs_core.faults import RobotFaults
+from swarmabs_core.messages import AgentState, Broadcast, EventKind, Message, Messages, Mode, SwarmEvent
+
+
+class Reception:
+    """Complete sets of broadcasts on their way to a robot, and the newest that has arrived.
+
+    Attributes
+    ----------
+    newest : Broadcast or None
+        The newest set that has arrived.
+    """
+
+    def __init__(self, faults: RobotFaults) -> None:
+        self._faults = faults
+        self._coming: dict[int, list[Broadcast]] = {}
+        self._stop_at = self._reset_at = -1
+        self.newest: Broadcast | None = None
+
+    def send(self, step: int, broadcasts: Broadcast) -> bool:
+        """Send the set of the current step; tell whether the robot hears in this step at all."""
+        self._coming.setdefault(step + self._faults.late(step), []).append(broadcasts)
+        come = self._coming.pop(step, [])
+        if self._faults.loses(step):
+            return False
+        for sent in come:
+            sent_at, mode = sent.step, sent.desired.mode
+            if mode == Mode.RESET:
+                self._reset_at = max(self._reset_at, sent_at)
+            elif mode != Mode.RUN:
+                self._stop_at = max(self._stop_at, sent_at)
+            if self.newest is None or sent_at > self.newest.step:
+                self.newest = sent
+        return True
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a set that has arrived asks for a stop, and no later one for its end."""
+        return self._stop_at > self._reset_at
+
+
+class Transmission:
+    """Announces a robot's faults, duplicates its messages, shifts their stamps, falsifies its states."""
+
+    def __init__(self, faults: RobotFaults) -> None:
+        self._faults = faults
+        self._begun = False
+
+    def published(self, answers: Messages) -> Messages:
+        """Return what is published instead of the robot's answers."""
+        if not self._faults:
+            return answers
+        said: list[Message] = []
+        for answer in answers:
+            if isinstance(answer, AgentState):
+                said.extend(self._announced(answer))
+                said.extend([self._faults.said(answer)] * (2 if self._faults.says_twice(answer.step) else 1))
+            else:
+                said.append(answer)
+        return tuple(m._replace(stamp=m.stamp + self._faults.clock_offset(m.step)) for m in said)
+
+    def _announced(self, state: AgentState) -> list[SwarmEvent]:
+        """Return the events of the faults that begin or end with a state; with the first, of all that act."""
+        found = self._faults.changing(state.step) if self._begun else self._faults.acting(state.step)
+        self._begun = True
+        kind = EventKind.FAULT_INJECTED
+        return [SwarmEvent(state.stamp, state.step, state.agent_id, kind, value, text) for value, text in found]
