@@ -20,7 +20,7 @@ from tests.processes import until
 
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.messages import PLANE_STATE, EventKind, Mode, PlaneState, Status
-from swarmabs_fleet.profile import DISCOVERY_GROUP
+from swarmabs_fleet.node_files import DISCOVERY_GROUP
 
 pytestmark = [pytest.mark.system, pytest.mark.usefixtures("possible")]
 

@@ -43,7 +43,7 @@ def test_the_recorder_takes_what_it_is_told(name: str) -> None:
     """Also where robots have bodies or limits of their own."""
     loaded = example(name)
     (node,) = (node for node in node_plans(loaded.fleet) if node.name == RECORDER)
-    values = parameters(loaded.fleet, loaded.scenario, node, installed="/etc/x", state="/var/lib/x")
+    values = parameters(loaded, node)
     taken = resolve(recorder.PARAMETERS, values, owner="recorder")
     if name == "tunnel":
         assert (taken["driven"], taken["own_limits"]) == ((1, 2, 3), (3,))

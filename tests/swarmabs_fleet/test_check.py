@@ -16,8 +16,7 @@ from swarmabs_cli import main
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_core.errors import InputError
 from swarmabs_fleet.check import check
-from swarmabs_fleet.clock import read_chrony, read_pmc, read_timedatectl
-from swarmabs_fleet.host_check import Reader
+from swarmabs_fleet.host_check import Reader, read_chrony, read_pmc, read_timedatectl
 from swarmabs_run.doctor import Finding
 from swarmabs_run.orchestration.domain import claimed_domain
 

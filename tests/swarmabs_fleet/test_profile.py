@@ -17,6 +17,7 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited, ex
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_fleet.bundle import host_bundle
+from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_run.orchestration.domain import claimed_domain
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
@@ -45,7 +46,7 @@ while True:
 
 
 def xml(loaded: LoadedFleet, host: str, role: str) -> ET.Element:
-    return ET.fromstring(host_bundle(loaded, host, None)[f"dds/{role}.xml"].content)
+    return ET.fromstring(host_bundle(loaded, HostPlan(loaded.fleet, host), None)[f"dds/{role}.xml"].content)
 
 
 def peers(root: ET.Element) -> set[tuple[str, int]]:
@@ -66,7 +67,7 @@ def test_every_profile_is_bound_to_the_one_address_of_its_host(name: str) -> Non
     loaded = example(name)
     for host in loaded.fleet.hosts:
         address = host.tunnel_address or host.address
-        for path, file in host_bundle(loaded, host.name, None).items():
+        for path, file in host_bundle(loaded, HostPlan(loaded.fleet, host.name), None).items():
             if path.startswith("dds/"):
                 root = ET.fromstring(file.content)
                 listed = [element.text for element in root.findall(".//d:interfaceWhiteList/*", NAMESPACE)]

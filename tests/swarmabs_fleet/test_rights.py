@@ -17,11 +17,12 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
+from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.operate.client import OperatorClient
 from swarmabs_fleet.operate.health import HealthMonitor
 from swarmabs_fleet.operate.target import Target
 from swarmabs_fleet.parameters import parameter_file
-from swarmabs_fleet.permissions import Rights, host_enclaves, node_rights
+from swarmabs_fleet.permissions import Rights, host_rights, node_rights
 from swarmabs_run.orchestration.domain import claimed_domain
 
 DISCOVERY_INFO = "ros_discovery_info"
@@ -123,7 +124,7 @@ class Recording:
 
 
 def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
-    rights = host_enclaves(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base")["operator_base"]
+    rights = host_rights(HostPlan(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base"))["operator_base"]
     client = OperatorClient(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
     actions: list[Callable[[], object]] = [
         lambda: client.announced(2, "gone", 1.0).__enter__(),
@@ -142,7 +143,7 @@ def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
 
 
 def test_a_driver_has_the_other_side_of_what_its_node_has(tmp_path: Path) -> None:
-    found = host_enclaves(fleet_of("source: imu", 7, tmp_path).fleet, "base")
+    found = host_rights(HostPlan(fleet_of("source: imu", 7, tmp_path).fleet, "base"))
     driver = found["driver_base"]
     assert [topic for topic in driver.publish if "driver_base" not in topic][4:] == [
         "rt/hall/plane_driver/imu",

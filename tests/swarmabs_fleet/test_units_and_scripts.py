@@ -116,7 +116,10 @@ def test_shellcheck_accepts_the_scripts(checkout: Path) -> None:
     if shellcheck is None:
         pytest.skip("there is no shellcheck here")
     files = sorted(bundles("tunnel", checkout).glob("base/*.sh"))
-    subprocess.run([shellcheck, "--severity=warning", *files], check=True)
+    # All scripts begin with the same names, of which each uses some: none may be used by no script.
+    together = b"".join(file.read_bytes() for file in files)
+    subprocess.run([shellcheck, "--include=SC2034", "--shell=sh", "-"], input=together, check=True)
+    subprocess.run([shellcheck, "--severity=warning", "--exclude=SC2034", *files], check=True)
 
 
 def test_install_twice_and_uninstall(checkout: Path, tmp_path: Path) -> None:

@@ -7,27 +7,41 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from pydantic import BeforeValidator, PlainSerializer, ValidationError
+
+from swarmabs_bag.definitions import READABLE
 from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
-from swarmabs_config.fleet.participants import nodes_on
-from swarmabs_config.fleet.parts import Sros2Security
+from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface
+from swarmabs_config.fleet.participants import ports
 from swarmabs_config.graph import RECORDER
+from swarmabs_config.scenario.fields import AsTuple, Model
+from swarmabs_config.scenario.text_file import read_text
+from swarmabs_config.scenario.texts import Name
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_fleet import scripts
-from swarmabs_fleet.environment import environment_file, node_environment, tool_environment
-from swarmabs_fleet.keys import Keys
-from swarmabs_fleet.manifest import MANIFEST, SUMS, FileFacts, manifest_of
+from swarmabs_fleet.host_plan import HostPlan
+from swarmabs_fleet.node_files import node_files
 from swarmabs_fleet.parameters import parameter_file, parameters
-from swarmabs_fleet.places import Places
-from swarmabs_fleet.profile import fleet_profile, profile_roles
-from swarmabs_fleet.units import units
 
 if TYPE_CHECKING:
-    from swarmabs_config.fleet.loader import LoadedFleet
-    from swarmabs_config.fleet.model import Fleet
+    from collections.abc import Mapping
 
+    from swarmabs_config.fleet.loader import LoadedFleet
+    from swarmabs_fleet.keys import Keys
+
+MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
+FORMAT = 1
+"""Version of the bundle's layout."""
+SCRIPTS = ("install.sh", "uninstall.sh", "restart.sh", "fence.sh")
+"""POSIX shell that is given nothing to interpret.
+
+Names and paths stand in single quotes at the top and in double quotes where they are used; what they may be made of is
+checked when the fleet file is read. With DESTDIR everything goes below that folder, and accounts and services are left
+alone, as packagers expect it.
+"""
 SECRET, PLAIN, PROGRAM = 0o600, 0o644, 0o755
 _FOLDER, _SECRET_FOLDER = 0o755, 0o700
 
@@ -39,9 +53,100 @@ class BundleFile:
     content: bytes
     mode: int = PLAIN
 
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of its content."""
+        return sha256(self.content).hexdigest()
+
+
+def _octal(value: object) -> object:
+    """Read a mode, which is written as people know it."""
+    return int(value, 8) if isinstance(value, str) and value.isdecimal() else value
+
+
+class FileFacts(Model):
+    """A file as it was written."""
+
+    sha256: str
+    mode: Annotated[int, BeforeValidator(_octal), PlainSerializer("{:04o}".format)]
+
+
+class Manifest(Model):
+    """What a bundle was made with and consists of, and what can be checked on its host."""
+
+    bundle: int
+    fleet: Name
+    host: Name
+    domain: int
+    interface: Interface
+    address: Address
+    ports: Annotated[tuple[int, ...], AsTuple]
+    nodes: Annotated[tuple[str, ...], AsTuple]
+    modules: Annotated[tuple[str, ...], AsTuple]
+    security: str
+    ros: str
+    checkout: FolderPath
+    installed: FolderPath
+    user: Account
+    max_offset: float
+    versions: dict[str, str]
+    files: dict[str, FileFacts]
+
+
+def manifest_of(host: HostPlan, files: Mapping[str, BundleFile]) -> Manifest:
+    """Return the manifest of a host's bundle; before it is made there are no files."""
+    fleet = host.fleet
+    return Manifest(
+        bundle=FORMAT,
+        fleet=fleet.name,
+        host=host.name,
+        domain=fleet.network.domain,
+        interface=fleet.interface(host.name),
+        address=host.address,
+        ports=tuple(sorted(port for node in host.nodes for port in ports(fleet, node))),
+        nodes=tuple(node.name for node in host.nodes),
+        modules=tuple(sorted({node.module for node in host.nodes})),
+        security=fleet.security.level,
+        ros=fleet.ros(host.name),
+        checkout=fleet.installation.checkout,
+        installed=host.installed,
+        user=fleet.user(host.name),
+        max_offset=fleet.time.max_offset,
+        versions=versions(),
+        files={path: FileFacts(sha256=file.sha256, mode=file.mode) for path, file in files.items()},
+    )
+
+
+def versions() -> dict[str, str]:
+    """Return what the hosts of a fleet must have in common: the version, and the definitions of the messages."""
+    try:
+        own = version("swarmabs_core")
+    except PackageNotFoundError:
+        own = "unknown"
+    return {"swarmabs": own} | {name.rpartition("/")[2]: hashes[-1] for name, hashes in READABLE.items()}
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read the manifest of a bundle.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, or of a newer format.
+    """
+    path = folder / MANIFEST
+    text = read_text(path, "manifest", "JSON")
+    try:
+        data = json.loads(text)
+        if isinstance(data, dict) and isinstance(data.get("bundle"), int) and data["bundle"] > FORMAT:
+            raise InputError(f"{path} is of a newer format than this one reads ({FORMAT}); update swarmabs")
+        return Manifest.model_validate(data)
+    except (ValueError, RecursionError, ValidationError) as error:
+        raise InputError(f"{path} is no manifest of a bundle; deploy again") from error
+
 
 def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
-    """Write the bundles of a fleet.
+    """Write the bundles of a fleet, and return the folders of its hosts.
 
     Parameters
     ----------
@@ -52,11 +157,6 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
     keys : Path, optional
         Folder of keys, needed with security by a tunnel or by sros2.
 
-    Returns
-    -------
-    list of Path
-        The folders of the hosts.
-
     Raises
     ------
     InputError
@@ -64,16 +164,15 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
     RunError
         If writing fails; no output is left behind.
     """
-    fleet = loaded.fleet
     part = _beside(output)
     try:
         store = _keys(loaded, output, keys)
         _write(part / FLEET_FILE, BundleFile(loaded.fleet_text.encode()))
         _write(part / SCENARIO_FILE, BundleFile(loaded.scenario_text.encode()))
-        names = [host.name for host in fleet.hosts if nodes_on(fleet, host.name)]
-        for name in names:
-            for path, file in host_bundle(loaded, name, store).items():
-                _write(part / name / path, file)
+        hosts = [host for host in (HostPlan(loaded.fleet, each.name) for each in loaded.fleet.hosts) if host.nodes]
+        for host in hosts:
+            for path, file in host_bundle(loaded, host, store).items():
+                _write(part / host.name / path, file)
         part.chmod(_FOLDER)
         if output.exists():
             output.rmdir()
@@ -82,72 +181,45 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
         raise RunError(f"{output}: {error.strerror}; free space or choose another folder with -o") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    return [output / name for name in names]
+    return [output / host.name for host in hosts]
 
 
-def host_bundle(loaded: LoadedFleet, host: str, keys: Keys | None) -> dict[str, BundleFile]:
+def host_bundle(loaded: LoadedFleet, host: HostPlan, keys: Keys | None) -> dict[str, BundleFile]:
     """Return the files of a host's bundle by path, the manifest last; without keys those that need some are missing."""
-    fleet = loaded.fleet
-    places = Places.of(fleet, host)
-    nodes = nodes_on(fleet, host)
-    files: dict[str, BundleFile] = {}
-    if any(node.name == RECORDER for node in nodes):
-        files[SCENARIO_FILE] = _text(loaded.scenario_text)
-    for node in nodes:
-        values = parameters(fleet, loaded.scenario, node, installed=places.installed, state=places.state)
-        files[f"nodes/{node.name}.yaml"] = _text(parameter_file(values))
-        files[f"nodes/{node.name}.env"] = _text(environment_file(node_environment(fleet, node)))
-    for role in profile_roles(fleet, host):
-        files[f"dds/{role}.xml"] = _text(fleet_profile(fleet, host, role))
-        if role in {"operator", "driver"}:
-            files[f"nodes/{role}.env"] = _text(environment_file(tool_environment(fleet, host, role)))
-    made = units(fleet, host, nodes)
-    files |= {f"systemd/{name}": _text(text) for name, text in made.items()}
-    files["units.txt"] = _text("".join(f"{name}\n" for name in made))
+    texts = node_files(host)
+    for node in host.nodes:
+        texts[f"nodes/{node.name}.yaml"] = parameter_file(parameters(loaded, node))
+        if node.name == RECORDER:
+            texts[SCENARIO_FILE] = loaded.scenario_text
+    files = {path: BundleFile(text.encode()) for path, text in texts.items()}
+    files |= {name: BundleFile(host.render(name).encode(), PROGRAM) for name in SCRIPTS}
     if keys is not None:
-        files |= _secrets(fleet, host, keys)
-    files |= {name: BundleFile(text.encode(), PROGRAM) for name, text in scripts.scripts(fleet, host).items()}
+        files |= {path: BundleFile(content, SECRET) for path, content in keys.files(host).items()}
     files = dict(sorted(files.items()))
-    sums = [(path, sha256(file.content).hexdigest()) for path, file in files.items()]
-    files[SUMS] = _text(scripts.checksums(sums))
-    listed = {path: FileFacts(sha256=sha256(file.content).hexdigest(), mode=file.mode) for path, file in files.items()}
-    facts = manifest_of(loaded, host, listed).model_dump(mode="json")
-    files[MANIFEST] = _text(json.dumps(facts, indent=2) + "\n")
+    files[SUMS] = BundleFile("".join(f"{file.sha256}  {path}\n" for path, file in files.items()).encode())
+    facts = manifest_of(host, files).model_dump(mode="json")
+    files[MANIFEST] = BundleFile((json.dumps(facts, indent=2) + "\n").encode())
     return files
 
 
-def _secrets(fleet: Fleet, host: str, keys: Keys) -> dict[str, BundleFile]:
-    """Return the files of a host's bundle that hold keys, by path."""
-    from swarmabs_fleet.certificates import keystore  # noqa: PLC0415 - cryptography is there only where keys are made
-    from swarmabs_fleet.wireguard import configuration  # noqa: PLC0415 - as above
-
-    files: dict[str, bytes] = {}
-    if fleet.tunnel is not None:
-        files[f"wireguard/{fleet.tunnel.interface}.conf"] = configuration(fleet, host, keys).encode()
-    if isinstance(fleet.security, Sros2Security):
-        store = keystore(fleet, host, keys, fleet.security.valid_days)
-        files |= {f"keystore/{path}": content for path, content in store.items()}
-    return {path: BundleFile(content, SECRET) for path, content in files.items()}
-
-
-def _text(text: str) -> BundleFile:
-    return BundleFile(text.encode())
-
-
-def _keys(loaded: LoadedFleet, output: Path, keys: Path | None) -> Keys | None:
+def _keys(loaded: LoadedFleet, output: Path, folder: Path | None) -> Keys | None:
     """Return where keys are kept, checked to be needed and no part of the output."""
     level = loaded.fleet.security.level
     if level == "none":
-        if keys is not None:
+        if folder is not None:
             raise InputError("security is none, which has no keys; leave out --keys")
         return None
-    if keys is None:
+    if folder is None:
         raise InputError(
             f"security {level} has private keys; name a folder for them, which later deployments need: --keys DIR"
         )
-    inside, outside = keys.resolve(), output.resolve()
+    inside, outside = folder.resolve(), output.resolve()
     if inside == outside or outside in inside.parents:
-        raise InputError(f"the folder of keys {keys} is in the output, which is copied to robots; name another place")
+        raise InputError(f"the folder of keys {folder} is in the output, which is copied to robots; name another place")
+    try:
+        from swarmabs_fleet.keys import Keys  # noqa: PLC0415 - cryptography is there only where keys are made
+    except ImportError as error:
+        raise InputError(f"{error}; keys need the Python package cryptography: install it") from error
     return Keys(inside / loaded.fleet.name)
 
 
@@ -173,11 +245,10 @@ def _beside(output: Path) -> Path:
 
 def _write(path: Path, file: BundleFile) -> None:
     """Write a file with its mode from the first byte on, and folders that fit."""
-    secret = file.mode == SECRET
     missing = [folder for folder in (path.parent, *path.parent.parents) if not folder.exists()]
     for folder in reversed(missing):
         folder.mkdir()
-        folder.chmod(_SECRET_FOLDER if secret else _FOLDER)
+        folder.chmod(_SECRET_FOLDER if file.mode == SECRET else _FOLDER)
     path.touch(mode=file.mode, exist_ok=False)
     path.chmod(file.mode)
     path.write_bytes(file.content)

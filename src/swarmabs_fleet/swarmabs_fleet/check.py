@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.loader import FLEET_FILE, LoadedFleet, load_fleet
-from swarmabs_config.fleet.participants import nodes_on
 from swarmabs_config.scenario.fields import nearest
 from swarmabs_core.errors import InputError
-from swarmabs_fleet.bundle import SECRET, host_bundle
+from swarmabs_fleet.bundle import MANIFEST, SECRET, SUMS, Manifest, host_bundle, manifest_of, read_manifest, versions
 from swarmabs_fleet.host_check import check_host
-from swarmabs_fleet.manifest import MANIFEST, Manifest, manifest_of, read_manifest, versions
+from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_run.doctor import Finding
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) 
     found = {(manifest.fleet, manifest.host): manifest for manifest in bundles.values()}
     for loaded in fleets:
         for name in (one.name for one in loaded.fleet.hosts):
-            found.setdefault((loaded.fleet.name, name), manifest_of(loaded, name, {}))
+            found.setdefault((loaded.fleet.name, name), manifest_of(HostPlan(loaded.fleet, name), {}))
     named = [manifest for (_, name), manifest in found.items() if name == host]
     if not named:
         raise InputError(f"no host '{host}'; {nearest(host, [name for _, name in found])}")
@@ -101,10 +100,9 @@ def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) 
 
 def _fleet(loaded: LoadedFleet) -> Iterator[Finding]:
     fleet = loaded.fleet
-    used = [host.name for host in fleet.hosts if nodes_on(fleet, host.name)]
-    yield Finding(
-        f"fleet {fleet.name}", "ok", f"{len(fleet.robots)} robots on {len(used)} hosts, domain {fleet.network.domain}"
-    )
+    used = sum(bool(HostPlan(fleet, host.name).nodes) for host in fleet.hosts)
+    text = f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
+    yield Finding(f"fleet {fleet.name}", "ok", text)
     for warning in (*fleet.warnings(), *loaded.scenario.warnings()):
         yield Finding(f"fleet {fleet.name}", "note", warning)
 
@@ -201,10 +199,9 @@ def _still_made(folder: Path, manifest: Manifest, loaded: LoadedFleet) -> Iterat
     if manifest.host not in {host.name for host in loaded.fleet.hosts}:
         yield Finding(what, "bad", f"{folder.parent / FLEET_FILE} has no such host; deploy again into a new folder")
         return
-    made = host_bundle(loaded, manifest.host, None)
-    same = {
-        path for path, file in made.items() if path in manifest.files and file.mode != SECRET and path != MANIFEST
-    } - {"SHA256SUMS"}
-    differing = sorted(path for path in same if sha256(made[path].content).hexdigest() != manifest.files[path].sha256)
+    made = host_bundle(loaded, HostPlan(loaded.fleet, manifest.host), None)
+    listed = manifest.files
+    same = {path for path, file in made.items() if path in listed and file.mode != SECRET} - {SUMS}
+    differing = sorted(path for path in same if made[path].sha256 != listed[path].sha256)
     if differing:
         yield Finding(what, "note", f"this version makes another {differing[0]}; deploy again if that is wanted")

@@ -6,53 +6,57 @@ import importlib.util
 import os
 import pwd
 import re
+import shutil
 import socket
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import psutil
 
-from swarmabs_fleet.clock import answer, clock_state
 from swarmabs_run.doctor import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+    from typing import TypeAlias
 
-    from swarmabs_fleet.manifest import Manifest
+    from swarmabs_fleet.bundle import Manifest
+
+    Found: TypeAlias = tuple[Literal["ok", "note", "bad"], str]
 
 _NEEDED_SYSTEMD = 250
 """The first version that knows RestrictNetworkInterfaces."""
+_PATIENCE = 5.0
+"""Time, s, for a program to answer."""
+_CHRONY_FIELDS = 14
 
 
 def check_host(manifest: Manifest) -> list[Finding]:
     """Examine this machine as the host of a bundle."""
-    return [check(manifest) for check in _CHECKS]
+    return [Finding(name, *check(manifest)) for name, check in _CHECKS.items()]
 
 
-def _interface(manifest: Manifest) -> Finding:
-    what = "interface"
+def _interface(manifest: Manifest) -> Found:
     interfaces = psutil.net_if_addrs()
     if manifest.interface not in interfaces:
         there = ", ".join(sorted(interfaces))
         start = "; start wg-quick" if manifest.security == "tunnel" else ""
-        return Finding(what, "bad", f"there is no {manifest.interface} here ({there}); correct the fleet file{start}")
+        return "bad", f"there is no {manifest.interface} here ({there}); correct the fleet file{start}"
     own = [entry.address for entry in interfaces[manifest.interface] if entry.family == socket.AF_INET]
     if manifest.address not in own:
         found = ", ".join(own) or "none"
-        return Finding(
-            what, "bad", f"{manifest.interface} has not the address {manifest.address} but {found}; correct one of them"
-        )
+        return "bad", f"{manifest.interface} has not the address {manifest.address} but {found}; correct one of them"
     stats = psutil.net_if_stats().get(manifest.interface)
     if stats is not None and not stats.isup:
-        return Finding(what, "bad", f"{manifest.interface} is down; ip link set {manifest.interface} up")
-    return Finding(what, "ok", f"{manifest.interface} has the address {manifest.address}")
+        return "bad", f"{manifest.interface} is down; ip link set {manifest.interface} up"
+    return "ok", f"{manifest.interface} has the address {manifest.address}"
 
 
-def _ports(manifest: Manifest) -> Finding:
+def _ports(manifest: Manifest) -> Found:
     held = []
     if not any(entry.address == manifest.address for found in psutil.net_if_addrs().values() for entry in found):
-        return Finding("ports", "note", f"not tried: {manifest.address} is not here")
+        return "note", f"not tried: {manifest.address} is not here"
     for port in manifest.ports:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
@@ -60,102 +64,147 @@ def _ports(manifest: Manifest) -> Finding:
             except OSError as error:
                 held.append(f"{port} ({error.strerror})")
     if not held:
-        return Finding("ports", "ok", f"{len(manifest.ports)} UDP ports of domain {manifest.domain} are free")
+        return "ok", f"{len(manifest.ports)} UDP ports of domain {manifest.domain} are free"
     if _active(manifest):
-        return Finding("ports", "note", "the fleet's own nodes are running and hold them")
-    return Finding(
-        "ports", "bad", f"UDP {held[0]} cannot be had; see 'ss -ulnp', end what holds it or choose another domain"
-    )
+        return "note", "the fleet's own nodes are running and hold them"
+    return "bad", f"UDP {held[0]} cannot be had; see 'ss -ulnp', end what holds it or choose another domain"
 
 
-def _clock(manifest: Manifest) -> Finding:
-    what, state = "clock", clock_state()
+def _clock(manifest: Manifest) -> Found:
+    state, limit = clock_state(), manifest.max_offset
     if state is None:
-        return Finding(what, "bad", "nothing synchronises it; install chrony, and let all hosts follow one server")
+        return "bad", "nothing synchronises it; install chrony, and let all hosts follow one server"
     if not state.synchronised:
-        return Finding(what, "bad", f"it is not synchronised, {state.source} says; let all hosts follow one server")
+        return "bad", f"it is not synchronised, {state.source} says; let all hosts follow one server"
     if state.bound is None:
-        return Finding(
-            what, "note", f"it is synchronised, {state.source} says, but not how well; chrony or PTP would say"
-        )
-    limit = manifest.max_offset
+        return "note", f"it is synchronised, {state.source} says, but not how well; chrony or PTP would say"
     if state.bound > limit:
-        return Finding(
-            what,
-            "bad",
-            f"it may be off by {state.bound:.4f} s by {state.source}, more than time.max_offset {limit:g} s; "
-            "let all hosts follow one server in the fleet's network",
-        )
-    return Finding(what, "ok", f"it is off by at most {state.bound:.6f} s by {state.source}")
+        text = f"it may be off by {state.bound:.4f} s by {state.source}, more than time.max_offset {limit:g} s"
+        return "bad", f"{text}; let all hosts follow one server in the fleet's network"
+    return "ok", f"it is off by at most {state.bound:.6f} s by {state.source}"
 
 
-def _packages(manifest: Manifest) -> Finding:
-    missing = []
+@dataclass(frozen=True, slots=True)
+class ClockState:
+    """How well this host's clock agrees with its time source.
+
+    Parameters
+    ----------
+    source : str
+        Who says so.
+    synchronised : bool
+        Whether the clock follows a time source.
+    bound : float, optional
+        Largest error of the clock, s, if it is known.
+    """
+
+    source: str
+    synchronised: bool
+    bound: float | None = None
+
+
+def clock_state() -> ClockState | None:
+    """Ask the first of chrony, linuxptp and systemd that answers; None if none does."""
+    for command, read in (
+        (("chronyc", "-n", "-c", "tracking"), read_chrony),
+        (("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP"), read_pmc),
+        (("timedatectl", "show", "--property=NTPSynchronized", "--value"), read_timedatectl),
+    ):
+        if (text := _answer(*command)) and (state := read(text)):
+            return state
+    return None
+
+
+def read_chrony(text: str) -> ClockState | None:
+    """Read ``chronyc -c tracking``: the error is at most the offset, the dispersion and half the delay to the root."""
+    fields = text.strip().split(",")
+    if len(fields) != _CHRONY_FIELDS:
+        return None
+    try:
+        offset, delay, dispersion = (float(fields[index]) for index in (4, 10, 11))
+    except ValueError:
+        return None
+    if fields[13] == "Not synchronised":
+        return ClockState("chrony", synchronised=False)
+    return ClockState("chrony", synchronised=True, bound=abs(offset) + dispersion + delay / 2.0)
+
+
+def read_pmc(text: str) -> ClockState | None:
+    """Read what ptp4l says of itself: the offset from the master in ns, and whether there is one."""
+    offset = re.search(r"\bmaster_offset\s+(-?\d+)\b", text)
+    present = re.search(r"\bgmPresent\s+(\w+)", text)
+    if offset is None or present is None:
+        return None
+    if present[1] != "true":
+        return ClockState("PTP", synchronised=False)
+    return ClockState("PTP", synchronised=True, bound=abs(int(offset[1])) * 1e-9)
+
+
+def read_timedatectl(text: str) -> ClockState | None:
+    """Read whether systemd knows the clock as synchronised; how well it does not say."""
+    answer = text.strip()
+    return ClockState("systemd", synchronised=answer == "yes") if answer in {"yes", "no"} else None
+
+
+def _packages(manifest: Manifest) -> Found:
     for module in (*manifest.modules, "rclpy", "swarmabs_msgs"):
         try:
             found = importlib.util.find_spec(module) is not None
         except ImportError:
             found = False
         if not found:
-            missing.append(module)
-    if missing:
-        return Finding(
-            "packages", "bad", f"{missing[0]} cannot be imported; bring this checkout to the fleet's version"
-        )
-    return Finding("packages", "ok", f"{len(manifest.modules)} modules of nodes are there")
+            return "bad", f"{module} cannot be imported; bring this checkout to the fleet's version"
+    return "ok", f"{len(manifest.modules)} modules of nodes are there"
 
 
-def _checkout(manifest: Manifest) -> Finding:
+def _checkout(manifest: Manifest) -> Found:
     program = Path(manifest.checkout) / "scripts" / "swarm"
     if not os.access(program, os.X_OK):
-        return Finding("checkout", "bad", f"there is no {program}; put the checkout there, or correct the fleet file")
-    python = Path(manifest.checkout) / ".venv" / "bin" / "python"
-    if manifest.ros == "wheels" and not os.access(python, os.X_OK):
-        return Finding("checkout", "bad", f"{manifest.checkout} is not prepared; start there: ./scripts/swarm doctor")
-    return Finding("checkout", "ok", manifest.checkout)
+        return "bad", f"there is no {program}; put the checkout there, or correct the fleet file"
+    if manifest.ros == "wheels" and not os.access(_python(manifest), os.X_OK):
+        return "bad", f"{manifest.checkout} is not prepared; start there: ./scripts/swarm doctor"
+    return "ok", manifest.checkout
 
 
-def _account(manifest: Manifest) -> Finding:
+def _account(manifest: Manifest) -> Found:
+    user = manifest.user
     try:
-        entry = pwd.getpwnam(manifest.user)
+        entry = pwd.getpwnam(user)
     except KeyError:
-        return Finding(
-            "account",
-            "bad",
-            f"there is no {manifest.user}; make it: useradd --system --shell /usr/sbin/nologin {manifest.user}",
-        )
+        return "bad", f"there is no {user}; make it: useradd --system --shell /usr/sbin/nologin {user}"
     if entry.pw_uid == 0:
-        return Finding("account", "bad", f"{manifest.user} is root; name another installation.user in the fleet file")
-    return Finding("account", "ok", manifest.user)
+        return "bad", f"{user} is root; name another installation.user in the fleet file"
+    return "ok", user
 
 
-def _readable(manifest: Manifest) -> Finding:
+def _access(manifest: Manifest) -> Found:
     """Say whether the account of the nodes can read its installed bundle and start the checkout's interpreter.
 
     What decides are owners and modes; access control lists are not looked at.
     """
-    what = "access"
     try:
         entry = pwd.getpwnam(manifest.user)
     except KeyError:
-        return Finding(what, "note", f"not looked at: there is no account {manifest.user}")
+        return "note", f"not looked at: there is no account {manifest.user}"
     installed = Path(manifest.installed)
-    if not _is_there(installed):
-        return Finding(what, "note", f"not looked at: nothing is installed in {installed}")
+    try:
+        installed.stat()
+    except PermissionError:
+        pass  # what is behind a closed folder counts as there
+    except OSError:
+        return "note", f"not looked at: nothing is installed in {installed}"
     try:
         closed = _closed(manifest, Reader.of(entry))
     except PermissionError as error:
-        return Finding(what, "note", f"not looked at: {error.filename} cannot be entered; start this as root")
+        return "note", f"not looked at: {error.filename} cannot be entered; start this as root"
     except OSError as error:
-        return Finding(what, "bad", f"{error.filename}: {error.strerror}; start install.sh of the bundle again")
+        return "bad", f"{error.filename}: {error.strerror}; start install.sh of the bundle again"
     if closed is None:
-        return Finding(what, "ok", f"{manifest.user} can read {installed}")
+        return "ok", f"{manifest.user} can read {installed}"
     ours = closed.is_relative_to(installed.parent)
     remedy = "start install.sh of the bundle again" if ours else "let others enter it"
     mode = closed.stat().st_mode & 0o7777
-    return Finding(
-        what, "bad", f"{manifest.user} has no access to {closed} (mode {mode:04o}), so no node starts; {remedy}"
-    )
+    return "bad", f"{manifest.user} has no access to {closed} (mode {mode:04o}), so no node starts; {remedy}"
 
 
 def _closed(manifest: Manifest, reader: Reader) -> Path | None:
@@ -172,19 +221,8 @@ def _closed(manifest: Manifest, reader: Reader) -> Path | None:
             return closed
     if manifest.ros != "wheels":
         return None
-    python = Path(manifest.checkout) / ".venv" / "bin" / "python"
+    python = _python(manifest)
     return reader.stopped_at(python) or (None if reader.may(python, os.X_OK) else python)
-
-
-def _is_there(path: Path) -> bool:
-    """Say whether something is at a path; what is behind a closed folder counts as there."""
-    try:
-        path.stat()
-    except PermissionError:
-        return True
-    except OSError:
-        return False
-    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,33 +253,45 @@ class Reader:
         return None if self.may(path, os.R_OK) else path
 
 
-def _systemd(manifest: Manifest) -> Finding:
-    version = answer("systemctl", "--version")
-    found = re.match(r"systemd (\d+)", version)
+def _python(manifest: Manifest) -> Path:
+    return Path(manifest.checkout) / ".venv" / "bin" / "python"
+
+
+def _systemd(manifest: Manifest) -> Found:
+    found = re.match(r"systemd (\d+)", _answer("systemctl", "--version"))
     if found is None:
-        return Finding("systemd", "bad", "there is none; bundles are for hosts with systemd")
+        return "bad", "there is none; bundles are for hosts with systemd"
     if int(found[1]) < _NEEDED_SYSTEMD:
-        return Finding(
-            "systemd",
-            "note",
-            f"version {found[1]} cannot lock nodes in one interface, {_NEEDED_SYSTEMD} can; "
-            "what else protects the network: docs/security.md",
-        )
+        text = f"version {found[1]} cannot lock nodes in one interface, {_NEEDED_SYSTEMD} can"
+        return "note", f"{text}; what else protects the network: docs/security.md"
     running = "; the fleet's nodes are running" if _active(manifest) else ""
-    return Finding("systemd", "ok", f"version {found[1]}{running}")
+    return "ok", f"version {found[1]}{running}"
 
 
 def _active(manifest: Manifest) -> bool:
-    return answer("systemctl", "is-active", f"swarmabs-{manifest.fleet}.target").strip() == "active"
+    return _answer("systemctl", "is-active", f"swarmabs-{manifest.fleet}.target").strip() == "active"
 
 
-_CHECKS: tuple[Callable[[Manifest], Finding], ...] = (
-    _interface,
-    _ports,
-    _clock,
-    _packages,
-    _checkout,
-    _account,
-    _readable,
-    _systemd,
-)
+def _answer(*command: str) -> str:
+    """Return what a program says; nothing if it is not there or fails."""
+    if shutil.which(command[0]) is None:
+        return ""
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_PATIENCE, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout if done.returncode == 0 else ""
+
+
+_CHECKS: Mapping[str, Callable[[Manifest], Found]] = {
+    "interface": _interface,
+    "ports": _ports,
+    "clock": _clock,
+    "packages": _packages,
+    "checkout": _checkout,
+    "account": _account,
+    "access": _access,
+    "systemd": _systemd,
+}

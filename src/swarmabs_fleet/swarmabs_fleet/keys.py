@@ -1,20 +1,43 @@
-"""The folder of the fleet's keys: made once, readable by its owner only, and kept by every later deployment."""
+"""The keys of a fleet: WireGuard's, or the authority, certificates and signatures of sros2.
+
+Each is made once, kept in a folder that its owner alone may read, and used again by every later deployment. Layout and
+algorithms of the keystore are those of the tool ``ros2 security``, so that its files and these can be mixed. The
+authority's private key stays in the folder of keys.
+"""
 
 from __future__ import annotations
 
-import importlib
+import base64
 import os
 import stat
 from contextlib import suppress
-from pathlib import Path
+from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key, pkcs7
+from cryptography.x509 import Certificate, load_pem_x509_certificate
+from cryptography.x509.oid import NameOID
+
+from swarmabs_config.fleet.participants import node_plans
+from swarmabs_config.fleet.parts import Sros2Security
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_fleet.permissions import host_rights
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
+
+    from swarmabs_fleet.host_plan import HostPlan
 
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
+_CA_KEY, _CA_CERTIFICATE = "sros2/ca.key.pem", "sros2/ca.cert.pem"
+_RESTORE = "restore it, or remove it and deploy anew"
 
 
 class Keys:
@@ -28,15 +51,11 @@ class Keys:
     Raises
     ------
     InputError
-        If others may read it, it cannot be used, or the library that makes keys is missing.
+        If others may read it, or it cannot be used.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        try:
-            importlib.import_module("cryptography")
-        except ImportError as error:
-            raise InputError(f"{error}; keys need the Python package cryptography: install it") from error
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             mode = folder.stat().st_mode
@@ -98,3 +117,160 @@ class Keys:
             return (self.folder / name).read_bytes()
         except OSError:
             return None
+
+    def files(self, host: HostPlan) -> dict[str, bytes]:
+        """Return the files of a host's bundle that hold keys, by path; no other host's private keys are in them.
+
+        Raises
+        ------
+        InputError
+            If what is kept is damaged.
+        """
+        security = host.fleet.security
+        if host.fleet.tunnel is not None:
+            return {f"wireguard/{host.fleet.tunnel.interface}.conf": _wireguard(self, host).encode()}
+        return _keystore(self, host, security.valid_days) if isinstance(security, Sros2Security) else {}
+
+
+def _wireguard(keys: Keys, host: HostPlan) -> str:
+    """Return the configuration of a host, as wg-quick reads it: robots meet the coordinators, coordinators all."""
+    central = {node.host for node in node_plans(host.fleet) if node.robot is None}
+    others = [other.name for other in host.fleet.hosts if other.name != host.name]
+    met = [other for other in others if host.name in central or other in central]
+    peers = {other: _in_base64(_wireguard_key(keys, other).public_key().public_bytes_raw()) for other in met}
+    own = _in_base64(_wireguard_key(keys, host.name).private_bytes_raw())
+    return host.render("wireguard.conf", private=own, peers=peers)
+
+
+def _wireguard_key(keys: Keys, host: str) -> X25519PrivateKey:
+    """Return the private key of a host, made at the first call."""
+    kept = keys.kept(
+        f"wireguard/{host}.key", lambda: base64.b64encode(X25519PrivateKey.generate().private_bytes_raw()) + b"\n"
+    )
+    return X25519PrivateKey.from_private_bytes(base64.b64decode(kept.strip(), validate=True))
+
+
+def _in_base64(key: bytes) -> str:
+    return base64.b64encode(key).decode()
+
+
+def _keystore(keys: Keys, host: HostPlan, valid_days: int) -> dict[str, bytes]:
+    """Return the files of a host's keystore by path; certificates that are made now are valid for some days."""
+    authority = _Authority(keys, f"swarmabs {host.fleet.name} CA", valid_days)
+    rules = authority.signed("governance", host.render("governance.xml"))
+    files: dict[str, bytes] = {}
+    for name, rights in host_rights(host).items():
+        path = host.enclave(name)
+        key, pem, certificate = authority.entity(name, path)
+        first, last = (f"{time:%Y-%m-%dT%H:%M:%S}" for time in _validity(certificate))
+        granted = host.render("permissions.xml", enclave=path, rights=rights, not_before=first, not_after=last)
+        enclave = {
+            "identity_ca.cert.pem": authority.pem,
+            "permissions_ca.cert.pem": authority.pem,
+            "cert.pem": pem,
+            "key.pem": key,
+            "governance.p7s": rules,
+            "permissions.xml": granted.encode(),
+            "permissions.p7s": authority.signed(f"{name}/permissions", granted),
+        }
+        files |= {f"keystore/enclaves{path}/{file}": content for file, content in enclave.items()}
+    return files
+
+
+class _Authority:
+    """Signs; what it has signed once it returns again, since no two signatures of one text are alike."""
+
+    def __init__(self, keys: Keys, name: str, valid_days: int) -> None:
+        self._keys, self._days = keys, valid_days
+        _, self._key = self._kept_key(_CA_KEY)
+        self.pem, self._certificate = self._kept_certificate(
+            _CA_CERTIFICATE, lambda: self._issue(name, self._key, None)
+        )
+
+    def entity(self, name: str, path: str) -> tuple[bytes, bytes, Certificate]:
+        """Return the private key of an enclave in PEM, and its certificate in PEM and as it was read."""
+        key, secret = self._kept_key(f"sros2/{name}/key.pem")
+        pem, certificate = self._kept_certificate(
+            f"sros2/{name}/cert.pem", lambda: self._issue(path, secret, self._certificate)
+        )
+        if certificate.public_key() != secret.public_key() or not self._has_issued(certificate):
+            folder = self._keys.folder / "sros2"
+            raise InputError(
+                f"{folder / name / 'cert.pem'} does not fit its key or the authority; restore the folder {folder}, "
+                "or remove it and deploy anew to all hosts"
+            )
+        return key, pem, certificate
+
+    def signed(self, name: str, text: str) -> bytes:
+        """Return a text as a signed S/MIME message."""
+        content = text.encode()
+        signature = self._keys.read(f"sros2/{name}.p7s")
+        if signature is None or self._keys.read(f"sros2/{name}.xml") != content:
+            options = [pkcs7.PKCS7Options.Text, pkcs7.PKCS7Options.DetachedSignature]
+            builder = pkcs7.PKCS7SignatureBuilder().set_data(content)
+            builder = builder.add_signer(self._certificate, self._key, hashes.SHA256())
+            signature = builder.sign(serialization.Encoding.SMIME, options)
+            # The text comes last: without it the signature counts as none.
+            self._keys.write(f"sros2/{name}.xml", b"")
+            self._keys.write(f"sros2/{name}.p7s", signature)
+            self._keys.write(f"sros2/{name}.xml", content)
+        return signature
+
+    def _has_issued(self, certificate: Certificate) -> bool:
+        try:
+            certificate.verify_directly_issued_by(self._certificate)
+        except (InvalidSignature, TypeError, ValueError):
+            return False
+        return True
+
+    def _kept_key(self, name: str) -> tuple[bytes, EllipticCurvePrivateKey]:
+        content = self._keys.kept(name, _new_key)
+        try:
+            key = load_pem_private_key(content, None)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{self._keys.folder / name} holds no private key; {_RESTORE}") from error
+        if not isinstance(key, EllipticCurvePrivateKey):
+            raise InputError(f"{self._keys.folder / name} holds a key of another kind; {_RESTORE}")
+        return content, key
+
+    def _kept_certificate(self, name: str, make: Callable[[], bytes]) -> tuple[bytes, Certificate]:
+        content = self._keys.kept(name, make)
+        try:
+            return content, load_pem_x509_certificate(content)
+        except ValueError as error:
+            raise InputError(f"{self._keys.folder / name} holds no certificate; {_RESTORE}") from error
+
+    def _issue(self, name: str, key: EllipticCurvePrivateKey, issuer: Certificate | None) -> bytes:
+        """Return a new certificate in PEM: of an enclave, or of the authority itself if there is no issuer."""
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        # From yesterday on: a robot whose clock is a little slow must not refuse it.
+        today = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
+        last = today + timedelta(days=self._days)
+        if issuer is not None:
+            last = min(last, _validity(issuer)[1])
+        path_length = None if issuer is not None else 1
+        builder = (
+            x509.CertificateBuilder()
+            .subject_name(subject)
+            .issuer_name(subject if issuer is None else issuer.subject)
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(today - timedelta(days=1))
+            .not_valid_after(last)
+            .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=path_length), critical=True)
+        )
+        return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def _validity(certificate: Certificate) -> tuple[datetime, datetime]:
+    """Return from when to when a certificate is valid; the cryptography of Ubuntu 24.04 names these times otherwise."""
+    if hasattr(certificate, "not_valid_after_utc"):
+        return certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    first, last = certificate.not_valid_before, certificate.not_valid_after
+    return first.replace(tzinfo=timezone.utc), last.replace(tzinfo=timezone.utc)
+
+
+def _new_key() -> bytes:
+    return ec.generate_private_key(ec.SECP256R1()).private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )

@@ -8,6 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from swarmabs_config import realtime
+from swarmabs_config.fleet.loader import SCENARIO_FILE
 from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.parts import MeasuredPlane
 from swarmabs_config.fleet.robots import SimulatedDrive
@@ -18,38 +19,30 @@ from swarmabs_core.messages import Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.topic_drive import TopicSettings
 from swarmabs_core.robot_controller import Limits
+from swarmabs_fleet.host_plan import HostPlan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import TypeAlias
 
+    from swarmabs_config.fleet.loader import LoadedFleet
     from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.participants import NodePlan
     from swarmabs_config.fleet.robots import Robot
-    from swarmabs_config.scenario import Scenario
     from swarmabs_config.scenario.yaml_tree import Plain
 
     Parameters: TypeAlias = dict[str, object]
 
 
-def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: str, state: str) -> Parameters:
-    """Return the parameters of a node by name.
-
-    Parameters
-    ----------
-    fleet, scenario : Fleet, Scenario
-        The fleet, and the scenario with its robots.
-    node : NodePlan
-        The node.
-    installed, state : str
-        Folders on its host: of the installed bundle, and of what the node writes.
-    """
+def parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
+    """Return the parameters of a node by name."""
     if node.name == DISCOVERY:
         return {}
+    fleet, scenario, host = loaded.fleet, loaded.scenario, HostPlan(loaded.fleet, node.host)
     schedule = realtime.schedule(scenario, fleet.epoch_ns)
     if node.name == RECORDER:
         common = {**values_of(schedule), "clock_tolerance": scenario.realtime.clock_tolerance}
-        return common | {"scenario_file": f"{installed}/scenario.yaml", "bags": state} | _recorder(fleet)
+        return common | {"scenario_file": f"{host.installed}/{SCENARIO_FILE}", "bags": host.state} | _recorder(fleet)
     mass = fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
     if node.robot is not None:
         robots = realtime.agent_configs(scenario, schedule)
@@ -60,7 +53,7 @@ def parameters(fleet: Fleet, scenario: Scenario, node: NodePlan, *, installed: s
         return {**values_of(realtime.controller_config(scenario, schedule, mode))}
     if node.name == OBSERVER:
         observer = replace(realtime.observer_config(scenario, schedule), swarm_mass=mass)
-        return {**values_of(observer), "memory": f"{state}/silent_robots.json"}
+        return {**values_of(observer), "memory": f"{host.state}/silent_robots.json"}
     plane = fleet.coordinators.plane
     if isinstance(plane, MeasuredPlane):
         tolerance = scenario.realtime.clock_tolerance

@@ -1,4 +1,4 @@
-"""What each node may do under DDS Security: governance of the domain, and the topics that an enclave may use."""
+"""What each node may do under DDS Security: the topics that its enclave may use."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.names import path_of
-from swarmabs_config.fleet.participants import DISCOVERY, node_plans, nodes_on
+from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.parts import MeasuredPlane
 from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, REALTIME, RECORDER, ROBOT, SERVICES, endpoints
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.realtime.topic_drive import TopicSettings
-from swarmabs_fleet.environment import tool_enclave
-from swarmabs_fleet.profile import profile_roles
-from swarmabs_fleet.rendering import render
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.participants import NodePlan
+    from swarmabs_fleet.host_plan import HostPlan
 
 _DISCOVERY_INFO = "ros_discovery_info"
 """The topic by which ROS nodes say which endpoints are theirs."""
@@ -27,7 +25,7 @@ _DRIVERS_DIAGNOSTICS = "rt/diagnostics"
 _PLAIN = (RECORDER, DISCOVERY)
 """Nodes without a life cycle and a log by topic."""
 _COMMAND_LINE = "_ros2cli"
-"""With what the names of nodes of ROS's command line begin."""
+"""With what the names of nodes of ROS's command line begin, which have services themselves."""
 _MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
 _COMMANDED = {"twist": "cmd_vel", "force": "force", "joint": "joint_command"}
 """Names of topics below a node's own where the fleet file gives none."""
@@ -41,30 +39,13 @@ class Rights:
     subscribe: tuple[str, ...]
 
 
-def governance(domain: int) -> str:
-    """Return the rules of a domain: nobody without a certificate, everything encrypted, every topic controlled."""
-    return render("governance.xml", domain=domain)
-
-
-def permissions(domain: int, enclave: str, rights: Rights, not_before: str, not_after: str) -> str:
-    """Return the permissions of an enclave."""
-    return render(
-        "permissions.xml",
-        domain=domain,
-        enclave=enclave,
-        rights=rights,
-        not_before=not_before,
-        not_after=not_after,
-    )
-
-
-def host_enclaves(fleet: Fleet, host: str) -> dict[str, Rights]:
-    """Return the enclaves of a host by name: one per node, and those of tools."""
-    found = {node.name: node_rights(fleet, node) for node in node_plans(fleet) if node.host == host}
-    for role in ("driver", "operator"):
-        if role in profile_roles(fleet, host):
-            rights = _driver_rights(fleet, host) if role == "driver" else _operator_rights(fleet)
-            found[tool_enclave(role, host)] = rights
+def host_rights(host: HostPlan) -> dict[str, Rights]:
+    """Return the rights of a host's enclaves by name: one per node, and those of tools."""
+    found = {node.name: node_rights(host.fleet, node) for node in host.nodes}
+    if "driver" in host.roles:
+        found[host.tools("driver")] = _driver_rights(host)
+    if "operator" in host.roles:
+        found[host.tools("operator")] = _operator_rights(host.fleet)
     return found
 
 
@@ -113,16 +94,16 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
     return [_topic(fleet.namespace, name) for name in measured], [_topic(fleet.namespace, name) for name in commanded]
 
 
-def _driver_rights(fleet: Fleet, host: str) -> Rights:
+def _driver_rights(host: HostPlan) -> Rights:
     """Return what the robots' own nodes behind topic drives may do: the other side of these drives.
 
     What a node has of its own, such as the services of its parameters, must be below the name of the enclave.
     """
-    own = path_of(fleet.namespace, tool_enclave("driver", host))
+    own = path_of(host.fleet.namespace, host.tools("driver"))
     publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _DRIVERS_DIAGNOSTICS, f"rt{own}/*", f"rr{own}/*Reply"]
     subscribe = [_DISCOVERY_INFO, _PARAMETER_EVENTS, f"rt{own}/*", f"rq{own}/*Request"]
-    for node in nodes_on(fleet, host):
-        measured, commanded = _body_topics(fleet, node)
+    for node in host.nodes:
+        measured, commanded = _body_topics(host.fleet, node)
         publish += measured
         subscribe += commanded
     return Rights(tuple(dict.fromkeys(publish)), tuple(dict.fromkeys(subscribe)))
@@ -131,12 +112,9 @@ def _driver_rights(fleet: Fleet, host: str) -> Rights:
 def _operator_rights(fleet: Fleet) -> Rights:
     """Return what an operator's tools may do: see everything, call every service, say of a robot that it is gone."""
     ns = fleet.namespace.rstrip("/")
-    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, EVENTS.name), f"rq{ns}/*Request"]
-    subscribe = [_DISCOVERY_INFO, "rt/*", f"rr{ns}/*Reply"]
-    # Those of ROS's own command line have services themselves.
-    publish.append(f"rr/{_COMMAND_LINE}*Reply")
-    subscribe.append(f"rq/{_COMMAND_LINE}*Request")
-    return Rights(tuple(publish), tuple(subscribe))
+    services, own_services = f"rq{ns}/*Request", f"rr/{_COMMAND_LINE}*Reply"
+    publish = (_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, EVENTS.name), services, own_services)
+    return Rights(publish, (_DISCOVERY_INFO, "rt/*", f"rr{ns}/*Reply", f"rq/{_COMMAND_LINE}*Request"))
 
 
 def _topic(namespace: str, name: str) -> str:

@@ -14,8 +14,8 @@ from swarmabs_config.fleet.participants import DISCOVERY, node_plans
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_fleet.environment import tool_environment
-from swarmabs_fleet.profile import fleet_profile
+from swarmabs_fleet.host_plan import HostPlan
+from swarmabs_fleet.node_files import profile, tool_environment
 from swarmabs_run.orchestration.dds_environment import dds_environment
 from swarmabs_run.orchestration.run_environment import environment_of_run, goes_on, is_realtime
 
@@ -106,11 +106,11 @@ def _run(folder: Path) -> Target:
 
 
 def _fleet(fleet: Fleet, folder: Path) -> Target:
-    host = fleet.coordinators.controller.host
-    profile = folder / "operator.xml"
-    profile.write_text(fleet_profile(fleet, host, "operator"), encoding="utf-8")
+    host = HostPlan(fleet, fleet.coordinators.controller.host)
+    file = folder / "operator.xml"
+    file.write_text(profile(host, "operator"), encoding="utf-8")
     # Everything as in the installed bundle, whose keys may be needed, but the profile: it is made anew.
-    environment = tool_environment(fleet, host, "operator") | dds_environment(fleet.network.domain, str(profile))
+    environment = tool_environment(host, "operator") | dds_environment(fleet.network.domain, str(file))
     hosts = {node.name: node.host for node in node_plans(fleet) if node.name != DISCOVERY}
     robots = tuple(robot.id for robot in fleet.members)
     return Target(fleet.name, fleet.namespace, hosts, robots, environment)

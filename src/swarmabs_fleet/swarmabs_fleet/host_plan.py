@@ -1,0 +1,104 @@
+"""One host of a fleet: its nodes, what is where on it under which name, and the templates of its files."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING
+
+from swarmabs_config.fleet.participants import NodePlan, nodes_on
+from swarmabs_core.realtime.topic_drive import TopicSettings
+from swarmabs_run.rendering import templates
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+    from swarmabs_config.fleet.model import Fleet
+
+
+@dataclass(frozen=True)
+class HostPlan:
+    """One host of a fleet, as its bundle sets it up."""
+
+    fleet: Fleet
+    name: str
+
+    @cached_property
+    def nodes(self) -> tuple[NodePlan, ...]:
+        """The nodes that run there."""
+        return nodes_on(self.fleet, self.name)
+
+    @cached_property
+    def roles(self) -> tuple[str, ...]:
+        """The names of the DDS profiles that it needs: those of its nodes, of drivers and of an operator's tools."""
+        roles = {str(node.role) for node in self.nodes}
+        parts = self.fleet.coordinators
+        if any(node.robot and isinstance(node.robot.drive, TopicSettings) for node in self.nodes):
+            roles.add("driver")
+        if parts.plane.type == "driver" and parts.plane.host == self.name:
+            roles.add("driver")
+        if parts.controller.host == self.name:
+            roles.add("operator")
+        return tuple(sorted(roles))
+
+    @property
+    def address(self) -> str:
+        """The address at which DDS reaches it."""
+        return self.fleet.address(self.name)
+
+    @property
+    def installed(self) -> str:
+        """The folder of the installed bundle."""
+        return f"{self.fleet.installation.prefix}/{self.fleet.name}"
+
+    @property
+    def service(self) -> str:
+        """The first part of the names of all units, and the folder of what nodes write below ``/var/lib``."""
+        return f"swarmabs-{self.fleet.name}"
+
+    @property
+    def state(self) -> str:
+        """The folder of what nodes write."""
+        return f"/var/lib/{self.service}"
+
+    @property
+    def target(self) -> str:
+        """The name of the unit that starts and stops all nodes."""
+        return f"{self.service}.target"
+
+    @property
+    def python(self) -> str:
+        """The interpreter of the nodes."""
+        wheels = self.fleet.ros(self.name) == "wheels"
+        return f"{self.fleet.installation.checkout}/.venv/bin/python" if wheels else "/usr/bin/python3"
+
+    @property
+    def tunnel_heading(self) -> str:
+        """The first line of a tunnel's configuration, by which scripts know it as their own."""
+        return f"# swarmabs fleet {self.fleet.name}"
+
+    def tools(self, role: str) -> str:
+        """Return the name of the tools of a role, ``operator`` or ``driver``, for whom there is a security enclave."""
+        return f"{role}_{self.name.replace('-', '_')}"
+
+    def enclave(self, name: str) -> str:
+        """Return the security enclave of a node or of tools."""
+        return f"/{self.fleet.name}/{name}"
+
+    def render(self, template: str, **values: object) -> str:
+        """Return the text of a template, such as ``restart.sh``, for this host; XML is escaped.
+
+        Raises
+        ------
+        jinja2.UndefinedError
+            If the template names a value that is not given.
+        """
+        return _templates().get_template(f"{template}.j2").render(values, host=self, fleet=self.fleet)
+
+
+@cache
+def _templates() -> Environment:
+    environment = templates("swarmabs_fleet")
+    environment.filters["quote"] = shlex.quote
+    return environment

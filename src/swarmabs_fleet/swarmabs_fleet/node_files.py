@@ -1,0 +1,163 @@
+"""The files by which systemd starts the nodes of a host in the fleet's network: DDS profiles, environments, units.
+
+A node uses one address of its host, and announces itself to the peers that it has to meet: a robot to the coordinators
+and to its own drivers, so that robots never discover each other; the coordinators to everybody, so that one that starts
+anew is known at once.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, DRIVERS, OPERATOR, node_plans
+from swarmabs_config.fleet.robots import PluginDrive
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER
+from swarmabs_config.ports import metatraffic_port
+from swarmabs_run.orchestration.dds_environment import PARTICIPANT_VARIABLE, dds_environment
+from swarmabs_run.orchestration.dds_profile import Discovery, network_profile_xml
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from swarmabs_config.fleet.participants import NodePlan
+    from swarmabs_fleet.host_plan import HostPlan
+
+DISCOVERY_GROUP = "239.255.0.1"
+"""Where participants announce themselves by multicast: the group that the DDS standard names."""
+WATCHDOG = 2
+"""Time, s, without a sign of life after which systemd restarts a node of the control loop."""
+SLOW_WATCHDOG = 10
+"""The same of nodes that may have to wait for a disk, and of those that no robot waits for."""
+REFUSED = 2
+"""Exit code of a node that refuses its parameters: starting it again would not help."""
+_PLAIN = re.compile(r"[A-Za-z0-9_./:-]+")
+
+
+def node_files(host: HostPlan) -> dict[str, str]:
+    """Return the files by their paths in the bundle, all but those of parameters."""
+    files = {f"nodes/{node.name}.env": _environment_file(_node_environment(host, node)) for node in host.nodes}
+    for role in host.roles:
+        files[f"dds/{role}.xml"] = profile(host, role)
+        if role in {"operator", "driver"}:
+            files[f"nodes/{role}.env"] = _environment_file(tool_environment(host, role))
+    units = {f"{host.service}-{node.name}.service": _unit(host, node) for node in restart_order(host.nodes)}
+    units[host.target] = host.render("nodes.target", units=" ".join(units))
+    files["units.txt"] = "".join(f"{name}\n" for name in units)
+    return files | {f"systemd/{name}": text for name, text in units.items()}
+
+
+def restart_order(nodes: tuple[NodePlan, ...]) -> tuple[NodePlan, ...]:
+    """Return nodes in the order in which they are restarted one by one: the robots first, the controller last."""
+    robots = [node for node in nodes if node.robot is not None]
+    others = [node for node in nodes if node.robot is None]
+    return (*robots, *sorted(others, key=lambda node: (node.name == CONTROLLER, node.participant)))
+
+
+def profile(host: HostPlan, role: str) -> str:
+    """Return the Fast DDS profile of one of a host's `roles`; the participant id comes from the environment."""
+    network, discovery = host.fleet.network, Discovery()
+    if network.discovery == "static":
+        announced = _peers(host, role)
+        discovery = Discovery(
+            peers=tuple((peer, metatraffic_port(network.domain, number)) for peer, number in announced)
+        )
+    elif network.discovery == "server" and network.server is not None:
+        port = metatraffic_port(network.domain, DISCOVERY_SERVER)
+        server = (host.fleet.address(network.server), port)
+        discovery = Discovery("SERVER" if role == "server" else "CLIENT", server=server)
+    return network_profile_xml(host.address, discovery)
+
+
+def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:
+    """Return address and participant id of those to whom nodes of a role on a host announce themselves."""
+    fleet, nodes = host.fleet, node_plans(host.fleet)
+    coordinators = [(fleet.address(node.host), node.participant) for node in nodes if node.role == "coordinator"]
+    robots = [(fleet.address(node.host), node.participant) for node in nodes if node.robot is not None]
+    operator = [(fleet.address(fleet.coordinators.controller.host), OPERATOR)]
+    drivers = [(host.address, number) for number in DRIVERS] if "driver" in host.roles else []
+    if role == "robot":
+        return [*coordinators, *operator, *drivers]
+    if role == "driver":
+        return [peer for peer in [*coordinators, *robots] if peer[0] == host.address] + drivers
+    return [*coordinators, *operator, *drivers, *robots]
+
+
+def _environment_file(variables: Mapping[str, str]) -> str:
+    """Return the text of an environment file, which systemd and a shell read alike; no value needs quotes.
+
+    Raises
+    ------
+    ValueError
+        If one would: what a fleet file may hold has been checked, so this is a mistake of the program.
+    """
+    for name, value in variables.items():
+        if not _PLAIN.fullmatch(value):
+            raise ValueError(f"{name}={value!r} needs quotes")
+    return "".join(f"{name}={value}\n" for name, value in variables.items())
+
+
+def _node_environment(host: HostPlan, node: NodePlan) -> dict[str, str]:
+    """Return the environment of a node beyond that of the workspace."""
+    return _environment(host, node.role, node.participant) | {
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONNOUSERSITE": "1",
+        "PYTHONSAFEPATH": "1",
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+def tool_environment(host: HostPlan, role: str) -> dict[str, str]:
+    """Return the environment of tools of a role, ``operator`` or ``driver``, on a host."""
+    variables = _environment(host, role, OPERATOR if role == "operator" else DRIVERS[0])
+    if "ROS_SECURITY_KEYSTORE" in variables:
+        variables["ROS_SECURITY_ENCLAVE_OVERRIDE"] = host.enclave(host.tools(role))
+    return variables
+
+
+def _environment(host: HostPlan, role: str, participant: int) -> dict[str, str]:
+    variables = dds_environment(host.fleet.network.domain, f"{host.installed}/dds/{role}.xml")
+    variables[PARTICIPANT_VARIABLE] = str(participant)
+    if host.fleet.security.level == "sros2":
+        variables |= {
+            "ROS_SECURITY_ENABLE": "true",
+            "ROS_SECURITY_STRATEGY": "Enforce",
+            "ROS_SECURITY_KEYSTORE": f"{host.installed}/keystore",
+        }
+    return variables
+
+
+def _unit(host: HostPlan, node: NodePlan) -> str:
+    """Return the unit of a node, watched and locked in."""
+    devices = node.robot is None or not isinstance(node.robot.drive, PluginDrive)
+    return host.render(
+        "node.service",
+        node=node,
+        command=_command(host, node),
+        refused=REFUSED,
+        watchdog=SLOW_WATCHDOG if node.name in {RECORDER, DISCOVERY} else WATCHDOG,
+        state=host.service if node.name in {OBSERVER, RECORDER} else None,
+        private_devices="yes" if devices else "no",
+        addresses=_addresses(host, node),
+        interfaces=(host.fleet.interface(host.name), *host.fleet.host(host.name).further_interfaces),
+    )
+
+
+def _command(host: HostPlan, node: NodePlan) -> Iterator[str]:
+    # What a node logs goes to its standard error, and from there to the journal.
+    yield from (host.python, "-m", node.module, "--ros-args", "--disable-external-lib-logs")
+    yield from ("-r", f"__node:={node.name}", "-r", f"__ns:={host.fleet.namespace}")
+    yield from ("--params-file", f"{host.installed}/nodes/{node.name}.yaml")
+    if host.fleet.security.level == "sros2":
+        yield from ("--enclave", host.enclave(node.name))
+
+
+def _addresses(host: HostPlan, node: NodePlan) -> list[str]:
+    """Return whom a node may talk to: those it announces itself to, and what its host names besides."""
+    network = host.fleet.network
+    met = [host.address, *(address for address, _ in _peers(host, node.role))]
+    if network.discovery == "server" and network.server is not None:
+        met.append(host.fleet.address(network.server))
+    if network.discovery == "multicast":
+        met.append(DISCOVERY_GROUP)
+    return [*dict.fromkeys(met), *host.fleet.host(host.name).further_addresses]
