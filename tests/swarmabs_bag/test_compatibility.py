@@ -11,7 +11,7 @@ from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import attached_provenance, attached_scenario
-from swarmabs_bag.definitions import READABLE
+from swarmabs_bag.channels import READABLE
 from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag

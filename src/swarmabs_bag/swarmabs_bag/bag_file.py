@@ -20,9 +20,8 @@ from swarmabs_bag.records import (
     RecordError,
     StoredMessage,
     crc_with,
-    inner_records,
+    inner_messages,
     parse,
-    read_message,
     read_record,
     read_records,
     uncompress,
@@ -77,12 +76,9 @@ class BagFile:
         # A damaged file ends at data_end; a complete one has a DataEnd record there, which ends the loop.
         for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
             if record.opcode == Opcode.CHUNK:
-                data = uncompress(record)
-                for opcode, begin, end in inner_records(data, record.offset):
-                    if opcode == Opcode.MESSAGE:
-                        yield read_message(data, begin, end, record.offset)
+                yield from inner_messages(uncompress(record), record.offset)
             elif record.opcode == Opcode.MESSAGE:
-                yield read_message(record.content, 0, len(record.content), record.offset)
+                yield from inner_messages(record.stored, record.offset)
             elif record.opcode == Opcode.DATA_END:
                 _check_crc(record, crc)
             crc = crc_with(crc, record)

@@ -1,16 +1,17 @@
-"""The topics of a bag: what they are, and of which swarm, by the namespaces in which there are topics of one."""
+"""The topics of a bag: what they are, of which swarm, and whether the definitions of their messages can be read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.errors import NotABagError, UnknownTypeError
+from swarmabs_bag.metadata import TopicRecord, load_yaml, qos_profiles
 from swarmabs_config.scenario.errors import printable, shorten
 from swarmabs_core.messages import TOPICS, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from mcap.records import Channel
@@ -18,6 +19,19 @@ if TYPE_CHECKING:
     from swarmabs_bag.index import FileIndex
 
 _MOST_NAMED = 5
+
+READABLE = {
+    "swarmabs_msgs/msg/AgentState": ("RIHS01_920c20b49337933ad2a2a54073afa24dac7f0bf85b89c0d8dd1b57ebfc9011bc",),
+    "swarmabs_msgs/msg/PlaneState": ("RIHS01_eb50ea2ec4166fc2bcb82d6d93a165895a6769696f9119a68ef5631216479631",),
+    "swarmabs_msgs/msg/AbstractState": ("RIHS01_d95f247c2589dc4f0829654e4f27b3962f02586fe75af371aa28dd2eabbaa7fd",),
+    "swarmabs_msgs/msg/AuxiliaryState": ("RIHS01_52d6abf330048f23e1dfe0c338ba3a94672fa727da8cc3a240be1862e5e4e14d",),
+    "swarmabs_msgs/msg/DesiredAbstractState": (
+        "RIHS01_8d0ba0d2bda583bda9b0e7c060dfa8a7a61a5c5f1136fef6732eaf73845a4374",
+    ),
+    "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
+    "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
+}
+"""Hashes of the recorded types, that of today last. None is ever taken out (docs/compatibility.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +78,23 @@ def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) 
     )
 
 
+def topic_records(indexes: Iterable[FileIndex]) -> list[tuple[TopicRecord, int]]:
+    """Return the topics of files for rosbag2's description, with their numbers of messages."""
+    found: dict[str, tuple[TopicRecord, int]] = {}
+    for index in indexes:
+        for channel in (bag_channel(one, index) for _, one in sorted(index.channels.items())):
+            topic = TopicRecord(
+                name=channel.name,
+                ros_type=channel.ros_type,
+                type_hash=channel.type_hash,
+                profiles=qos_profiles(load_yaml(channel.qos_profiles)),
+                encoding=channel.encoding,
+            )
+            known, before = found.get(topic.name, (topic, 0))
+            found[topic.name] = (known, before + channel.message_count)
+    return list(found.values())
+
+
 def swarm_topics(index: FileIndex) -> dict[int, tuple[str, Topic]]:
     """Return the channels that are of a swarm: by number the namespace, with its last slash, and the topic."""
     found = ((number, _swarm_topic(channel, index)) for number, channel in index.channels.items())
@@ -105,3 +136,23 @@ def _swarm_topic(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None
             ours = _ros_type(channel, index) == topic.ros_type
             return (channel.topic.removesuffix(topic.name), topic) if ours else None
     return None
+
+
+def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
+    """Check that the messages of a bag are of definitions that are known.
+
+    A channel without a hash passes: its messages are read as those of today, and their sizes checked.
+
+    Raises
+    ------
+    UnknownTypeError
+        If a hash is not known; the text names topic, type and hash.
+    """
+    for channel in channels:
+        known = READABLE.get(channel.ros_type)
+        if channel.topic is not None and channel.type_hash and known is not None and channel.type_hash not in known:
+            raise UnknownTypeError(
+                f"{path}: {printable(shorten(channel.name))} has a definition of {channel.ros_type} that this version "
+                f"does not know ({channel.type_hash[:80]!r}); use the version that wrote it (see the command info), "
+                "or a newer one"
+            )

@@ -1,8 +1,9 @@
-"""What there is of a damaged bag: its files, what can be saved of each, and what is wrong with it."""
+"""The state of a damaged bag: its files, what can be saved of each, what is wrong with it, and the steps it holds."""
 
 from __future__ import annotations
 
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,20 +11,28 @@ from typing import TYPE_CHECKING, Any
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from swarmabs_bag.channels import bag_channel
+from swarmabs_bag.attached import SCENARIO_FILE
+from swarmabs_bag.channels import topic_records
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, scan_index
-from swarmabs_bag.metadata import METADATA_FILE, TopicRecord, custom_texts, load_yaml, qos_profiles, topic_record
+from swarmabs_bag.metadata import METADATA_FILE, TopicRecord, custom_texts, load_yaml, topic_record
 from swarmabs_bag.places import SUFFIX, missing_files, split_files
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.realtime import is_realtime
 from swarmabs_bag.rebuild import OWN, Rebuilt
 from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
-from swarmabs_bag.steps import recorded_steps
-from swarmabs_config.scenario.errors import ScenarioError
+from swarmabs_config import configure
+from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_config.scenario.text_file import read_text
+from swarmabs_core.errors import InputError
+from swarmabs_core.membership import Membership
+from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Status, SwarmEvent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from typing import BinaryIO
+
+    from swarmabs_core.messages import Topic
 
 
 @dataclass(slots=True)
@@ -161,7 +170,7 @@ def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
         return f"{METADATA_FILE} cannot be read"
     if stated is None:
         return f"{METADATA_FILE} is not rosbag2's"
-    counts = {topic.name: count for topic, count in topics_of(parts) if count}
+    counts = {topic.name: count for topic, count in topic_records(part.index for part in parts) if count}
     listed = _listed(stated)
     right = (
         stated.get("relative_file_paths") == [part.name for part in parts]
@@ -174,11 +183,9 @@ def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
 
 def silent_topics(folder: Path) -> list[TopicRecord]:
     """Return the topics without messages of ``metadata.yaml``, the only place where a damaged bag may name them."""
-    try:
-        stated = _stated(folder)
-    except ScenarioError:
-        return []
-    return [topic for topic, count in (stated and _listed(stated)) or () if count == 0]
+    with suppress(ScenarioError):
+        return [topic for topic, count in _listed(_stated(folder) or {}) or () if count == 0]
+    return []
 
 
 def _stated(folder: Path) -> dict[str, Any] | None:
@@ -199,24 +206,91 @@ def _listed(stated: dict[str, Any]) -> list[tuple[TopicRecord, Any]] | None:
         return None
 
 
-def stops_early(bag: Path) -> bool:
-    """Tell whether a bag of a swarm ends before its scenario does."""
-    steps = recorded_steps(bag)
-    return steps is not None and steps.last_complete < steps.last_planned
+@dataclass(frozen=True, slots=True)
+class RecordedSteps:
+    """How far a bag goes; where not even the first step is complete, the last one is that before it.
+
+    Attributes
+    ----------
+    last_planned : int
+        Last step of the scenario.
+    first : int
+        First complete step; not 0 in a later file of a split bag, or where the beginning is lost.
+    last_complete : int
+        Last step up to which, from the first one on, no message of a main topic is missing.
+    by_topic : dict of str to int
+        The same for each main topic, by its name with namespace.
+    """
+
+    last_planned: int
+    first: int
+    last_complete: int
+    by_topic: dict[str, int]
 
 
-def topics_of(parts: Sequence[Part]) -> list[tuple[TopicRecord, int]]:
-    """Return the topics of files with their numbers of messages."""
-    found: dict[str, tuple[TopicRecord, int]] = {}
-    for index in (part.index for part in parts):
-        for channel in (bag_channel(one, index) for _, one in sorted(index.channels.items())):
-            topic = TopicRecord(
-                name=channel.name,
-                ros_type=channel.ros_type,
-                type_hash=channel.type_hash,
-                profiles=qos_profiles(load_yaml(channel.qos_profiles)),
-                encoding=channel.encoding,
-            )
-            known, before = found.get(topic.name, (topic, 0))
-            found[topic.name] = (known, before + channel.message_count)
-    return list(found.values())
+def recorded_steps(path: Path | str) -> RecordedSteps | None:
+    """Find out how far a bag goes; None if it is not the bag of one swarm with its scenario."""
+    try:
+        bag = open_bag(path, damaged=True)
+        attached = bag.attachment(SCENARIO_FILE)
+        # In real time a step need not have all messages.
+        if attached is None or is_realtime(bag) or bag.contradicts_itself(SCENARIO_FILE):
+            return None
+        scenario = parse_scenario(attached.decode(), source=SCENARIO_FILE)
+        members = configure.members(scenario)
+        membership = Membership(members, configure.schedule(scenario))
+        found: dict[tuple[Topic, int], _Spans] = {}
+        for topic, _, message in bag.decoded():
+            if isinstance(message, SwarmEvent):
+                membership.apply(message.kind, message.agent_id, message.step, message.detail)
+                continue
+            agent = message.agent_id if isinstance(message, AgentState) else 0
+            found.setdefault((topic, agent), _Spans()).add(message.step)
+            if isinstance(message, AgentState) and message.status == Status.LEFT and agent in membership:
+                membership.end(agent, message.step, stays=False, reason="left")
+    except (NotABagError, DamagedBagError, InputError, UnicodeDecodeError):
+        return None
+
+    def first_missing(topic: Topic, start: int) -> int:
+        missing = []
+        for agent in members if topic is AGENT_STATE else (0,):
+            begin, end = membership.span(agent) if agent else (0, None)
+            last = scenario.steps if end is None else min(end, scenario.steps)
+            step = found.get((topic, agent), _Spans()).first_missing(max(begin, start))
+            missing.append(step if step <= last else scenario.steps + 1)
+        return min(missing)
+
+    # The file may begin within a step, which then is not the first.
+    first = max((spans.first for (topic, _), spans in found.items() if topic is not AGENT_STATE), default=0)
+    first += first_missing(AGENT_STATE, first) == first and first_missing(AGENT_STATE, first + 1) > first + 1
+    last = {topic: first_missing(topic, first) - 1 for topic in MAIN_TOPICS}
+    names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
+    by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
+    return RecordedSteps(scenario.steps, first, min(last.values()), by_topic)
+
+
+class _Spans:
+    """A set of steps that come nearly in order, kept as spans."""
+
+    def __init__(self) -> None:
+        self._spans: list[tuple[int, int]] = []
+
+    @property
+    def first(self) -> int:
+        return min((first for first, _ in self._spans), default=0)
+
+    def add(self, step: int) -> None:
+        first, last = self._spans[-1] if self._spans else (step, step)
+        if self._spans and first <= step <= last + 1:
+            self._spans[-1] = (first, max(last, step))
+        else:
+            self._spans.append((step, step))
+
+    def first_missing(self, start: int) -> int:
+        """Return the first step from `start` on that is not there."""
+        position = start
+        for first, end in sorted(self._spans):
+            if first > position:
+                break
+            position = max(position, end + 1)
+        return position

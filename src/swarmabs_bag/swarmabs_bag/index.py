@@ -21,6 +21,7 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -38,10 +39,8 @@ from swarmabs_bag.records import (
     HEAD_SIZE,
     MAGIC,
     MAX_SIZE,
-    Parsable,
     Record,
     RecordError,
-    chunk_head,
     crc_with,
     encoded,
     indexed_channel,
@@ -55,7 +54,7 @@ from swarmabs_bag.records import (
 from swarmabs_config.scenario.errors import show
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 _FOOTER_SIZE = HEAD_SIZE + 20
 _FOOTER_HEAD = struct.Struct("<BQQQ")
@@ -97,6 +96,8 @@ class FileIndex:
         Why the file is not complete; None if it is.
     definitions : int
         Size of all schemas and channels in bytes.
+    unknown : int or None
+        Opcode of the last record that was passed over, since the format has none of its kind there.
     """
 
     header: Header = field(default_factory=lambda: Header(profile="", library=""))
@@ -110,6 +111,7 @@ class FileIndex:
     crc: int = 0
     problem: str | None = None
     definitions: int = 0
+    unknown: int | None = None
 
     def take(self, record: Record, data: bytes | None = None) -> None:
         """Take over the record of the data section that stands at `data_end`; `data` is what a chunk holds.
@@ -122,9 +124,11 @@ class FileIndex:
         opcode, statistics = record.opcode, self.statistics
         if opcode == Opcode.CHUNK:
             self._take_chunk(record, uncompress(record) if data is None else data)
-        elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
-            self.chunks[-1].message_index_offsets[indexed_channel(record)] = record.offset
-            self.chunks[-1].message_index_length += record.size
+        elif opcode == Opcode.MESSAGE_INDEX:
+            channel = indexed_channel(record)
+            if self.chunks:
+                self.chunks[-1].message_index_offsets[channel] = record.offset
+                self.chunks[-1].message_index_length += record.size
         elif opcode == Opcode.ATTACHMENT:
             self.attachments.append(_attachment_index(record))
             statistics.attachment_count += 1
@@ -135,26 +139,37 @@ class FileIndex:
         elif opcode == Opcode.HEADER and record.offset == len(MAGIC):
             self.header = parse(Header, record)
         else:
-            self._take_inner(opcode, record.content, (0, len(record.content)), record.offset)
+            self.take_inner(opcode, record.content, (0, len(record.content)), record.offset)
         self.check_number(record.offset)
         self.crc = crc_with(self.crc, record)
         self.data_end = record.end
 
-    def define(self, record: Record) -> None:
-        """Take over a schema or a channel; what is repeated replaces what was before."""
-        if record.opcode == Opcode.SCHEMA:
-            schema: Schema = parse(Schema, record)
-            known = self.schemas.get(schema.id) == schema
-            self.schemas[schema.id] = schema
-            self.statistics.schema_count = len(self.schemas)
+    def take_inner(self, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
+        """Take over a record that stands in a chunk or outside of any: its content is the span of the data."""
+        begin, end = span
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time, _ = message_head(data, begin, end, offset)
+            statistics = self.statistics
+            if log_time < statistics.message_start_time or statistics.message_count == 0:
+                statistics.message_start_time = log_time
+            statistics.message_end_time = max(statistics.message_end_time, log_time)
+            statistics.message_count += 1
+            statistics.channel_message_counts[channel] += 1
+        elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            kind = Schema if opcode == Opcode.SCHEMA else Channel
+            self.define(parse(kind, Record(offset, opcode, data[begin:end])), offset)
         else:
-            channel: Channel = parse(Channel, record)
-            known = self.channels.get(channel.id) == channel
-            self.channels[channel.id] = channel
-            self.statistics.channel_count = len(self.channels)
-        self.definitions += 0 if known else len(record.content)
+            self.unknown = opcode
+
+    def define(self, definition: Schema | Channel, offset: int) -> None:
+        """Take over a schema or a channel; what is repeated replaces what was before."""
+        known: dict[int, Any] = self.schemas if isinstance(definition, Schema) else self.channels
+        if known.get(definition.id) != definition:
+            self.definitions += len(encoded(definition))
+        known[definition.id] = definition
+        self.statistics.schema_count, self.statistics.channel_count = len(self.schemas), len(self.channels)
         if self.definitions > MOST_DEFINITIONS:
-            raise RecordError(record.offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
+            raise RecordError(offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
 
     def entries(self) -> dict[str, Sequence[McapRecord]]:
         """Return the lists of index records by what they are of."""
@@ -182,40 +197,41 @@ class FileIndex:
                 raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
 
     def _take_chunk(self, record: Record, data: bytes) -> None:
-        head = chunk_head(record)
-        # Lengths first: a record that reaches beyond the chunk must not leave half of it in the statistics.
-        for _ in inner_records(data, record.offset):
-            pass
+        chunk: Chunk = parse(Chunk, record)
+        inner = FileIndex()  # whole, or an error: half a chunk must not be in the statistics
+        for opcode, begin, end in inner_records(data, record.offset):
+            inner.take_inner(opcode, data, (begin, end), record.offset)
         self.chunks.append(
             ChunkIndex(
                 chunk_length=record.size,
                 chunk_start_offset=record.offset,
-                compression=head.compression,
-                compressed_size=len(head.data),
-                message_end_time=head.message_end_time,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
                 message_index_length=0,
                 message_index_offsets={},
-                message_start_time=head.message_start_time,
-                uncompressed_size=head.uncompressed_size,
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
             )
         )
         self.statistics.chunk_count += 1
-        for opcode, begin, end in inner_records(data, record.offset):
-            self._take_inner(opcode, data, (begin, end), record.offset)
+        for definitions in (inner.schemas.values(), inner.channels.values()):
+            for definition in definitions:
+                self.define(definition, record.offset)
+        add_messages(self.statistics, inner.statistics)
+        self.unknown = self.unknown if inner.unknown is None else inner.unknown
 
-    def _take_inner(self, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
-        """Take over a record that stands in a chunk or outside of any; unknown kinds are passed over."""
-        statistics = self.statistics
-        begin, end = span
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time, _ = message_head(data, begin, end, offset)
-            if log_time < statistics.message_start_time or statistics.message_count == 0:
-                statistics.message_start_time = log_time
-            statistics.message_end_time = max(statistics.message_end_time, log_time)
-            statistics.message_count += 1
-            statistics.channel_message_counts[channel] += 1
-        elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            self.define(Record(offset, opcode, data[begin:end]))
+
+def add_messages(total: Statistics, found: Statistics, numbers: Mapping[int, int] | None = None) -> None:
+    """Add the messages of a part to those of the whole, where `numbers` gives the channels' other numbers there."""
+    if found.message_count:
+        start = found.message_start_time
+        total.message_start_time = min(total.message_start_time, start) if total.message_count else start
+        total.message_end_time = max(total.message_end_time, found.message_end_time)
+    total.message_count += found.message_count
+    for own, count in found.channel_message_counts.items():
+        if numbers is None or own in numbers:
+            total.channel_message_counts[own if numbers is None else numbers[own]] += count
 
 
 def read_attachment(record: Record) -> Attachment:
@@ -327,7 +343,7 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
 def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> FileIndex:
     """Return the index with what the summary section from byte `start` on says, completed by a scan if need be."""
     stated: Statistics | None = None
-    listed: dict[int, tuple[type[Parsable], list[Any]]] = {
+    listed: dict[int, tuple[Any, list[Any]]] = {
         Opcode.CHUNK_INDEX: (ChunkIndex, index.chunks),
         Opcode.ATTACHMENT_INDEX: (AttachmentIndex, index.attachments),
         Opcode.METADATA_INDEX: (MetadataIndex, index.metadata),
@@ -339,7 +355,7 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
             kind, entries = listed[record.opcode]
             entries.append(parse(kind, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            index.define(record)
+            index.take_inner(record.opcode, record.content, (0, len(record.content)), record.offset)
         index.check_number(record.offset)
     if stated is not None:
         index.statistics = stated

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmabs_bag.bag_file import BagFile, open_file
-from swarmabs_bag.channels import BagChannel, bag_channel, chosen_swarm, named_swarms, swarm_topics
-from swarmabs_bag.definitions import check_definitions
+from swarmabs_bag.channels import BagChannel, bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.index import FileIndex
+from swarmabs_bag.index import FileIndex, add_messages
 from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
 from swarmabs_bag.places import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
@@ -22,9 +21,9 @@ from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
-    from mcap.records import Channel, Statistics
+    from mcap.records import Channel
 
     from swarmabs_bag.records import StoredMessage
     from swarmabs_core.messages import Message, Topic
@@ -293,20 +292,8 @@ def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int
         merged.chunks += index.chunks
         names = {attachment.name for attachment in merged.attachments}
         merged.attachments += [attachment for attachment in index.attachments if attachment.name not in names]
-        _add(merged.statistics, index.statistics, numbers)
+        add_messages(merged.statistics, index.statistics, numbers)
     return merged, renumbered
-
-
-def _add(total: Statistics, found: Statistics, numbers: Mapping[int, int]) -> None:
-    """Add the numbers of messages in a file to those of all."""
-    if found.message_count:
-        start = found.message_start_time
-        total.message_start_time = min(total.message_start_time, start) if total.message_count else start
-        total.message_end_time = max(total.message_end_time, found.message_end_time)
-    total.message_count += found.message_count
-    for own, count in found.channel_message_counts.items():
-        if own in numbers:
-            total.channel_message_counts[numbers[own]] += count
 
 
 def _number(channel: Channel, index: FileIndex, merged: FileIndex, known: dict[object, int]) -> int:

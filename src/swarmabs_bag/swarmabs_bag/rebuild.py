@@ -10,24 +10,23 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata
 
+from swarmabs_bag.channels import topic_records
 from swarmabs_bag.index import FileIndex, ending, read_index
-from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
+from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME, FileRecord, bag_metadata, dump_yaml
 from swarmabs_bag.records import (
     HEAD_SIZE,
     MAGIC,
     Record,
     RecordError,
-    chunk_head,
     encoded,
     inner_records,
     message_head,
     parse,
-    record_head,
 )
 from swarmabs_bag.salvage import Damage, Salvage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Mapping
 
     from swarmabs_bag.output import RecordFile
     from swarmabs_bag.salvage import Saved
@@ -54,8 +53,10 @@ class Rebuilt:
         Where the new one goes; without it nothing is written, and it is only found out what a repair would come to.
     definitions : FileIndex, optional
         Schemas and channels with the same numbers, for a file that has lost them.
-    describe : callable
-        Told everything when all messages are written; returns rosbag2's description of the file.
+    name : str
+        Name of the new file, for rosbag2's description.
+    custom : mapping, optional
+        Entries under ``custom_data`` of that description.
 
     Attributes
     ----------
@@ -91,7 +92,8 @@ class Rebuilt:
         output: RecordFile | None = None,
         *,
         definitions: FileIndex | None = None,
-        describe: Callable[[Rebuilt], str] = lambda _: "",
+        name: str = "",
+        custom: Mapping[str, str] | None = None,
     ) -> None:
         self.index = FileIndex()
         self.stated: FileIndex | None = None
@@ -115,7 +117,7 @@ class Rebuilt:
         for saved in salvage.records():
             self._take(saved)
         self.before, self.end = salvage.before, salvage.end
-        self._finish(describe)
+        self._finish(name, custom or {})
 
     def _take(self, saved: Saved) -> None:
         record = saved.record
@@ -135,14 +137,15 @@ class Rebuilt:
             self._flush()
             self._put_other(record.opcode, record.content)
 
-    def _finish(self, describe: Callable[[Rebuilt], str]) -> None:
+    def _finish(self, name: str, custom: Mapping[str, str]) -> None:
         """Write the end of the file."""
         self._begin(Header(profile=_PROFILE, library=""))
         self._flush()
         self._define()  # also topics without messages, which other writers describe in the summary section alone
         if self._output is None:
             return
-        self.description = describe(self)
+        files = [FileRecord.of(name, self.index.statistics)]
+        self.description = dump_yaml(bag_metadata(topic_records([self.index]), files=files, custom_data=custom))
         for piece in ending(self.index, self.description):
             self._write(piece)
 
@@ -154,8 +157,9 @@ class Rebuilt:
 
     def _put(self, opcode: int, content: bytes, data: bytes | None = None) -> None:
         """Write a record; `data` is what a chunk holds."""
-        self.index.take(Record(self.index.data_end, opcode, content), data)
-        self._write(record_head(opcode, len(content)) + content)
+        record = Record(self.index.data_end, opcode, content)
+        self.index.take(record, data)
+        self._write(record.stored)
 
     def _write(self, data: bytes) -> None:
         if self._output is not None:
@@ -223,7 +227,7 @@ class Rebuilt:
             if last is None or (last.offset, last.problem) != (offset, problem):
                 self.damage.append(Damage(offset, 0, problem))
             return
-        self._loose += record_head(Opcode.MESSAGE, len(content)) + content
+        self._loose += Record(offset, Opcode.MESSAGE, content).stored
         self._loose_count += 1
         if len(self._loose) >= _CHUNK_BYTES:
             self._flush()
@@ -274,8 +278,8 @@ class Rebuilt:
                 entries.setdefault(channel, bytearray()).extend(_INDEX_ENTRY.pack(time, begin - HEAD_SIZE))
                 start, end = min(start, time), max(end, time)
                 self._count_gap(channel, sequence)
-        head, content = chunk_head(record), record.content
-        if entries and (head.message_start_time, head.message_end_time) != (start, end):
+        content = record.content
+        if entries and _CHUNK_TIMES.unpack_from(content) != (start, end):
             self.reindexed += 1
             content = _CHUNK_TIMES.pack(start, end) + content[_CHUNK_TIMES.size :]
         self._put(Opcode.CHUNK, content, data)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import struct
 import zlib
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Chunk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,15 +34,16 @@ MAX_PARSED = 2**24
 MAX_RATIO = 1000
 """Chunks of more than a MiB that are larger by this factor when uncompressed are taken for damage."""
 
+UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
+"""Errors of the mcap library's record classes."""
+
 UNCOMPRESSING = (zstandard.ZstdError, RuntimeError, ValueError)
 """Errors of `uncompressed`."""
 
 _PIECE = 2**17
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-_LENGTH4 = struct.Struct("<I")
-_LENGTH8 = struct.Struct("<Q")
+_CHUNK_HEAD_SIZE = 40  # without the name of the compression
 _MESSAGE_INDEX_HEAD = struct.Struct("<HI")
 _MESSAGE_INDEX_ENTRY = 16
 
@@ -71,6 +73,11 @@ class Record(NamedTuple):
         """Position behind it."""
         return self.offset + self.size
 
+    @property
+    def stored(self) -> bytes:
+        """The record as it stands in the file."""
+        return _HEAD.pack(self.opcode, len(self.content)) + self.content
+
 
 class StoredMessage(NamedTuple):
     """A message as it stands in the file."""
@@ -82,22 +89,14 @@ class StoredMessage(NamedTuple):
     payload: bytes
 
 
-def record_head(opcode: int, length: int) -> bytes:
-    """Return what stands before the content of a record of some length."""
-    return _HEAD.pack(opcode, length)
+def record_length(head: bytes) -> int:
+    """Return how long the content behind the head of a record is said to be."""
+    return int(_HEAD.unpack_from(head)[1])
 
 
 def crc_with(crc: int, record: Record) -> int:
     """Return the CRC-32 of what stands before a record and of the record."""
-    return zlib.crc32(record.content, zlib.crc32(record_head(record.opcode, len(record.content)), crc))
-
-
-class Parsable(Protocol):
-    """A record class of the mcap library."""
-
-    @staticmethod
-    def read(stream: ReadDataStream) -> Any:
-        """Read the content of a record."""
+    return zlib.crc32(record.content, zlib.crc32(_HEAD.pack(record.opcode, len(record.content)), crc))
 
 
 def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
@@ -158,54 +157,23 @@ class _Content(ReadDataStream):
         return data
 
 
-def parse(record_class: type[Parsable], record: Record) -> Any:
-    """Read the content of a record with the mcap library.
+def parse(record_class: Any, record: Record) -> Any:
+    """Read the content of a record with a record class of the mcap library.
 
     Raises
     ------
     RecordError
         If the content does not fit the record's type, or is larger than `MAX_PARSED`.
     """
-    if len(record.content) > MAX_PARSED and record.opcode != Opcode.ATTACHMENT:
+    if len(record.content) > MAX_PARSED and record_class not in {Attachment, Chunk}:
         raise RecordError(record.offset, f"a {record_class.__name__} record of more than {MAX_PARSED} bytes")
     try:
         return record_class.read(_Content(BytesIO(record.content)))
-    except (McapError, struct.error, ValueError, OverflowError) as error:
+    except MemoryError as error:
+        text = f"a {record_class.__name__} record of {len(record.content)} bytes, for which there is not enough memory"
+        raise RecordError(record.offset, text) from error
+    except UNREADABLE as error:
         raise RecordError(record.offset, f"malformed {record_class.__name__} record: {error}") from error
-
-
-class ChunkHead(NamedTuple):
-    """What a chunk says of itself, and its compressed records."""
-
-    message_start_time: int
-    message_end_time: int
-    uncompressed_size: int
-    crc: int
-    compression: str
-    data: memoryview
-
-
-def chunk_head(record: Record) -> ChunkHead:
-    """Take a chunk record apart.
-
-    Raises
-    ------
-    RecordError
-        If its lengths contradict each other.
-    """
-    content = record.content
-    try:
-        start_time, end_time, uncompressed_size, crc = _CHUNK_HEAD.unpack_from(content)
-        (name_length,) = _LENGTH4.unpack_from(content, _CHUNK_HEAD.size)
-        name_start = _CHUNK_HEAD.size + _LENGTH4.size
-        name = content[name_start : name_start + name_length].decode()
-        (length,) = _LENGTH8.unpack_from(content, name_start + name_length)
-    except (struct.error, ValueError) as error:
-        raise RecordError(record.offset, f"malformed Chunk record: {error}") from error
-    start = name_start + name_length + _LENGTH8.size
-    if length != len(content) - start:
-        raise RecordError(record.offset, f"a chunk of {length} bytes in a record with {len(content) - start}")
-    return ChunkHead(start_time, end_time, uncompressed_size, crc, name, memoryview(content)[start:])
 
 
 def uncompress(record: Record) -> bytes:
@@ -217,32 +185,35 @@ def uncompress(record: Record) -> bytes:
         If they cannot be uncompressed, are larger than `MAX_SIZE` or `MAX_RATIO` allow, or have another size
         or CRC than the chunk says.
     """
-    head = chunk_head(record)
-    size = head.uncompressed_size
+    chunk: Chunk = parse(Chunk, record)
+    size, left = chunk.uncompressed_size, len(record.content) - _CHUNK_HEAD_SIZE - len(chunk.compression.encode())
+    if len(chunk.data) != left:
+        raise RecordError(record.offset, f"a chunk of {len(chunk.data)} bytes in a record with {left}")
     if size > MAX_SIZE:
         raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, more than {MAX_SIZE}")
-    if size > max(2**20, MAX_RATIO * len(head.data)):
-        raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, made from {len(head.data)}")
+    if size > max(2**20, MAX_RATIO * len(chunk.data)):
+        raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, made from {len(chunk.data)}")
     try:
-        data = uncompressed(head.compression, head.data, size)
+        data = uncompressed(chunk.compression, chunk.data, size)
     except UNCOMPRESSING as error:
         raise RecordError(record.offset, f"the chunk cannot be uncompressed: {error}") from error
     except MemoryError as error:
         raise RecordError(record.offset, f"a chunk of {size} bytes, for which there is not enough memory") from error
     if len(data) != size:
         raise RecordError(record.offset, f"the chunk holds {len(data)} bytes, but says {size}")
-    if head.crc and zlib.crc32(data) != head.crc:
-        raise RecordError(record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but says {head.crc:#010x}")
+    stated = chunk.uncompressed_crc
+    if stated and zlib.crc32(data) != stated:
+        raise RecordError(record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but says {stated:#010x}")
     return data
 
 
-def uncompressed(compression: str, data: bytes | memoryview, size: int, *, cut_off: bool = False) -> bytes:
+def uncompressed(compression: str, data: bytes, size: int, *, cut_off: bool = False) -> bytes:
     """Return what a chunk's data are without compression, of data that are cut off as far as they go.
 
     Not many more than `size` bytes are made. The errors of the libraries are passed on.
     """
     if compression == "":
-        return bytes(data[:size] if cut_off else data)
+        return data[:size] if cut_off else data
     if compression == "zstd":
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_SIZE)
         if cut_off:
@@ -307,13 +278,15 @@ def message_head(content: bytes, begin: int, end: int, offset: int) -> tuple[int
     return _MESSAGE_HEAD.unpack_from(content, begin)
 
 
-def read_message(content: bytes, begin: int, end: int, offset: int) -> StoredMessage:
-    """Read a message; parameters and errors as of `message_head`, which is not called since this is the inmost loop."""
-    head_end = begin + _MESSAGE_HEAD.size
-    if head_end > end:
-        raise RecordError(offset, "a message record is cut off")
-    channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content, begin)
-    return StoredMessage(channel_id, sequence, log_time, publish_time, content[head_end:end])
+def inner_messages(data: bytes, offset: int) -> Iterator[StoredMessage]:
+    """Yield the messages within a chunk; parameters and errors as of `inner_records`."""
+    head_size, unpack = _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack_from
+    for opcode, begin, end in inner_records(data, offset):
+        if opcode == Opcode.MESSAGE:
+            if begin + head_size > end:
+                raise RecordError(offset, "a message record is cut off")
+            channel_id, sequence, log_time, publish_time = unpack(data, begin)
+            yield StoredMessage(channel_id, sequence, log_time, publish_time, data[begin + head_size : end])
 
 
 def encoded(record: McapRecord) -> bytes:

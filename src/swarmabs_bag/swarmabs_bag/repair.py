@@ -1,23 +1,18 @@
-"""Making a whole bag of a damaged one, and saying what was lost."""
+"""Repairing a damaged bag, and reporting what was lost."""
 
 from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from swarmabs_bag.channels import topic_records
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
-from swarmabs_bag.examination import (
-    Part,
-    definitions_of,
-    examine,
-    metadata_problem,
-    silent_topics,
-    stops_early,
-    topics_of,
-)
+from swarmabs_bag.examination import Part, definitions_of, examine, metadata_problem, recorded_steps, silent_topics
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
     METADATA_FILE,
@@ -25,18 +20,17 @@ from swarmabs_bag.metadata import (
     FileRecord,
     TopicRecord,
     bag_metadata,
-    dump_yaml,
     write_metadata,
 )
 from swarmabs_bag.output import RecordFile
 from swarmabs_bag.places import find_bag
 from swarmabs_bag.rebuild import Rebuilt
-from swarmabs_bag.repair_report import RepairReport, report_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from swarmabs_bag.index import FileIndex
+    from typing_extensions import Self
+
     from swarmabs_bag.salvage import Damage
 
 CUT_OFF = "the recording was cut off"
@@ -44,6 +38,102 @@ CUT_OFF = "the recording was cut off"
 
 _KEPT_SUFFIX = ".damaged"
 _TEMPORARY = ".repairing"
+
+
+@dataclass(frozen=True, slots=True)
+class LostPart:
+    """A part of a file that was lost; `start`, `end`: its log times in s as it states them, else None."""
+
+    offset: int
+    bytes: int
+    problem: str
+    start: float | None
+    end: float | None
+
+    @classmethod
+    def of(cls, damage: Damage) -> Self:
+        """Return what is told of a damage."""
+        start, end = (None if time is None else time / 1e9 for time in (damage.start, damage.end))
+        return cls(damage.offset, damage.size, damage.problem, start, end)
+
+
+@dataclass(frozen=True, slots=True)
+class FileRepair:
+    """What became of one file; `repaired_as`: its new name, None if nothing of it was left or to be done."""
+
+    file: str
+    bytes: int
+    repaired_as: str | None
+    problems: tuple[str, ...]
+    lost: tuple[LostPart, ...]
+    messages: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRepair:
+    """What there is of a topic.
+
+    Attributes
+    ----------
+    name : str
+        The topic.
+    messages : int
+        Messages that were kept.
+    lost : int
+        Messages that are known to have been lost; at the end of a file without summary section nobody knows.
+    last_complete_step : int or None
+        Up to which step, from the bag's first on, nothing is missing; None if it is no main topic of a swarm.
+    """
+
+    name: str
+    messages: int
+    lost: int
+    last_complete_step: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class RepairReport:
+    """What a repair has found and done.
+
+    Attributes
+    ----------
+    bag : str
+        What was named.
+    output : str or None
+        Where the whole bag is; None if there was nothing to do.
+    problems : tuple of str
+        What was wrong with the bag as a whole.
+    files : tuple of FileRepair
+        Its files.
+    topics : tuple of TopicRepair
+        Its topics.
+    messages : int
+        Messages that were kept.
+    lost_bytes : int
+        Bytes of the files that were left out.
+    attachments, lost_attachments : tuple of str
+        Names of the attachments that were kept, and of those that the summary names and that were not.
+    first_step, last_complete_step, last_planned_step : int or None
+        First complete step, up to which step from there on nothing is missing, and the last one of the scenario; None
+        without a scenario.
+    """
+
+    bag: str
+    output: str | None
+    problems: tuple[str, ...]
+    files: tuple[FileRepair, ...]
+    topics: tuple[TopicRepair, ...]
+    messages: int
+    lost_bytes: int
+    attachments: tuple[str, ...]
+    lost_attachments: tuple[str, ...]
+    first_step: int | None
+    last_complete_step: int | None
+    last_planned_step: int | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain data for JSON."""
+        return asdict(self)
 
 
 def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool = False) -> RepairReport:
@@ -91,12 +181,12 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
         kept[-1].problems.append(CUT_OFF)
     idle = not problems and not any(part.problems for part in parts)
     if idle and (output is None or in_place):
-        return report_of(named, None, found, parts, problems)
+        return _report(named, None, found, parts, problems)
     if in_place:
         _refuse_earlier(parts, target)
     with _work_folder(target) as work:
         _write(kept, work, [] if folder is None else silent_topics(kept[0].path.parent), unfinished=unfinished)
-        report = report_of(named, target, work, parts, problems)
+        report = _report(named, target, work, parts, problems)
         if in_place:
             _exchange(parts, work, found.parent if folder is None else folder, with_metadata=folder is not None)
         else:
@@ -143,7 +233,10 @@ def _is_unfinished(bag: Path, parts: Sequence[Part], kept: Sequence[Part]) -> bo
     last = kept[-1]
     if last is not parts[-1] or (last.found is not None and last.found.end is None):
         return True
-    return len(kept) > 1 and not (last.path.parent / METADATA_FILE).exists() and stops_early(bag)
+    if len(kept) == 1 or (last.path.parent / METADATA_FILE).exists():
+        return False
+    steps = recorded_steps(bag)
+    return steps is not None and steps.last_complete < steps.last_planned
 
 
 def _refuse_earlier(parts: Sequence[Part], folder: Path) -> None:
@@ -198,34 +291,22 @@ def _write(parts: Sequence[Part], work: Path, silent: Sequence[TopicRecord], *, 
                 said.setdefault(ABORTED_KEY, CUT_OFF)
             if part.found is not None and part.found.damage:
                 said[REPAIRED_KEY] = _lost_text(part.found.damage)
+            file = RecordFile(work / part.name)
             definitions = definitions_of([part.path for part in parts]) if len(parts) > 1 else None
-            part.found = _rewritten(part, work / part.name, said, definitions)
+            try:
+                with part.path.open("rb") as stream:
+                    part.found = Rebuilt(stream, part.size, file, definitions=definitions, name=part.name, custom=said)
+                file.sync()
+            finally:
+                file.close()
         else:
             shutil.copyfile(part.path, work / part.name)
         custom |= part.custom_data()
-    topics = topics_of(parts)
+    topics = topic_records(part.index for part in parts)
     found = {topic.name for topic, _ in topics}
     topics += [(topic, 0) for topic in silent if topic.name not in found]
-    write_metadata(work, bag_metadata(topics, files=_file_records(parts), custom_data=custom))
-
-
-def _rewritten(part: Part, path: Path, custom: Mapping[str, str], definitions: FileIndex | None) -> Rebuilt:
-    def describe(found: Rebuilt) -> str:
-        part.found = found
-        return dump_yaml(bag_metadata(topics_of([part]), files=_file_records([part]), custom_data=custom))
-
-    file = RecordFile(path)
-    try:
-        with part.path.open("rb") as stream:
-            found = Rebuilt(stream, part.size, file, definitions=definitions, describe=describe)
-        file.sync()
-    finally:
-        file.close()
-    return found
-
-
-def _file_records(parts: Sequence[Part]) -> list[FileRecord]:
-    return [FileRecord.of(part.name, part.index.statistics) for part in parts]
+    files = [FileRecord.of(part.name, part.index.statistics) for part in parts]
+    write_metadata(work, bag_metadata(topics, files=files, custom_data=custom))
 
 
 def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata: bool) -> None:
@@ -242,3 +323,59 @@ def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata:
         if old.exists() or old.is_symlink():  # a link that leads nowhere is kept too
             os.link(old, old.with_name(METADATA_FILE + _KEPT_SUFFIX))
         (work / METADATA_FILE).replace(old)
+
+
+def _report(
+    named: Path, output: Path | None, result: Path, parts: Sequence[Part], problems: Sequence[str]
+) -> RepairReport:
+    """Return the report of a repair whose whole bag will be at `output`, and is now at `result`."""
+    kept = [part.found for part in parts if part.found is not None]
+    lost: Counter[str] = Counter()
+    lost_attachments: list[str] = []
+    for found in kept:
+        lost.update(_lost_messages(found))
+        if found.stated is not None:
+            there = {entry.name for entry in found.index.attachments}
+            lost_attachments += [entry.name for entry in found.stated.attachments if entry.name not in there]
+    steps = recorded_steps(result)
+    topics = topic_records(part.index for part in parts)
+    return RepairReport(
+        bag=str(named),
+        output=None if output is None else str(output),
+        problems=tuple(problems),
+        files=tuple(
+            FileRepair(
+                file=str(part.path),
+                bytes=part.size,
+                repaired_as=part.name if part.problems and part.found is not None else None,
+                problems=tuple(part.problems),
+                lost=tuple(map(LostPart.of, part.found.damage)) if part.found is not None else (),
+                messages=part.index.statistics.message_count,
+            )
+            for part in parts
+        ),
+        topics=tuple(
+            TopicRepair(topic.name, count, lost[topic.name], steps.by_topic.get(topic.name) if steps else None)
+            for topic, count in topics
+        ),
+        messages=sum(count for _, count in topics),
+        lost_bytes=sum(one.size for found in kept for one in found.damage),
+        attachments=tuple(dict.fromkeys(entry.name for found in kept for entry in found.index.attachments)),
+        lost_attachments=tuple(dict.fromkeys(lost_attachments)),
+        first_step=steps.first if steps else None,
+        last_complete_step=steps.last_complete if steps else None,
+        last_planned_step=steps.last_planned if steps else None,
+    )
+
+
+def _lost_messages(found: Rebuilt) -> Counter[str]:
+    """Return how many messages are known to be lost by topic: from the summary section, else from the gaps."""
+    lost: Counter[str] = Counter()
+    kept = found.index.statistics.channel_message_counts
+    for number, channel in found.index.channels.items():
+        if found.stated is None:
+            missing = found.gaps.get(number, 0)
+        else:
+            missing = found.stated.statistics.channel_message_counts.get(number, 0) - kept.get(number, 0)
+        lost[channel.topic] += max(0, missing)
+    return lost

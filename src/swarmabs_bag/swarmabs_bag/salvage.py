@@ -4,37 +4,36 @@ from __future__ import annotations
 
 import mmap
 import re
-import struct
 import zlib
+from contextlib import suppress
 from functools import cached_property
+from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Header, Metadata, Schema
+from mcap.records import Chunk, DataEnd
 
-from swarmabs_bag.index import FileIndex, read_attachment, scan_index
+from swarmabs_bag.index import FileIndex, scan_index
 from swarmabs_bag.records import (
     HEAD_SIZE,
     MAGIC,
     MAX_SIZE,
     UNCOMPRESSING,
+    UNREADABLE,
     Record,
     RecordError,
-    chunk_head,
-    indexed_channel,
     inner_records,
     message_head,
     parse,
     read_record,
+    record_length,
     uncompress,
     uncompressed,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-_HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
 
 _KINDS: dict[int, str] = {
     Opcode.HEADER: "header",
@@ -140,29 +139,19 @@ class Salvage:
             If it is not whole, or cannot be here.
         """
         record = read_record(self._stream, offset, self._size)
-        opcode = record.opcode
-        if opcode == Opcode.CHUNK:
-            data = uncompress(record)
-            for inner, begin, end in inner_records(data, offset):
-                _check_inner(inner, data, (begin, end), offset)
-            return Saved(record, data)
-        if opcode == Opcode.ATTACHMENT:
-            read_attachment(record)
-        elif opcode == Opcode.METADATA:
-            parse(Metadata, record)
-        elif opcode == Opcode.MESSAGE_INDEX:
-            indexed_channel(record)
-        elif opcode == Opcode.HEADER and offset == len(MAGIC):
-            parse(Header, record)
-        elif opcode == Opcode.DATA_END:
+        if record.opcode == Opcode.DATA_END:
             parse(DataEnd, record)
             if not self._leads_on(record.end):
                 raise RecordError(offset, "an end of the data section behind which no summary section begins")
-        else:
-            _check_inner(opcode, record.content, (0, len(record.content)), offset)
-            if opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
-                raise RecordError(offset, "outside of the chunks, where no CRC says that it is one")
-        return Saved(record)
+            return Saved(record)
+        data = uncompress(record) if record.opcode == Opcode.CHUNK else b""
+        found = FileIndex()
+        found.take(record, data)
+        if found.unknown is not None:
+            raise RecordError(offset, f"a record of kind {found.unknown:#04x}, which cannot be here")
+        if record.opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
+            raise RecordError(offset, "outside of the chunks, where no CRC says that it is one")
+        return Saved(record, data)
 
     @cached_property
     def _has_chunks(self) -> bool:
@@ -192,10 +181,8 @@ class Salvage:
             return offset == self._size
         self._stream.seek(offset)
         head = self._stream.read(HEAD_SIZE)
-        if len(head) < HEAD_SIZE:
-            return False
-        opcode, length = _HEAD.unpack(head)
-        return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and length <= self._size - offset - HEAD_SIZE)
+        known = len(head) == HEAD_SIZE and Opcode.HEADER <= head[0] <= Opcode.DATA_END
+        return known and record_length(head) <= self._size - offset - HEAD_SIZE
 
     def _following(self, offset: int) -> int | None:
         """Return where, behind a record that is not whole, the next one begins."""
@@ -218,13 +205,11 @@ class Salvage:
 
     def _described(self, offset: int, end: int, error: RecordError) -> Damage:
         start_time = end_time = None
-        try:
+        with suppress(RecordError):
             record = read_record(self._stream, offset, self._size)
             if record.opcode == Opcode.CHUNK and record.end == end:
-                head = chunk_head(record)
-                start_time, end_time = head.message_start_time, head.message_end_time
-        except RecordError:
-            pass
+                chunk: Chunk = parse(Chunk, record)
+                start_time, end_time = chunk.message_start_time, chunk.message_end_time
         return Damage(offset, end - offset, self._named(offset, error), start_time, end_time)
 
     def _named(self, offset: int, error: RecordError) -> str:
@@ -246,41 +231,29 @@ class Salvage:
             yield Saved(Record(offset, Opcode.CHUNK, b""), data, cut=True)
 
 
-def _check_inner(opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
-    """Check the record of a chunk, or outside of any, whose content lies in the span of the data."""
-    begin, end = span
-    if opcode == Opcode.MESSAGE:
-        message_head(data, begin, end, offset)
-    elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-        parse(Schema if opcode == Opcode.SCHEMA else Channel, Record(offset, opcode, data[begin:end]))
-    else:
-        raise RecordError(offset, f"a record of kind {opcode:#04x}, which cannot be here")
-
-
 def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, int] | None:
     """Return the whole records at the start of a chunk that the file's end cuts off, and the times it states."""
     stream.seek(offset)
     content = stream.read(min(size - offset, MAX_SIZE))
-    name_start = HEAD_SIZE + _CHUNK_HEAD.size
-    if len(content) < name_start or content[0] != Opcode.CHUNK:
+    if len(content) < HEAD_SIZE or content[0] != Opcode.CHUNK or record_length(content) <= size - offset - HEAD_SIZE:
         return None
-    _, length = _HEAD.unpack_from(content)
-    start, end, stated, _, name_length = _CHUNK_HEAD.unpack_from(content, HEAD_SIZE)
-    data_start = name_start + name_length + 8
-    if length <= size - offset - HEAD_SIZE or stated > MAX_SIZE or start > end:
+    try:  # the library takes what there is of the last field
+        chunk = Chunk.read(ReadDataStream(BytesIO(content[HEAD_SIZE:])))
+    except UNREADABLE:
         return None
-    name = content[name_start : name_start + name_length].decode(errors="replace")
+    start, end, stated = chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size
+    if stated > MAX_SIZE or start > end:
+        return None
     try:
-        data = uncompressed(name, content[data_start:], stated, cut_off=True)
+        data = uncompressed(chunk.compression, chunk.data, stated, cut_off=True)
     except UNCOMPRESSING:
         data = b""
-    whole = 0
-    try:
+    whole, found = 0, FileIndex()
+    with suppress(RecordError):
         for opcode, begin, stop in inner_records(data, offset):
-            _check_inner(opcode, data, (begin, stop), offset)
-            if opcode == Opcode.MESSAGE and not start <= message_head(data, begin, stop, offset)[2] <= end:
+            found.take_inner(opcode, data, (begin, stop), offset)
+            late = opcode == Opcode.MESSAGE and not start <= message_head(data, begin, stop, offset)[2] <= end
+            if late or found.unknown is not None:
                 break
             whole = stop
-    except RecordError:
-        pass
     return data[:whole], start, end

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.repair_report import RepairReport
+from swarmabs_bag.repair import RepairReport, repair_bag
 from swarmabs_cli.options import bag_argument, json_option, output_option
 from swarmabs_cli.output import print_json, printable
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rclpy.serialization import serialize_message
 
 from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_scenario
-from swarmabs_bag.definitions import check_definitions
+from swarmabs_bag.channels import check_definitions
 from swarmabs_bag.errors import DamagedBagError, NotABagError, UnknownTypeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_recording import RECORDED
