@@ -45,7 +45,7 @@ from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime import topic_drive
+from swarmabs_core.realtime.drive_registry import TOPIC
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 from swarmabs_run.steering import node as steering
@@ -367,7 +367,7 @@ def all_tables() -> dict[str, str]:
         "common": parameters(COMMON),
         "plane_sim": parameters(plane_sim.node.PARAMETERS, without=COMMON),
         "plane_driver": parameters(plane_sim.driver.PARAMETERS, without=REALTIME_COMMON),
-        "topic drive": parameters(topic_drive.SETTINGS),
+        "topic drive": parameters(TOPIC.settings),
         "abstraction_observer": parameters(abstraction_observer.node.PARAMETERS, without=COMMON),
         "parent_controller": parameters(parent_controller.node.PARAMETERS, without=COMMON),
         "controller parameters": controller_parameters(),

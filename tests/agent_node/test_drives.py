@@ -17,13 +17,13 @@ from tests.swarmabs_core.realtime.test_drive_registry import STANDING
 from tests.swarmabs_ros.nodes import given, realtime_settings_from, started_node
 
 from agent_node.realtime import PARAMETERS, drive_of
-from agent_node.topic_link import TopicLink
+from agent_node.topic_drive import TopicDrive, TopicLink, Wiring
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
+from swarmabs_core.realtime.drive_registry import TOPIC
 from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
-from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive, Wiring
 from swarmabs_ros.endpoints import LoopGroup
 from swarmabs_ros.parameters import given_values, table_of
 
@@ -41,7 +41,7 @@ def test_the_drive_brings_its_settings_as_parameters(packages: Path) -> None:
     install(packages, "drive", "standing", STANDING)
     assert list(declared()) == ["drive.type"]
     topic = declared(*given(drive__type="topic"))
-    assert list(topic)[1:] == [f"drive.{setting.name}" for setting in SETTINGS]
+    assert list(topic)[1:] == [f"drive.{setting.name}" for setting in TOPIC.settings]
     standing = declared(*given(drive__type="standing"))
     assert standing["drive.type"].choices == ("simulated", "topic", "standing")
     assert list(standing)[1:] == ["drive.place"]
@@ -162,7 +162,7 @@ def test_what_the_body_s_sensors_say_arrives() -> None:
 @pytest.mark.usefixtures("ros")
 def test_every_choice_of_a_setting_is_a_text_on_a_command_line() -> None:
     """ROS reads values as YAML, where y is a truth value."""
-    for setting in SETTINGS:
+    for setting in TOPIC.settings:
         for choice in setting.choices or ():
             with started_node(*given(drive__probe=choice)) as node:
                 assert node.get_parameter("drive.probe").value == choice

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from tests.swarmabs_ros.nodes import realtime_settings_from
 
-from plane_sim.driver import PARAMETERS
+from plane_sim.driver import PARAMETERS, PlaneDriverConfig
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.plane_driver import PlaneDriverConfig
 
 
 def test_every_parameter_reaches_the_configuration() -> None:

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Imu as ImuMessage, JointState
 from tests.swarmabs_ros.nodes import started_node
 
-from swarmabs_core.realtime.readings import Imu, Joints, Odometry
+from swarmabs_ros.readings import Imu, Joints, Odometry
 from swarmabs_ros.sensors import DEPTH, SensorSubscription, reading
 
 STAMP = Time(sec=1_700_000_000, nanosec=250_000_000)

@@ -14,7 +14,7 @@ from swarmabs_ros.realtime_runner import run_realtime
 
 if TYPE_CHECKING:
     from swarmabs_core.realtime.drives import Drive
-    from swarmabs_core.realtime.topic_drive import Link, Wiring
+    from swarmabs_core.realtime.instruments import TopicSettings
     from swarmabs_ros.runner import Settings
 
 PARAMETERS = (RealtimeAgentConfig,)
@@ -38,15 +38,18 @@ def drive_of(config: RealtimeAgentConfig, node: RealtimeNode) -> Drive:
         limits=config.limits,
         position=config.position,
         velocity=config.velocity,
-        connect=lambda wiring: _connect(wiring, node),
+        connect=lambda settings, body: _topic_drive(settings, body, node),
     )
     return DRIVES.make(config.drive, config.drive_settings, body)
 
 
-def _connect(wiring: Wiring, node: RealtimeNode) -> Link:
-    from agent_node.topic_link import TopicLink  # noqa: PLC0415 - its messages take a while to load, and not all need them
+def _topic_drive(settings: TopicSettings, body: Body, node: RealtimeNode) -> Drive:
+    from agent_node.topic_drive import (  # noqa: PLC0415 - its messages take a while to load, and not all need them
+        TopicDrive,
+        TopicLink,
+    )
 
-    return TopicLink(wiring, node, node.loop_group)
+    return TopicDrive(settings, body, lambda wiring: TopicLink(wiring, node, node.loop_group))
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:

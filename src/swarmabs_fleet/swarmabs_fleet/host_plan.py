@@ -8,7 +8,7 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import NodePlan, nodes_on
-from swarmabs_core.realtime.topic_drive import TopicSettings
+from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:

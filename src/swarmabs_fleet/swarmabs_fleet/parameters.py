@@ -17,7 +17,7 @@ from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_core.declaration import values_of
 from swarmabs_core.messages import Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
-from swarmabs_core.realtime.topic_drive import TopicSettings
+from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.robot_controller import Limits
 from swarmabs_fleet.host_plan import HostPlan
 

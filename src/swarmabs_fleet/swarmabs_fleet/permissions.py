@@ -10,7 +10,7 @@ from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.parts import MeasuredPlane
 from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, REALTIME, RECORDER, ROBOT, SERVICES, endpoints
 from swarmabs_core.messages import EVENTS
-from swarmabs_core.realtime.topic_drive import TopicSettings
+from swarmabs_core.realtime.instruments import TopicSettings
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet

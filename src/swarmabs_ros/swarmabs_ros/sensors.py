@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Imu as ImuMessage, JointState
 
-from swarmabs_core.realtime.readings import Imu, Joints, Odometry, Reading
+from swarmabs_ros.readings import Imu, Joints, Odometry, Reading
 
 if TYPE_CHECKING:
     from rclpy.callback_groups import CallbackGroup

@@ -13,7 +13,8 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, edited
 from swarmabs_config.fleet.loader import json_schema, load_fleet
 from swarmabs_core.declaration import values_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.realtime.topic_drive import SETTINGS, TopicSettings
+from swarmabs_core.realtime.drive_registry import TOPIC
+from swarmabs_core.realtime.instruments import TopicSettings
 
 LAN = EXAMPLES["lan"].read_text(encoding="utf-8")
 
@@ -190,7 +191,7 @@ def drives(folder: Path, single: str = "", double: str = "") -> tuple[TopicSetti
 
 def test_a_drive_has_the_same_settings_and_defaults_in_the_fleet_file_as_in_the_node(tmp_path: Path) -> None:
     _, double = drives(tmp_path)
-    assert values_of(double) == {parameter.name: parameter.default for parameter in SETTINGS}
+    assert values_of(double) == {parameter.name: parameter.default for parameter in TOPIC.settings}
 
 
 def test_the_weight_of_a_double_integrator_is_balanced_unless_it_is_said(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from swarmabs_config.scenario.declared import model_of
 from swarmabs_config.scenario.fields import AsTuple, Model, Positive, Tagged
 from swarmabs_config.scenario.texts import Name
 from swarmabs_core.declaration import part, setting
-from swarmabs_core.realtime.plane_driver import PlaneInstrument
+from swarmabs_core.realtime.instruments import PlaneInstrument
 
 Ros: TypeAlias = Literal["wheels", "sourced"]
 

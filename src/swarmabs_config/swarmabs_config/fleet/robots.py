@@ -16,7 +16,7 @@ from swarmabs_config.scenario.fields import LARGEST, Model, Positive, Tagged, pr
 from swarmabs_config.scenario.texts import Name
 from swarmabs_core.behaviours.agent import RobotConfig
 from swarmabs_core.parameters import Value
-from swarmabs_core.realtime.topic_drive import TopicSettings
+from swarmabs_core.realtime.instruments import TopicSettings
 
 
 class SimulatedDrive(Model):

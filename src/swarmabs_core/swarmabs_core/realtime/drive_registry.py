@@ -5,18 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from swarmabs_core.declaration import made_of
+from swarmabs_core.declaration import made_of, parameters_of
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Settings
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.drives import Drive, SimulatedDrive
-from swarmabs_core.realtime.topic_drive import SETTINGS, TopicDrive, TopicSettings
+from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.registry import Part, Registry
 from swarmabs_core.robot_controller import Limits
 
 if TYPE_CHECKING:
-    from swarmabs_core.realtime.topic_drive import Connect
+    from collections.abc import Callable
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class Body:
     position, velocity : float
         Where a simulated body begins, m and m/s.
     connect : callable, optional
-        Connects a drive to topics of the robot's node; None where there is no node.
+        Makes a drive behind topics of the robot's node; None where there is no node.
     """
 
     agent_id: int
@@ -54,7 +55,7 @@ class Body:
     limits: Limits = field(default_factory=Limits)
     position: float = 0.0
     velocity: float = 0.0
-    connect: Connect | None = None
+    connect: Callable[[TopicSettings, Body], Drive] | None = None
 
 
 class DriveType(Part[Body, Drive]):
@@ -76,10 +77,13 @@ SIMULATED = DriveType("simulated", (), _simulated)
 
 
 def _topic(settings: Settings, body: Body) -> Drive:
-    return TopicDrive(made_of(TopicSettings, settings), body)
+    made = made_of(TopicSettings, settings)
+    if body.connect is None:
+        raise InputError("drive topic: there is no ROS node here to which it could be connected")
+    return body.connect(made, body)
 
 
-TOPIC = DriveType("topic", SETTINGS, _topic)
+TOPIC = DriveType(TopicSettings.type, parameters_of(TopicSettings), _topic)
 """A base behind ROS topics."""
 
 DRIVES = Registry("drive", "swarmabs.drives", DriveType, (SIMULATED, TOPIC), ("read", "write", "stop"))

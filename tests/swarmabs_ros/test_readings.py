@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
-from tests.swarmabs_core.realtime.bodies import attitude
+from tests.swarmabs_ros.bodies import attitude
 
-from swarmabs_core.realtime.readings import (
-    AXES,
+from swarmabs_core.realtime.instruments import AXES
+from swarmabs_ros.readings import (
     Joints,
     RefusedReadingError,
     check_frame,

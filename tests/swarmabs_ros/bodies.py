@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from swarmabs_core.realtime.readings import Imu, Odometry
+from swarmabs_ros.readings import Imu, Odometry
 
 SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND

@@ -6,13 +6,13 @@ from math import exp, nan
 
 import pytest
 from hypothesis import given, strategies as st
-from tests.swarmabs_core.realtime.bodies import EPOCH, imu
+from tests.swarmabs_ros.bodies import EPOCH, imu
 
+from plane_sim.driver import PlaneDriver, PlaneDriverConfig
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EventKind, PlaneState, SwarmEvent
 from swarmabs_core.realtime.base import Level, Schedule
-from swarmabs_core.realtime.plane_driver import PlaneDriver, PlaneDriverConfig
-from swarmabs_core.realtime.readings import Joints, Reading
+from swarmabs_ros.readings import Joints, Reading
 
 MS = 1_000_000
 SCHEDULE = Schedule(10 * MS, EPOCH)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from math import exp, inf, nan
 
 import pytest
-from tests.swarmabs_core.realtime.bodies import EPOCH, SECOND
+from tests.swarmabs_ros.bodies import EPOCH, SECOND
 
-from swarmabs_core.realtime.readings import RefusedReadingError
-from swarmabs_core.realtime.tracking import SETTLING, Plausible, RefusedReadings, Sample, Track
+from swarmabs_ros.readings import SETTLING, Plausible, RefusedReadingError, RefusedReadings, Sample, Track
 
 MS = 1_000_000
 BANDWIDTH = 50.0

@@ -1,4 +1,4 @@
-"""A drive behind topics: what a robot's base says, and what it is told; without ROS.
+"""A drive behind topics: what a robot's base says, and what it is told.
 
 Signs. The lane is an axis of the sensor's frame; positions grow along it as the scenario's do, and the plane's angle th
 is positive where the side of positive positions is up. The body's x axis points forward, along the lane (facing 1) or
@@ -7,120 +7,45 @@ against it (facing -1); commands are given along it. Its nose rises by facing ti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import copysign, cos, sin
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_core.declaration import parameters_of, part, setting
+from geometry_msgs.msg import TwistStamped
+from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
-from swarmabs_core.parameters import SettingError
 from swarmabs_core.realtime.drives import Measurement
-from swarmabs_core.realtime.readings import (
-    AXES,
-    STAMPS,
+from swarmabs_ros.readings import (
     Imu,
     Joints,
     Odometry,
+    Plausible,
     Reading,
     RefusedReadingError,
+    RefusedReadings,
+    Track,
     check_finite,
     check_frame,
+    imu_values,
     joint_values,
     normalised,
     rotation_row,
     signed_axis,
-    tilt,
 )
-from swarmabs_core.realtime.tracking import Plausible, RefusedReadings, Track
+from swarmabs_ros.sensors import SensorSubscription
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.callback_groups import CallbackGroup
+    from rclpy.node import Node
+
     from swarmabs_core.realtime.drive_registry import Body
-
-
-@dataclass(frozen=True, slots=True)
-class Joint:
-    """The joint of a JointState that moves the body."""
-
-    name: str = setting("", "name of the joint; needed with joint_state and joint", names="frame")
-    scale: float = setting(1.0, "forward motion of the body per unit of the joint, m or m/rad, not 0")
-
-
-@dataclass(frozen=True, slots=True)
-class TiltSensor:
-    """The robot's own IMU, by which a double integrator knows its weight along the plane."""
-
-    topic: str = setting("", "topic of sensor_msgs/Imu; '': ~/imu", names="topic")
-    frame: str = setting("imu_link", "frame_id that it must have; '': any", names="frame")
-    axis: str = setting("-y", "axis of the IMU about which the robot's nose rises", choices=AXES)
-    offset: float = setting(0.0, "angle by which the nose is up where the IMU says 0, rad")
-    max_rate: float = setting(5.0, "largest rate of tilting that is believed, rad/s", above=0.0)
-    max_jump: float = setting(0.05, "angle beyond it by which two readings may differ, rad", minimum=0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class TopicSettings:
-    """A body that other ROS nodes of the robot move: its motion and the command are topics."""
-
-    type: ClassVar[str] = "topic"
-
-    source: str = setting("odometry", "what says where the robot is", choices=("odometry", "joint_state"))
-    topic: str = setting(
-        "", "topic of nav_msgs/Odometry or sensor_msgs/JointState; '': ~/odom or ~/joint_states", names="topic"
-    )
-    command: str = setting(
-        "auto", "type of the command; auto: twist (SI), force (DI)", choices=("auto", "twist", "force", "joint")
-    )
-    command_topic: str = setting("", "topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command", names="topic")
-    command_frame: str = setting("base_link", "frame_id of a twist", names="frame")
-    stamp: str = setting("header", "time of a reading: its header's, or that of its arrival", choices=STAMPS)
-    frame: str = setting("odom", "frame_id that an odometry must have; '': any", names="frame")
-    axis: str = setting("+x", "axis of that frame along which positions grow", choices=AXES)
-    offset: float = setting(0.0, "position at which the sensor says 0, m")
-    heading_tolerance: float = setting(
-        0.5, "largest angle between the body's x axis and the lane, rad", above=0.0, maximum=1.5
-    )
-    joint: Joint = part(Joint, "the joint, with joint_state or a command by joint")
-    reversed: bool = setting(default=False, description="with joint_state: whether the body faces against the lane")
-    bandwidth: float = setting(100.0, "bandwidth of differentiation where a joint has no velocity, rad/s", above=0.0)
-    max_speed: float = setting(2.0, "largest speed that is believed, m/s", above=0.0)
-    max_jump: float = setting(0.01, "distance beyond it by which two readings may differ, m", minimum=0.0)
-    clock_tolerance: float = setting(0.02, "how far a reading may come from the future, s", minimum=0.0)
-    age_limit: float = setting(0.1, "age of readings from which on a double integrator is told nothing, s", above=0.0)
-    gravity: str = setting(
-        "imu", "what a double integrator's weight along the plane is known from", choices=("imu", "none")
-    )
-    imu: TiltSensor = part(TiltSensor, "the IMU, with gravity: imu")
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """The topics with a name of their own, by what they are; others are private ones of the robot's node."""
-        named = {"measurement": self.topic, "command": self.command_topic}
-        if self.gravity == "imu":
-            named["imu"] = self.imu.topic
-        return {what: topic for what, topic in named.items() if topic}
-
-    def __post_init__(self) -> None:
-        """Refuse settings that contradict each other.
-
-        Raises
-        ------
-        SettingError
-            Naming one of them.
-        """
-        if not self.joint.name and "joint" in {self.source.removesuffix("_state"), self.command}:
-            raise SettingError("joint.name", "there is none", "give the name of the joint")
-        if self.joint.scale == 0.0:
-            raise SettingError("joint.scale", "0 is not allowed", "give m or m/rad; negative: against the body")
-        if self.reversed and self.source == "odometry":
-            problem = "the orientation in an odometry says which way the body faces"
-            raise SettingError("reversed", problem, "leave it out")
-
-
-SETTINGS = parameters_of(TopicSettings)
-"""Settings of the drive, ``drive.*`` of a robot's node."""
-
+    from swarmabs_core.realtime.instruments import TopicSettings
 
 TURN_ROUND = 500_000_000
 """Shortest time in which a body turns round, ns; meanwhile it stands across the lane, of which nothing is taken."""
@@ -143,19 +68,59 @@ class Wiring(NamedTuple):
     arrival: bool
 
 
-class Link(Protocol):
-    """The connection to topics."""
+COMMAND = QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.RELIABLE)
+"""What is offered to the base: a reliable writer serves both kinds of readers, and only the newest command counts."""
 
-    def take(self) -> Sequence[Reading]:
-        """Return what has arrived since the last call, each source's readings in order; it does not wait."""
-        ...
+_TYPES: dict[str, Any] = {"twist": TwistStamped, "force": Float64, "joint": JointState}
+
+
+class TopicLink:
+    """Subscriptions and publisher of a topic drive.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        What to connect.
+    node : Node
+        The robot's node.
+    group : CallbackGroup, optional
+        Group for the subscriptions, which no executor may serve.
+    """
+
+    def __init__(self, wiring: Wiring, node: Node, group: CallbackGroup | None = None) -> None:
+        self._wiring = wiring
+        self._clock = node.get_clock()
+        arrival = wiring.arrival
+        self._sensors = [SensorSubscription(node, wiring.source, wiring.topic, group, arrival=arrival)]
+        if wiring.imu_topic:
+            self._sensors.append(SensorSubscription(node, "imu", wiring.imu_topic, group, arrival=arrival))
+        self._publisher = node.create_publisher(_TYPES[wiring.command], wiring.command_topic, COMMAND)
+
+    def take(self) -> list[Reading]:
+        """Return what the sensors have said since the last call."""
+        return [reading for sensor in self._sensors for reading in sensor.take()]
 
     def send(self, value: float) -> None:
-        """Send the base a command: m/s or N, or in units of the joint."""
-        ...
+        """Send the base a command."""
+        self._publisher.publish(self._message(value))
 
-
-Connect: TypeAlias = Callable[[Wiring], Link]
+    def _message(self, value: float) -> Any:
+        wiring = self._wiring
+        if wiring.command == "force":
+            return Float64(data=value)
+        stamp = self._clock.now().to_msg()
+        if wiring.command == "twist":
+            twist = TwistStamped()
+            twist.header.stamp, twist.header.frame_id = stamp, wiring.command_frame
+            twist.twist.linear.x = value
+            return twist
+        joint = JointState(name=[wiring.joint])
+        joint.header.stamp = stamp
+        if wiring.single_integrator:
+            joint.velocity = [value]
+        else:
+            joint.effort = [value]
+        return joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +149,8 @@ class TopicDrive:
         Settings.
     body : Body
         The robot.
+    connect : callable
+        Connects the drive to its topics.
 
     Attributes
     ----------
@@ -193,10 +160,10 @@ class TopicDrive:
     Raises
     ------
     InputError
-        If settings contradict each other, or there is nothing to connect to.
+        If settings contradict each other.
     """
 
-    def __init__(self, settings: TopicSettings, body: Body) -> None:
+    def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[Wiring], TopicLink]) -> None:
         single = body.kind is Kind.SINGLE_INTEGRATOR
         wiring = _wiring(settings, single_integrator=single)
         axis, sign = signed_axis(settings.axis)
@@ -223,9 +190,7 @@ class TopicDrive:
         self._age_limit = round(settings.age_limit * 1e9)
         self._mass, self._gravity, self._force = body.mass, body.gravity, body.limits.force
         self.refused = RefusedReadings()
-        if body.connect is None:
-            raise InputError("drive topic: there is no ROS node here to which it could be connected")
-        self._link = body.connect(wiring)
+        self._link = connect(wiring)
 
     def read(self, now: int) -> Measurement | None:
         """Take over what has arrived, and return the newest measurement."""
@@ -329,20 +294,6 @@ class TopicDrive:
         check_frame(reading.frame, self._imu_frame)
         angle, rate = imu_values(reading, self._imu_axis, self._imu_sign)
         self._tilt.offer(reading.stamp, self._imu_offset + angle, rate, now)
-
-
-def imu_values(reading: Imu, axis: int, sign: float) -> tuple[float, float]:
-    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor.
-
-    Raises
-    ------
-    RefusedReadingError
-        If the sensor does not measure them.
-    """
-    if reading.rotation is None or reading.angular_velocity is None:
-        raise RefusedReadingError("orientation", "the IMU measures no orientation, or no angular velocity")
-    check_finite(*reading.angular_velocity)
-    return sign * tilt(normalised(reading.rotation), axis), sign * reading.angular_velocity[axis]
 
 
 def _wiring(settings: TopicSettings, *, single_integrator: bool) -> Wiring:

@@ -8,17 +8,18 @@ from math import inf, nan, sin
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from tests.swarmabs_core.realtime.bodies import EPOCH, SECOND, imu, lane, odometry
+from tests.swarmabs_ros.bodies import EPOCH, SECOND, imu, lane, odometry
 
+from agent_node.topic_drive import TopicDrive, Wiring
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.drive_registry import DRIVES, Body
 from swarmabs_core.realtime.drives import Measurement
-from swarmabs_core.realtime.readings import Joints, Reading
-from swarmabs_core.realtime.topic_drive import TopicDrive, Wiring
+from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.robot_controller import Limits
+from swarmabs_ros.readings import Joints, Reading
 
 SI, DI = Kind.SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR
 MS = 1_000_000
@@ -34,7 +35,10 @@ class Wire:
         self.sent: list[float] = []
         self.wiring: Wiring | None = None
 
-    def connect(self, wiring: Wiring) -> Wire:
+    def connect(self, settings: TopicSettings, body: Body) -> TopicDrive:
+        return TopicDrive(settings, body, self.wired)  # type: ignore[arg-type]
+
+    def wired(self, wiring: Wiring) -> Wire:
         self.wiring = wiring
         return self
 
