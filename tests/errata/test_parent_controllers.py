@@ -10,9 +10,7 @@ import pytest
 from scipy.integrate import quad
 from tests.errata.paper import FRICTION, INERTIA, OFFSET, PD_PRINTED, slope
 
-from swarmabs_core.controllers import CONTROLLERS, ParentContext
-from swarmabs_core.controllers.arise import Arise, AriseGains, regressor
-from swarmabs_core.controllers.feedback import lqr_gains
+from swarmabs_core.controllers import CONTROLLERS, Arise, AriseGains, ParentContext, lqr_gains, regressor
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState

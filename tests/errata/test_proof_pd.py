@@ -28,14 +28,13 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_config.theory import check_scenario, setting
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.behaviours import Controller, ControllerConfig
-from swarmabs_core.controllers.feedback import StateFeedback
+from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
 from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
-from swarmabs_core.theory.attraction import estimate, radius_squared
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
-from swarmabs_core.theory.level_set import matrix_eigenvalues, potential
+from swarmabs_core.theory.state_feedback import estimate, matrix_eigenvalues, potential, radius_squared
 
 K1, K2 = PD_PRINTED
 K_S2 = GAINS.k[1]

@@ -5,8 +5,7 @@ from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_config import configure
 from swarmabs_core.behaviours import LifeSpan, Limits
-from swarmabs_core.controllers.arise import Arise
-from swarmabs_core.controllers.feedback import StateFeedback, lqr_gains
+from swarmabs_core.controllers import Arise, StateFeedback, lqr_gains
 from swarmabs_core.faults import FaultKind, RobotFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind

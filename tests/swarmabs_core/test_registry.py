@@ -12,8 +12,7 @@ import pytest
 from tests.plugin_packages import BANG_BANG, install
 
 from swarmabs_config.scenario import json_schema, parse_scenario
-from swarmabs_core.controllers import CONTROLLERS, ControllerType, ParentContext, ParentController
-from swarmabs_core.controllers.feedback import PD, StateFeedback
+from swarmabs_core.controllers import CONTROLLERS, PD, ControllerType, ParentContext, ParentController, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
 from swarmabs_core.law_registry import LAWS

@@ -8,8 +8,7 @@ from hypothesis import given, strategies as st
 from scipy.interpolate import make_interp_spline
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.spline import QuinticSpline
-from swarmabs_core.trajectory import QuinticStep
+from swarmabs_core.trajectory import QuinticSpline, QuinticStep
 
 AT_REST = ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)])
 

@@ -29,7 +29,6 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.theory.warnings import theory_warnings
 from swarmabs_run.orchestration.progress import Outcome, Progress
 from swarmabs_run.summary import summarise, summary_table
 from swarmabs_view.display import shown_progress
@@ -118,7 +117,7 @@ def carry_out(
         _check_realtime(loaded, recorded)
     folder = results_folder(output, loaded.name)
     differences = recorded.differences if recorded is not None else ()
-    print_warnings((*loaded.warnings(), *theory_warnings(check_scenario(loaded)), *differences))
+    print_warnings((*loaded.warnings(), *check_scenario(loaded).warnings(), *differences))
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)

@@ -6,9 +6,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_core.theory.attraction import ANGLE_MAX
 from swarmabs_core.theory.check import check
 from swarmabs_core.theory.setting import Setting
+from swarmabs_core.theory.state_feedback import ANGLE_MAX
 
 if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario

@@ -6,13 +6,13 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_core.command_filter import CommandFilter
-from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
 from swarmabs_core.plant import STEEPEST
 
 if TYPE_CHECKING:
-    from swarmabs_core.controllers.base import ParentController
+    from swarmabs_core.controllers import ParentController
     from swarmabs_core.manifold import Manifold
 
 FALLEN = (

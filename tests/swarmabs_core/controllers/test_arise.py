@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 from tests.swarmabs_core.helpers import taylor
 
-from swarmabs_core.controllers.arise import Arise, AriseGains, regressor
+from swarmabs_core.controllers import Arise, AriseGains, regressor
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.trajectory import Constant, Sine

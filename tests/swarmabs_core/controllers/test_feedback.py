@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from swarmabs_core.controllers.feedback import StateFeedback, lqr_gains
+from swarmabs_core.controllers import StateFeedback, lqr_gains
 from swarmabs_core.messages import PlaneState
 
 weights = st.floats(0.01, 100.0)

@@ -2,9 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmabs_core.controllers import CONTROLLERS, ParentContext
-from swarmabs_core.controllers.arise import Arise
-from swarmabs_core.controllers.feedback import StateFeedback
+from swarmabs_core.controllers import CONTROLLERS, Arise, ParentContext, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold

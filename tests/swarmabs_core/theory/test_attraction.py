@@ -6,7 +6,7 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_config.theory import setting
-from swarmabs_core.theory.attraction import corrected_eta, estimate, printed_eta, radius_squared
+from swarmabs_core.theory.state_feedback import corrected_eta, estimate, printed_eta, radius_squared
 
 INERTIA = 0.5
 # 0.0125 * 7.5^2 + 0.025 and 0.0125 * 5^2 + 0.025

@@ -13,9 +13,8 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.friction import Friction
-from swarmabs_core.theory.arise_conditions import error_gradient
+from swarmabs_core.theory.arise import error_gradient
 from swarmabs_core.theory.report import Condition, Report, Theorem, Verdict
-from swarmabs_core.theory.warnings import theory_warnings
 
 ALL = ("pd_si_4", "pd_di_4", "pd_het_4", "arise_si_4", "arise_di_4", "arise_het_4", "arise_het_20", "arise_het_200")
 KINDS = {"si": "SI", "di": "DI", "het": "noHomo"}
@@ -50,7 +49,7 @@ def test_one_of_the_six_theorems_is_about_each_run(name: str) -> None:
 def test_the_papers_pd_runs_are_covered(name: str) -> None:
     report = check_scenario(builtin(name))
     assert report.covered
-    assert theory_warnings(report) == ()
+    assert not list(report.warnings())
     general = theorem(report, "GeneralStability")
     assert (general.verdict, general.printed_verdict) == (Verdict.HOLDS, Verdict.FAILS)
 
@@ -84,7 +83,7 @@ def test_with_ks_1_the_theorem_does_not_cover_the_papers_run() -> None:
     assert found.corrected.margin == pytest.approx(-143.0)
     assert not report.covered
     assert "with ks = 1 the ARISE theorem does not cover this run" in found.note
-    (line,) = theory_warnings(report)
+    (line,) = report.warnings()
     assert found.note in line
 
 
@@ -148,7 +147,7 @@ def test_disturbance_bounds_beta() -> None:
 def test_what_fails_is_named(overrides: tuple[str, ...], failing: set[str]) -> None:
     report = check_scenario(builtin("pd_het_4", *overrides))
     assert {one.name for one in theorem(report, "LQR_noHomo_sys").failed} == failing
-    line = theory_warnings(report)[0]
+    line = next(report.warnings())
     assert all(name in line for name in failing - {"k1"})
 
 
@@ -175,7 +174,7 @@ def test_too_long_periods_and_delays_fail() -> None:
     oldest = check_scenario(builtin("pd_si_4", "faults=[{kind: delay, steps: 2147483647}]"))
     assert condition(oldest.beyond, "delay, SI errors").verdict is Verdict.FAILS
     assert condition(oldest.beyond, "period, SI errors").verdict is Verdict.FAILS
-    (line,) = theory_warnings(old)
+    (line,) = old.warnings()
     assert line.startswith("sampled time: ")
 
 

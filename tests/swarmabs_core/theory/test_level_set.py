@@ -10,7 +10,7 @@ import pytest
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.theory.error_dynamics import first_order
-from swarmabs_core.theory.level_set import Loop, level_set, matrix_eigenvalues, potential
+from swarmabs_core.theory.state_feedback import Loop, level_set, matrix_eigenvalues, potential
 
 FRICTION = Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0)
 MANIFOLD = Manifold(0.0125, 0.025, 5.0)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_core.theory.constrained_region import clearance
 from swarmabs_core.theory.constraint_sets import ConstraintSets
+from swarmabs_core.theory.general_theorems import clearance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.theory import setting
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.theory.attraction import estimate
+from swarmabs_core.theory.state_feedback import estimate
 from swarmabs_run.simulation import simulated_steps
 
 if TYPE_CHECKING:

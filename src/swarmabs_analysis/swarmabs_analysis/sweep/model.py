@@ -26,7 +26,7 @@ from swarmabs_config.scenario.fields import (
 )
 from swarmabs_config.scenario.model import FolderName
 from swarmabs_config.scenario.versions import known_version
-from swarmabs_core.theory.attraction import ANGLE_MAX
+from swarmabs_core.theory.state_feedback import ANGLE_MAX
 
 MOST_CASES = 1_000_000
 Result: TypeAlias = Literal[

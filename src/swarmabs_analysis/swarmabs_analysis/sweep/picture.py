@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.theory import setting
-from swarmabs_core.theory.attraction import Estimate, estimate
+from swarmabs_core.theory.state_feedback import Estimate, estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

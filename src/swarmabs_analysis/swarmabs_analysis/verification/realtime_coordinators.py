@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
 from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES
-from swarmabs_core.controllers.feedback import StateFeedback
+from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.desired_state import DesiredStateGenerator
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from swarmabs_analysis.verification.history import History
-    from swarmabs_core.controllers.base import ParentController
+    from swarmabs_core.controllers import ParentController
     from swarmabs_core.messages import AgentState, Basis, Message
     from swarmabs_core.realtime.controller import RealtimeControllerConfig
     from swarmabs_core.realtime.observer import RealtimeObserverConfig

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_core import behaviours
-from swarmabs_core.controllers.feedback import PD
+from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.parameters import SettingError

@@ -8,8 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from swarmabs_config.scenario.declared import model_of
 from swarmabs_core.plant import STEEPEST
-from swarmabs_core.spline import SHORTEST, QuinticSpline
-from swarmabs_core.trajectory import Constant, QuinticStep, Sine
+from swarmabs_core.trajectory import SHORTEST, Constant, QuinticSpline, QuinticStep, Sine
 
 from .fields import (
     AsTuple,
@@ -30,7 +29,7 @@ Angle: TypeAlias = Annotated[float, Field(gt=-STEEPEST, lt=STEEPEST), WithoutNeg
 
 
 class CsvTrajectory(Model):
-    """The smooth curve through the rows of a file, see `swarmabs_core.spline`.
+    """The smooth curve through the rows of a file, see `swarmabs_core.trajectory`.
 
     When a scenario is loaded its rows take the place of the file, so that a resolved scenario needs it no more.
     """

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.controllers import OffsetController
 from swarmabs_core.membership import UNPLANNED
 
 from .faults import (

@@ -9,9 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import Field
 
-from swarmabs_core.controllers import CONTROLLERS, TRAJECTORY
-from swarmabs_core.controllers.arise import ARISE
-from swarmabs_core.controllers.feedback import LQR, PD
+from swarmabs_core.controllers import ARISE, CONTROLLERS, LQR, PD, TRAJECTORY
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.law_registry import LAWS, PAPER
 from swarmabs_core.registry import Part, Registry

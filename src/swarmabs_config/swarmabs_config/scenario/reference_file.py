@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from swarmabs_core.plant import STEEPEST
-from swarmabs_core.spline import SHORTEST
+from swarmabs_core.trajectory import SHORTEST
 
 from .controllers import MOST_ROWS
 from .errors import ScenarioError, show

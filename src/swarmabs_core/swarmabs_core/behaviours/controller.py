@@ -34,7 +34,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.steering import REFERENCE, StepChange, StepSchedule
 
 if TYPE_CHECKING:
-    from swarmabs_core.controllers.base import ParentController
+    from swarmabs_core.controllers import ParentController
     from swarmabs_core.messages import Steering
 
 

@@ -32,7 +32,7 @@ from swarmabs_core.realtime.refusals import Refusals
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_core.controllers.base import ParentController
+    from swarmabs_core.controllers import ParentController
 
 RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""

@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.robot_controller import Limits
-from swarmabs_core.theory.arise_conditions import check_arise
-from swarmabs_core.theory.feedback_conditions import check_feedback
-from swarmabs_core.theory.general_conditions import abstract_states, constrained_conditions, constraints
-from swarmabs_core.theory.report import Report, Theorem
-from swarmabs_core.theory.sampled_conditions import sampled_conditions
-from swarmabs_core.theory.swarm_conditions import inertia_swing
+from swarmabs_core.theory.arise import check_arise
+from swarmabs_core.theory.error_dynamics import inertia_swing
+from swarmabs_core.theory.general_theorems import abstract_states, constrained_conditions, constraints
+from swarmabs_core.theory.report import Report, Theorem, plain
+from swarmabs_core.theory.sampled_data import sampled_conditions
+from swarmabs_core.theory.state_feedback import check_feedback
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from swarmabs_core.theory.general_conditions import Constraints
+    from swarmabs_core.theory.general_theorems import Constraints
     from swarmabs_core.theory.report import ParentCheck
     from swarmabs_core.theory.setting import Setting, SwarmKind
 
@@ -24,8 +24,6 @@ _SWARMS: dict[SwarmKind, str] = {
     "DI": "double integrators",
     "noHomo": "both kinds of robots",
 }
-
-
 _DROPPED = "the proof takes the errors of both parts for independent and drops what damping does in the null space"
 
 
@@ -33,7 +31,6 @@ def check(setting: Setting) -> Report:
     """Evaluate the paper's theorems, and what a run in sampled time needs beyond them; nothing is simulated."""
     parent = check_feedback(setting) or check_arise(setting)
     found = constraints(setting, parent.torque if parent else setting.manifold.torque_max)
-    swing = inertia_swing(setting)
     return Report(
         setting.scenario,
         setting.controller,
@@ -43,10 +40,10 @@ def check(setting: Setting) -> Report:
         Theorem(
             "sampled_time",
             "what the paper leaves out: sampled time and the singularity S3 = 0",
-            (*((swing,) if swing else ()), *sampled_conditions(setting)),
+            (*inertia_swing(setting), *sampled_conditions(setting)),
         ),
-        parent.attraction if parent else {},
-        abstract_states(setting, found),
+        {name: plain(value) for name, value in (parent.attraction if parent else {}).items()},
+        {name: plain(value) for name, value in abstract_states(setting, found).items()},
         tuple(_notes(setting)),
     )
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from math import isfinite
-from typing import Literal, TypeAlias
+from typing import ClassVar, Literal, TypeAlias
 
 Number: TypeAlias = float | tuple[float, ...]
 Document: TypeAlias = "dict[str, Document] | list[Document] | str | float | bool | None"
@@ -22,22 +22,14 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """One form of a condition, printed or corrected: an inequality with its numbers.
-
-    Parameters
-    ----------
-    text : str
-        The inequality.
-    value, bound : float
-        Its left and its right side; infinite where there is none.
-    relation : str
-        How they must compare.
-    """
+    """One form of a condition, printed or corrected: an inequality between a value and a bound, infinite if missing."""
 
     text: str
     value: float
     bound: float
     relation: Literal[">", ">=", "<", "<="] = ">"
+
+    document: ClassVar = ("text", "value", "relation", "bound", "margin", "verdict")
 
     @property
     def margin(self) -> float:
@@ -52,80 +44,40 @@ class Form:
         holds = self.margin >= 0 if self.relation.endswith("=") else self.margin > 0
         return Verdict.HOLDS if holds else Verdict.FAILS
 
-    def document(self) -> Document:
-        """Return the form for JSON."""
-        return {
-            "text": self.text,
-            "value": finite(self.value),
-            "relation": self.relation,
-            "bound": finite(self.bound),
-            "margin": finite(self.margin),
-            "verdict": self.verdict.value,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A condition of a theorem, as the paper prints it and as it has to be.
+    """A condition of a theorem, as the paper prints it, if it does, and as it has to be, which decides."""
 
-    Parameters
-    ----------
-    name : str
-        Short and stable, such as ``k2``.
-    printed : Form or None
-        The paper's form; None if the paper does not state the condition.
-    corrected : Form
-        The right form. Its verdict is that of the condition.
-    inputs : mapping
-        The numbers that went in, by name, in SI units.
-    note : str
-        What else a reader has to know.
-    """
-
-    name: str
+    name: str  # short and stable, such as "k2"
     printed: Form | None
     corrected: Form
-    inputs: Mapping[str, Number] = field(default_factory=dict)
+    inputs: Mapping[str, Number] = field(default_factory=dict)  # the numbers that went in, in SI units
     note: str = ""
+
+    document: ClassVar = ("name", "printed", "corrected", "margin", "verdict", "inputs", "note")
+
+    @property
+    def margin(self) -> float:
+        """By how much the corrected form holds."""
+        return self.corrected.margin
 
     @property
     def verdict(self) -> Verdict:
         """Whether the corrected form holds."""
         return self.corrected.verdict
 
-    def document(self) -> Document:
-        """Return the condition for JSON."""
-        return {
-            "name": self.name,
-            "printed": self.printed.document() if self.printed else None,
-            "corrected": self.corrected.document(),
-            "margin": finite(self.corrected.margin),
-            "verdict": self.verdict.value,
-            "inputs": {name: _number(value) for name, value in self.inputs.items()},
-            "note": self.note,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class Theorem:
-    """A theorem of the paper, or a group of conditions that it lacks, evaluated for a scenario.
+    """A theorem of the paper, or a group of conditions that it lacks, evaluated for a scenario."""
 
-    Parameters
-    ----------
-    label : str
-        Its label in the paper's source, such as ``LQR_SI_sys``.
-    title : str
-        What it is about.
-    conditions : tuple of Condition
-        Its conditions; none if it does not apply.
-    note : str
-        Why it does not apply, or what its proof leaves out.
-    """
-
-    label: str
+    label: str  # in the paper's source, such as "LQR_SI_sys"
     title: str
-    conditions: tuple[Condition, ...] = ()
-    note: str = ""
+    conditions: tuple[Condition, ...] = ()  # none if it does not apply
+    note: str = ""  # why it does not apply, or what its proof leaves out
+
+    document: ClassVar = ("label", "title", "applicable", "verdict", "printed_verdict", "note", "conditions")
 
     @property
     def applicable(self) -> bool:
@@ -135,102 +87,47 @@ class Theorem:
     @property
     def verdict(self) -> Verdict:
         """Whether all corrected conditions hold."""
-        if not self.applicable:
-            return Verdict.NOT_APPLICABLE
-        return Verdict.FAILS if self.failed else Verdict.HOLDS
+        return _all_hold([condition.corrected for condition in self.conditions])
 
     @property
     def printed_verdict(self) -> Verdict:
         """Whether all conditions hold as the paper prints them."""
-        forms = [condition.printed for condition in self.conditions if condition.printed]
-        if not forms:
-            return Verdict.NOT_APPLICABLE
-        return Verdict.HOLDS if all(form.verdict is Verdict.HOLDS for form in forms) else Verdict.FAILS
+        return _all_hold([condition.printed for condition in self.conditions if condition.printed])
 
     @property
     def failed(self) -> tuple[Condition, ...]:
         """The conditions whose corrected form does not hold."""
         return tuple(condition for condition in self.conditions if condition.verdict is Verdict.FAILS)
 
-    def document(self) -> Document:
-        """Return the theorem for JSON."""
-        return {
-            "label": self.label,
-            "title": self.title,
-            "applicable": self.applicable,
-            "verdict": self.verdict.value,
-            "printed_verdict": self.printed_verdict.value,
-            "note": self.note,
-            "conditions": [condition.document() for condition in self.conditions],
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class ParentCheck:
-    """The theorem of a plane under one parent controller, for one setting.
+    """The theorem of a plane under one parent controller, evaluated for the swarm of a setting."""
 
-    Parameters
-    ----------
-    name : str
-        The controller's in the labels of the theorems, and in their titles.
-    conditions : tuple of Condition
-        Of the theorem that fits the swarm.
-    derivative : Condition
-        That the derivatives of the Lyapunov functions are negative and outweigh the coupling.
-    torque : float
-        Largest torque that the controller may ask for, N m.
-    largest_angle : float
-        Largest abs(th_d), rad.
-    level, energy : float
-        Of S, and V at the start.
-    growths : tuple of float
-        g_p and g_a of ``V_p >= g_p abs(z_p)^2`` in S, and of ``V_a >= g_a abs(e_a)^2``.
-    attraction : mapping
-        The estimates of the region of attraction.
-    """
-
-    name: str
+    name: str  # of the controller in the labels of the theorems
     conditions: tuple[Condition, ...]
-    derivative: Condition
-    torque: float
-    largest_angle: float
-    level: float
-    energy: float
-    growths: tuple[float, float]
-    attraction: Mapping[str, Document]
+    derivative: Condition  # the derivatives of the Lyapunov functions are negative and outweigh the coupling
+    torque: float  # largest that the controller may ask for, N m
+    largest_angle: float  # largest |th_d|, rad
+    level: float  # of S
+    energy: float  # V at the start
+    growths: tuple[float, float]  # g_p and g_a of V_p >= g_p |z_p|^2 in S, and of V_a >= g_a |e_a|^2
+    attraction: Mapping[str, Number]  # the estimates of the region of attraction
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Everything that the theory says of a scenario.
-
-    Parameters
-    ----------
-    scenario, controller, swarm : str
-        Its name, its parent controller and the kind of its swarm.
-    angle_max : float
-        The bound theta_max of the angle that was assumed, rad.
-    theorems : tuple of Theorem
-        The six of controllers and swarms, and the two general ones.
-    beyond : Theorem
-        What the paper does not state but a run needs: sampled time and the singularity S3 = 0.
-    attraction : mapping
-        The estimates of the region of attraction.
-    abstract_states : mapping
-        How the abstract states lie in the constraint sets.
-    notes : tuple of str
-        What the theory leaves out of this scenario.
-    """
+    """Everything that the theory says of a scenario."""
 
     scenario: str
     controller: str
-    swarm: str
-    angle_max: float
-    theorems: tuple[Theorem, ...]
-    beyond: Theorem
-    attraction: Mapping[str, Document]
-    abstract_states: Mapping[str, Document]
-    notes: tuple[str, ...] = ()
+    swarm: str  # its kind
+    angle_max: float  # the bound theta_max of the angle that was assumed, rad
+    theorems: tuple[Theorem, ...]  # the six of controllers and swarms, and the two general ones
+    beyond: Theorem  # what the paper does not state but a run needs: sampled time and the singularity S3 = 0
+    attraction: Mapping[str, Document]  # the estimates of the region of attraction
+    abstract_states: Mapping[str, Document]  # how they lie in the constraint sets
+    notes: tuple[str, ...]  # what the theory leaves out of this scenario
 
     @property
     def failed(self) -> tuple[tuple[Theorem, Condition], ...]:
@@ -244,27 +141,66 @@ class Report:
 
     def document(self) -> Document:
         """Return the report as a JSON document without NaN or infinity."""
-        return {
-            "scenario": self.scenario,
-            "controller": self.controller,
-            "swarm": self.swarm,
-            "angle_max": self.angle_max,
-            "covered": self.covered,
-            "failed": [f"{theorem.label}.{condition.name}" for theorem, condition in self.failed],
-            "theorems": [theorem.document() for theorem in self.theorems],
-            "beyond_the_paper": self.beyond.document(),
-            "attraction": dict(self.attraction),
-            "abstract_states": dict(self.abstract_states),
-            "notes": list(self.notes),
-        }
+        return plain(
+            {
+                "scenario": self.scenario,
+                "controller": self.controller,
+                "swarm": self.swarm,
+                "angle_max": self.angle_max,
+                "covered": self.covered,
+                "failed": [f"{theorem.label}.{condition.name}" for theorem, condition in self.failed],
+                "theorems": self.theorems,
+                "beyond_the_paper": self.beyond,
+                "attraction": self.attraction,
+                "abstract_states": self.abstract_states,
+                "notes": self.notes,
+            }
+        )
+
+    def warnings(self) -> Iterator[str]:
+        """Yield a line for the theorem of the run if it does not cover it, and one for sampled time."""
+        for theorem in self.theorems:
+            if theorem.label.endswith("_sys") and (told := _told(theorem)):
+                yield f"theorem {theorem.label} is not fulfilled: {told}; see the command check"
+        if told := _told(self.beyond):
+            yield f"sampled time: {told}; see the command check"
 
 
-def finite(value: float) -> float | None:
-    """Return a number, or None for what JSON cannot hold."""
-    return value if isfinite(value) else None
+DECIDING = "ks, friction alone"
+_FOLLOWING = {"ks, all terms at rest", "initial state"}
+"""Conditions that cannot hold if the deciding one does not."""
+_SAID_BY_THE_SCENARIO = {"inertia swing", "k1"}
+"""Conditions of which `Scenario.warnings` speaks already."""
 
 
-def _number(value: Number) -> Document:
-    if isinstance(value, tuple):
-        return [finite(one) for one in value]
-    return finite(value)
+def _told(theorem: Theorem) -> str:
+    """Say which conditions fail that nothing else speaks of."""
+    names = {condition.name for condition in theorem.failed}
+    silent = _SAID_BY_THE_SCENARIO | (_FOLLOWING if DECIDING in names else set())
+    told = []
+    for condition in theorem.failed:
+        form = condition.corrected
+        if condition.name == DECIDING:
+            told.append(condition.note)
+        elif condition.name not in silent:
+            told.append(f"{condition.name}: {form.value:.4g} is not {form.relation} {form.bound:.4g}")
+    return "; ".join(told)
+
+
+def plain(value: object) -> Document:
+    """Return a value as JSON can hold it, with None for what is no finite number."""
+    if isinstance(value, Form | Condition | Theorem):
+        return {name: plain(getattr(value, name)) for name in value.document}
+    if isinstance(value, Mapping):
+        return {name: plain(one) for name, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
+    if isinstance(value, Verdict):
+        return value.value
+    return None if isinstance(value, float) and not isfinite(value) else value  # type: ignore[return-value]
+
+
+def _all_hold(forms: list[Form]) -> Verdict:
+    if not forms:
+        return Verdict.NOT_APPLICABLE
+    return Verdict.HOLDS if all(form.verdict is Verdict.HOLDS for form in forms) else Verdict.FAILS

@@ -11,17 +11,24 @@ nothing about large errors, limits of drives, lost broadcasts and sums in which 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from swarmabs_core.command_filter import BANDWIDTH
+from swarmabs_core.controllers import Arise, StateFeedback
 from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.messages import Kind
+from swarmabs_core.theory.report import Condition, Form
+
+if TYPE_CHECKING:
+    from swarmabs_core.theory.setting import Setting
 
 Matrix: TypeAlias = NDArray[np.float64]
+Pair: TypeAlias = tuple[float, float]
 Loop: TypeAlias = Callable[[float, int], Matrix]
 """From period (s) and delay (periods) to the matrix of the loop."""
 
@@ -32,19 +39,8 @@ LONGEST_DELAY = 100
 def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matrix:
     """Return the matrix of x' = free x + entry u, u = -feedback x `delay` steps ago.
 
-    Its state is x and the commands that are under way.
-
-    Parameters
-    ----------
-    free, entry, feedback : numpy.ndarray
-        (n, n), (n, 1) and (1, n).
-    delay : int
-        In steps.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n + delay, n + delay).
+    Its state is x and the commands that are under way: of shapes (n, n), (n, 1) and (1, n) it makes one of
+    (n + delay, n + delay).
     """
     if delay == 0:
         return free - entry @ feedback
@@ -63,13 +59,7 @@ def is_stable(matrix: Matrix) -> bool:
 
 
 def largest_period(loop: Loop, delay: int = 0) -> float | None:
-    """Return the period (s) from which on the loop is unstable.
-
-    Returns
-    -------
-    float or None
-        0 if no period is stable; None if all up to 10 s are.
-    """
+    """Return the period (s) from which on the loop is unstable: 0 if none is stable, None if all up to 10 s are."""
     shortest = 1e-5
     periods = np.geomspace(shortest, LONGEST_PERIOD, 241)
     low = 0.0
@@ -90,10 +80,7 @@ def largest_period(loop: Loop, delay: int = 0) -> float | None:
 def largest_delay(loop: Loop, period: float) -> int | None:
     """Return the largest delay, in steps of `period` (s), up to which the loop is stable.
 
-    Returns
-    -------
-    int or None
-        -1 if it is unstable without delay; None if it is stable up to 100 steps.
+    It is -1 if the loop is unstable without delay, and None if it is stable up to 100 steps.
     """
     for delay in range(LONGEST_DELAY + 1):
         if not is_stable(loop(period, delay)):
@@ -123,10 +110,7 @@ def double_integrator_loop(kp: float, kd: float) -> Loop:
 def added_damping_loop(mass: float, damping: float, ksd: float) -> Loop:
     """Return the loop of a double integrator's own damping force -k_sd v, held; its velocity is never old.
 
-    Parameters
-    ----------
-    mass, damping, ksd : float
-        kg, N s/m, N s/m.
+    The mass is in kg, both dampings are in N s/m.
     """
 
     def loop(period: float, delay: int) -> Matrix:  # noqa: ARG001
@@ -137,11 +121,7 @@ def added_damping_loop(mass: float, damping: float, ksd: float) -> Loop:
 
 
 def parent_loop(
-    inertia: float,
-    slope: float,
-    feedback: tuple[float, float],
-    integral: tuple[float, float],
-    swarm: tuple[float, float | None],
+    inertia: float, slope: float, feedback: Pair, integral: Pair, swarm: tuple[float, float | None]
 ) -> Loop:
     """Return the loop of plane, parent controller, command filter and swarm, linearised about rest at 0.
 
@@ -149,14 +129,9 @@ def parent_loop(
     method), which the filter smooths and the swarm follows by its law for the torque. A delay is that of the broadcasts
     to the robots.
 
-    Parameters
-    ----------
-    inertia, slope : float
-        I in kg m^2, slope c of the friction in N m s/rad.
-    feedback, integral : tuple of float
-        k1 and k2 in N m/rad and N m s/rad; i1 and i2 in these units per s.
-    swarm : tuple of float
-        K and None of single integrators; kp and kd of double integrators.
+    The inertia I is in kg m^2, the slope c of the friction in N m s/rad. `feedback` is k1 and k2 in N m/rad and
+    N m s/rad, `integral` i1 and i2 in these units per s, `swarm` K and None of single integrators, or kp and kd of
+    double integrators.
     """
     gain, derivative = swarm
     second = derivative is not None
@@ -195,3 +170,86 @@ def parent_loop(
         return companion(free, entry, asked[np.newaxis], delay)
 
     return loop
+
+
+def sampled_conditions(setting: Setting) -> Iterator[Condition]:
+    """Yield for each loop the limits of period and delay, and whether the scenario keeps them."""
+    delay, step = setting.delay, setting.period
+    for name, loop, note in _loops(setting):
+        # Beyond the longest one no delay is within its limit, and the matrix of the loop may be too large.
+        considered = min(delay, LONGEST_DELAY)
+        period = largest_period(loop, considered)
+        steps = largest_delay(loop, step)
+        bound = LONGEST_PERIOD if period is None else period
+        yield Condition(
+            f"period, {name}",
+            None,
+            Form(f"step < limit with a delay of {considered}", step, bound, "<"),
+            {"period": step, "largest_period": bound, "delay": considered},
+            note if period is not None else f"stable up to {bound:g} s; {note}",
+        )
+        longest = LONGEST_DELAY if steps is None else steps
+        yield Condition(
+            f"delay, {name}",
+            None,
+            Form(f"delay <= limit at {step:g} s, in steps", delay, longest, "<="),
+            {"delay": delay, "largest_delay": longest, "period": step},
+            note if steps is not None else f"stable up to {longest} steps; {note}",
+        )
+    if setting.has_double:
+        yield _added_damping(setting)
+
+
+def _loops(setting: Setting) -> Iterator[tuple[str, Loop, str]]:
+    gains, friction = setting.gains, setting.plane.friction
+    inertia = setting.plane.inertia + setting.manifold.offset
+    kinds: list[tuple[str, float, float | None]] = []
+    if setting.has_single:
+        yield "SI errors", single_integrator_loop(max(gains.k)), "e[k+1] = e[k] - K h e[k-n], largest K"
+        kinds.append(("SI", gains.k[0], None))
+    if setting.has_double:
+        for axis, kp, kd in zip(("torque", "inertia"), gains.kp, gains.kd, strict=True):
+            if axis == "torque" or (kp, kd) != (gains.kp[0], gains.kd[0]):
+                name = "DI errors" if gains.kp[0] == gains.kp[1] and gains.kd[0] == gains.kd[1] else f"DI {axis} error"
+                yield name, double_integrator_loop(kp, kd), "e'' = -kp e - kd e', the acceleration held"
+        kinds.append(("DI", gains.kp[0], gains.kd[0]))
+    found = _linear_law(setting)
+    if found is None:
+        return
+    feedback, integral, linearised = found
+    for kind, gain, derivative in kinds:
+        for where, slope in (("moving", friction.g6), ("at rest", friction.slope_at_rest())):
+            loop = parent_loop(inertia, slope, feedback, integral, (gain, derivative))
+            note = f"plane, {linearised}, filter and swarm, linearised at 0 with friction slope {slope:g} ({where})"
+            yield f"plane {where}, {kind}", loop, note
+
+
+def _linear_law(setting: Setting) -> tuple[Pair, Pair, str] | None:
+    """Return proportional and integral gains of angle and rate of the law near 0, and its name."""
+    law = setting.law
+    if isinstance(law, StateFeedback):
+        return (law.k1, law.k2), (0.0, 0.0), "state feedback"
+    if isinstance(law, Arise):
+        # e2 = -(w + alpha1 th) for a reference at rest, where Y_d and with it the adaptation vanish.
+        g = law.gains
+        rate = (g.ks + 1.0) * g.alpha2 + g.beta / g.smoothing
+        return ((g.ks + 1.0) * g.alpha1, g.ks + 1.0), (rate * g.alpha1, rate), "ARISE without adaptation"
+    return None
+
+
+def _added_damping(setting: Setting) -> Condition:
+    """Return the condition on the robots' own damping k_sd, which acts on the velocity of the step."""
+    period, ksd = setting.period, setting.gains.ksd
+    limits = []
+    for robot in setting.robots:
+        if robot.kind is Kind.DOUBLE_INTEGRATOR:
+            limit = largest_period(added_damping_loop(robot.mass, robot.damping, ksd))
+            limits.append((LONGEST_PERIOD if limit is None else limit, robot.agent_id))
+    least, slowest = min(limits)
+    return Condition(
+        "period, added damping",
+        None,
+        Form("step < limit of the robot with the least", period, least, "<"),
+        {"period": period, "largest_period": least, "ksd": ksd, "robot": slowest},
+        "m v' = -c v - k_sd v[k]: motion that torque and inertia do not see",
+    )

@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_core.controllers.feedback import PD
+from swarmabs_core.controllers import PD
 from swarmabs_core.law_registry import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
 from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME

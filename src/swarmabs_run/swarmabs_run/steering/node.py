@@ -8,7 +8,7 @@ from pathlib import Path
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
-from swarmabs_core.controllers.base import OffsetController
+from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import Action

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from swarmabs_core.theory.constrained_region import Ball, clearance, constrained_region, manifold_clearance
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
+from swarmabs_core.theory.general_theorems import Ball, clearance, constrained_level, manifold_clearance
 
 G = 9.81
 PAPER = (0.3552, 0.3532, 0.6762, 0.4596)
@@ -86,7 +86,7 @@ def test_level_of_s_c_is_the_least_on_the_boundary(level: float, decides: str) -
     kappa = 3.0
     radii = (0.2, 0.5) if decides == "parent" else (0.5, 0.2)
     growths = (float(np.linalg.eigvalsh(p)[0]), kappa / 2)
-    region = constrained_region(level, Ball(radii[0], growths[0]), Ball(radii[1], growths[1]))
+    found = constrained_level(level, Ball(radii[0], growths[0]), Ball(radii[1], growths[1]))
     # Points on the boundary of S and both balls, along rays in all directions.
     rays = np.random.default_rng(1).standard_normal((200_000, 4))
     rays[:5000, :2] = 0.0
@@ -95,18 +95,9 @@ def test_level_of_s_c_is_the_least_on_the_boundary(level: float, decides: str) -
     norms = np.hypot(rays[:, 0], rays[:, 1]), np.hypot(rays[:, 2], rays[:, 3])
     with np.errstate(divide="ignore"):
         reach = np.minimum(np.sqrt(level / value), np.minimum(radii[0] / norms[0], radii[1] / norms[1]))
-    assert region.level == pytest.approx((value * reach**2).min(), rel=1e-5)
-    # What it contains is inside all three, and states beyond the level are not.
-    at_level = np.sqrt(region.level / value)
-    for scale, expected in ((1 - 1e-9, True), (1.01, False)):
-        k = at_level * scale
-        inside = [region.contains(*x) for x in zip(value * k**2, norms[0] * k, norms[1] * k, strict=True)]
-        assert set(inside) == {expected}
-    assert not region.contains(0.0, radii[0] * 1.01, 0.0)
-    assert not region.contains(0.0, 0.0, radii[1] * 1.01)
+    assert found == pytest.approx((value * reach**2).min(), rel=1e-5)
 
 
 def test_without_room_s_c_is_empty() -> None:
-    region = constrained_region(1.0, Ball(0.2, 1.0), Ball(-0.1, 1.0))
-    assert not region.contains(0.0, 0.0, 0.0)
-    assert constrained_region(1.0, Ball(0.2, 1.0), Ball(0.0, 1.0)).contains(0.0, 0.0, 0.0)
+    assert constrained_level(1.0, Ball(0.2, 1.0), Ball(-0.1, 1.0)) == -math.inf
+    assert constrained_level(1.0, Ball(0.2, 1.0), Ball(0.0, 1.0)) == 0.0
