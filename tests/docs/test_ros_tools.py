@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.docs.pages import read, rows, section
 
 from swarmabs_view.visualization.node import PARAMETERS
-from swarmabs_view.visualization.topics import VISUAL_TOPICS
+from swarmabs_view.visualization.ros_messages import VISUAL_TOPICS
 
 ROWS = [[cell.strip("`") for cell in row] for row in rows(section(read("docs/ros_tools.md"), "On topics of ROS"))]
 

@@ -157,9 +157,13 @@ async def looked(port: int) -> tuple[dict[str, Any], dict[str, list[bytes]]]:
             if isinstance(frame, str):
                 document = json.loads(frame)
                 if document["op"] == "advertise":
-                    channels |= {channel["topic"]: channel for channel in document["channels"]}
-                    new = [topic for topic in wanted if topic in channels]
-                    asked = [{"id": index, "channelId": channels[topic]["id"]} for index, topic in enumerate(new)]
+                    new = {channel["topic"]: channel for channel in document["channels"]}
+                    channels |= new
+                    asked = [
+                        {"id": number, "channelId": new[topic]["id"]}
+                        for number, topic in enumerate(wanted)
+                        if topic in new
+                    ]
                     await link.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
             elif frame[0] == 1:  # a message: subscription, time, payload
                 subscription = struct.unpack_from("<I", frame, 1)[0]

@@ -12,7 +12,7 @@ import yaml
 from tests.processes import ROOT
 
 from swarmabs_core.messages import TOPICS
-from swarmabs_view.visualization.topics import DESCRIPTION, MARKERS, VISUAL_TOPICS, message_class
+from swarmabs_view.visualization.ros_messages import DESCRIPTION, MARKERS, VISUAL_TOPICS, message_class
 
 PACKAGE = ROOT / "src" / "swarmabs_bringup"
 TYPES = {f"/{topic.name}": topic.ros_type for topic in (*VISUAL_TOPICS, *TOPICS)}

@@ -8,9 +8,7 @@ from tests.processes import ROOT
 from urdf_parser_py.urdf import URDF
 
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_view.visualization.description import plane_urdf
-from swarmabs_view.visualization.geometry import tilt
-from swarmabs_view.visualization.scene import Scene
+from swarmabs_view.visualization.scene import Scene, plane_urdf, tilt
 
 
 def described(*overrides: str) -> tuple[str, float]:

@@ -16,7 +16,7 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.writer import BagWriter
 from swarmabs_cli import main
 from swarmabs_core.messages import PLANE_STATE
-from swarmabs_view.visualization.topics import message_class
+from swarmabs_view.visualization.ros_messages import message_class
 
 MARKERS, JOINTS = "/swarm/markers", "/plane/joint_states"
 THICKNESS = 0.02

@@ -26,8 +26,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
-from swarmabs_view.visualization.geometry import Layout, Vector, tilt, tilted
-from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Scene, Shape
+from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Layout, Scene, Shape, Vector, tilt, tilted
 
 LAYOUT = Layout.of(2.0, [(3, Kind.DOUBLE_INTEGRATOR, 0.5), (1, Kind.SINGLE_INTEGRATOR, 4.0)])
 PERIOD = 10_000_000

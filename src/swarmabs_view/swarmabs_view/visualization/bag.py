@@ -20,16 +20,14 @@ from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, PlaneState, Topic
-from swarmabs_view.visualization.description import plane_urdf
-from swarmabs_view.visualization.ros_messages import Translator, description
+from swarmabs_view.visualization.ros_messages import CLOCK, Translator, available_topics, description
 from swarmabs_view.visualization.scene import Scene
-from swarmabs_view.visualization.topics import CLOCK, VISUAL_TOPICS, available_topics
 
 if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from swarmabs_view.visualization.topics import VisualTopic
+    from swarmabs_view.visualization.ros_messages import VisualTopic
 
 _KEPT = (SCENARIO_FILE, PROVENANCE_FILE)
 """Attachments that the new bag has too, so that it can be verified and run again."""
@@ -82,7 +80,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
             if shown in drawn:
                 writer.write(drawn[shown], now, serialize_message(message))
 
-        write(*description(plane_urdf(scene.layout, scenario.plane.inertia)))
+        write(*description(scene.layout, scenario.plane.inertia))
         due = float(now)
 
         def draw() -> float:
@@ -118,4 +116,4 @@ def _recordable() -> list[VisualTopic]:
         with suppress(UnknownTypeError):
             message_schema(topic.ros_type)
             found.append(topic)
-    return [topic for topic in VISUAL_TOPICS if topic in found and topic is not CLOCK]
+    return [topic for topic in found if topic is not CLOCK]

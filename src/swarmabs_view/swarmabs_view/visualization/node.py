@@ -5,33 +5,44 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from rclpy.serialization import serialize_message
+
+from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import agent_id_of
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.parameters import Parameter
+from swarmabs_ros.endpoints import profile
 from swarmabs_ros.parameters import declare
 from swarmabs_ros.program import SwarmNode, run_program
 from swarmabs_ros.runner import Settings
 from swarmabs_view.listener import Listener
-from swarmabs_view.ports import ADDRESS
-from swarmabs_view.visualization.description import plane_urdf
-from swarmabs_view.visualization.ros_messages import Translator, description
+from swarmabs_view.ports import ADDRESS, need_foxglove
+from swarmabs_view.visualization.ros_messages import (
+    DESCRIPTION,
+    Translator,
+    available_topics,
+    description,
+    message_class,
+)
 from swarmabs_view.visualization.scene import Scene
-from swarmabs_view.visualization.sinks import FoxgloveSink, RosSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
+
+    from typing_extensions import Self
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
-    from swarmabs_view.visualization.sinks import Sink
+    from swarmabs_view.visualization.ros_messages import VisualTopic
+
+    Publish = Callable[[VisualTopic, Any], None]
 
 RATE = 30.0
 PARAMETERS = (
@@ -45,6 +56,8 @@ SHARE = 0.2
 """Largest part of a core that drawing takes: where a frame costs more, there are fewer."""
 REPEAT = 1.0
 """Time, s, between two descriptions for clients that do not keep the last."""
+BACKLOG = 64
+"""Messages that wait for a slow client of Foxglove before the oldest are dropped."""
 _SLICE = 0.05
 
 
@@ -68,57 +81,130 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
         settings = Settings(declare(node, PARAMETERS), node.get_namespace())
         scenario = _scenario(settings)
         listener = Listener(node, len(scenario.agents))
-        with ExitStack() as stack:
-            sinks: list[Sink] = []
-            if settings.flag("ros"):
-                sinks.append(RosSink(node))
-                stack.callback(sinks[-1].close)
-            if settings.integer("foxglove_port") >= 0:
-                served = FoxgloveSink(settings.integer("foxglove_port"), settings.namespace, listener.topics)
-                sinks.append(served)
-                stack.callback(served.close)
-                sys.stderr.write(f"Foxglove finds the swarm at ws://{ADDRESS}:{served.port}\n")
-            show(scenario, listener, sinks, settings, wait or _until_signalled())
+        publish: list[Publish] = [ros_publisher(node)] if settings.flag("ros") else []
+        port = settings.integer("foxglove_port")
+        if port < 0:
+            show(scenario, listener, publish, None, settings, wait or _until_signalled())
+            return
+        with FoxgloveServer(port, settings.namespace, listener.topics) as foxglove:
+            sys.stderr.write(f"Foxglove finds the swarm at ws://{ADDRESS}:{foxglove.port}\n")
+            show(scenario, listener, [*publish, foxglove.publish], foxglove, settings, wait or _until_signalled())
 
     return run_program("plane_markers", SwarmNode, body, args)
 
 
+def ros_publisher(node: SwarmNode) -> Publish:
+    """Return what publishes on the topics of a node; the swarm's own messages are there already."""
+    publishers = {
+        topic: node.create_publisher(message_class(topic.ros_type), topic.name, profile(topic.qos))
+        for topic in available_topics()
+    }
+    return lambda topic, message: publishers[topic].publish(message)
+
+
+class FoxgloveServer:
+    """Serves to Foxglove, on the loopback interface, what is published on topics of ROS, and the swarm's own topics.
+
+    Parameters
+    ----------
+    port : int
+        TCP port, 0 for any that is free.
+    namespace : str
+        Of the swarm.
+    topics : iterable of Topic
+        The swarm's own topics that will be forwarded.
+
+    Raises
+    ------
+    InputError
+        If the package foxglove-sdk is not installed.
+    RunError
+        If the port is taken.
+    """
+
+    def __init__(self, port: int, namespace: str, topics: Iterable[Topic]) -> None:
+        need_foxglove()
+        import foxglove  # noqa: PLC0415 - only where it is asked for
+
+        self._context = context = foxglove.Context()
+        types = {topic.name: topic.ros_type for topic in topics}
+        types |= {topic.name: topic.ros_type for topic in available_topics()}
+        self._channels = {}
+        for name, ros_type in types.items():
+            schema = foxglove.Schema(name=ros_type, encoding="ros2msg", data=message_schema(ros_type).text.encode())
+            self._channels[name] = foxglove.Channel(
+                f"{namespace.rstrip('/')}/{name}", schema=schema, message_encoding="cdr", context=context
+            )
+        self._description = b""
+        try:
+            self._server = foxglove.start_server(
+                name="swarmabs", host=ADDRESS, port=port, context=context, message_backlog_size=BACKLOG
+            )
+        except RuntimeError as error:
+            raise RunError(f"cannot serve Foxglove on {ADDRESS}:{port}: {error}; choose another port") from error
+        self.port = int(self._server.port)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.stop()
+
+    def publish(self, topic: VisualTopic, message: Any) -> None:
+        """Send a message of a standard type."""
+        payload = serialize_message(message)
+        if topic is DESCRIPTION:
+            self._description = payload
+        self._channels[topic.name].log(payload)
+
+    def forward(self, topic: Topic, payload: bytes) -> None:
+        """Send a message of the swarm as it came."""
+        self._channels[topic.name].log(payload)
+
+    def repeat(self) -> None:
+        """Send the description of the plane again, for those who have come since."""
+        self._channels[DESCRIPTION.name].log(self._description)
+
+
 def show(
-    scenario: Scenario, listener: Listener, sinks: Sequence[Sink], settings: Settings, wait: Callable[[float], bool]
+    scenario: Scenario,
+    listener: Listener,
+    publishers: Sequence[Publish],
+    foxglove: FoxgloveServer | None,
+    settings: Settings,
+    wait: Callable[[float], bool],
 ) -> None:
     """Show the swarm, a frame whenever there is a new step and it is time for one."""
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
-    urdf = description(plane_urdf(scene.layout, scenario.plane.inertia))
-    for sink in sinks:
-        sink.publish(*urdf)
+    for publish in publishers:
+        publish(*description(scene.layout, scenario.plane.inertia))
     repeated = time.monotonic()
     period, pause, shown = 1.0 / settings.number("rate"), 0.0, None
     while not wait(pause):
         begun = time.monotonic()
-        _hear(listener, swarm, sinks)
+        for own, payload in _hear(listener, swarm):
+            if foxglove is not None:
+                foxglove.forward(own, payload)
         frame = scene.frame(swarm)
         if frame is not None and frame.step != shown:
             shown = frame.step
             for topic, message in translator.messages(frame, clock=settings.flag("clock")):
-                for sink in sinks:
-                    sink.publish(topic, message)
-        if begun - repeated >= REPEAT:
+                for publish in publishers:
+                    publish(topic, message)
+        if foxglove is not None and begun - repeated >= REPEAT:
             repeated = begun
-            for sink in sinks:
-                sink.repeat()
+            foxglove.repeat()
         cost = time.monotonic() - begun
         pause = max(period - cost, cost * (1.0 / SHARE - 1.0))
 
 
-def _hear(listener: Listener, swarm: SwarmState, sinks: Sequence[Sink]) -> None:
-    """Take what has come; sinks get the newest of each robot and each broadcast, and all events."""
+def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
+    """Take what has come; return the newest of each robot and each broadcast, and all events."""
     newest: dict[tuple[Topic, int], bytes] = {}
     for number, (topic, message, payload) in enumerate(listener.poll()):
         swarm.add(message)
         newest[topic, number if topic is EVENTS else agent_id_of(message)] = payload
-    for (topic, _), payload in newest.items():
-        for sink in sinks:
-            sink.forward(topic, payload)
+    return [(topic, payload) for (topic, _), payload in newest.items()]
 
 
 def _scenario(settings: Settings) -> Scenario:

@@ -1,7 +1,10 @@
-"""Frames of a scene as messages of ROS: a translation without any thought of its own."""
+"""The standard topics that a swarm is shown on, relative to its namespace, and frames of a scene as their messages."""
 
 from __future__ import annotations
 
+import importlib
+from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from builtin_interfaces.msg import Time
@@ -11,14 +14,58 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from swarmabs_view.visualization.geometry import JOINT, PLANE, WORLD, tilt
-from swarmabs_view.visualization.scene import ARROW, CUBE, CYLINDER, LINES, NO_TURN, TEXT
-from swarmabs_view.visualization.topics import CLOCK, DESCRIPTION, JOINT_STATES, MARKERS, TF, message_class
+from swarmabs_config.graph import Qos
+from swarmabs_view.visualization.scene import (
+    ARROW,
+    CUBE,
+    CYLINDER,
+    JOINT,
+    LINES,
+    NO_TURN,
+    PLANE,
+    TEXT,
+    WORLD,
+    plane_urdf,
+    tilt,
+)
 
 if TYPE_CHECKING:
-    from swarmabs_view.visualization.geometry import Quaternion, Vector
-    from swarmabs_view.visualization.scene import Colour, Frame, Shape
-    from swarmabs_view.visualization.topics import VisualTopic
+    from swarmabs_view.visualization.scene import Colour, Frame, Layout, Quaternion, Shape, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class VisualTopic:
+    """A topic: its name, the full ROS name of its type, and what its publisher offers."""
+
+    name: str
+    ros_type: str
+    qos: Qos
+
+
+JOINT_STATES = VisualTopic("plane/joint_states", "sensor_msgs/msg/JointState", Qos("reliable", 10))
+MARKERS = VisualTopic("swarm/markers", "visualization_msgs/msg/MarkerArray", Qos("reliable", 1))
+DESCRIPTION = VisualTopic("robot_description", "std_msgs/msg/String", Qos("reliable", 1, "transient_local"))
+TF = VisualTopic("tf", "tf2_msgs/msg/TFMessage", Qos("reliable", 100))
+CLOCK = VisualTopic("clock", "rosgraph_msgs/msg/Clock", Qos("best_effort", 1))
+
+VISUAL_TOPICS = (JOINT_STATES, MARKERS, DESCRIPTION, TF, CLOCK)
+"""All of them. `TF` is there only where `tf2_msgs` is installed: it is not among the wheels of PyPI."""
+
+
+@cache
+def message_class(ros_type: str) -> Any:
+    """Return the class of a message type, None if its package is not installed."""
+    package, _, name = ros_type.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except ModuleNotFoundError:
+        return None
+
+
+def available_topics() -> tuple[VisualTopic, ...]:
+    """Return those topics whose types are installed."""
+    return tuple(topic for topic in VISUAL_TOPICS if message_class(topic.ros_type) is not None)
+
 
 _TYPES = {
     ARROW: Marker.ARROW,
@@ -38,8 +85,8 @@ class Translator:
 
     def messages(self, frame: Frame, *, clock: bool) -> list[tuple[VisualTopic, Any]]:
         """Return the messages of a frame with their topics; with the clock of a simulation if it is asked for."""
-        stamp = _time(frame.stamp)
-        found = [(JOINT_STATES, joint_state(frame, stamp)), (MARKERS, self._array(frame, stamp))]
+        stamp = Time(sec=frame.stamp // _SECOND, nanosec=frame.stamp % _SECOND)
+        found = [(JOINT_STATES, _joint_state(frame, stamp)), (MARKERS, self._array(frame, stamp))]
         transforms = message_class(TF.ros_type)
         if transforms is not None:
             found.append((TF, transforms(transforms=_transforms(frame, stamp))))
@@ -70,12 +117,12 @@ class Translator:
         return marker
 
 
-def description(urdf: str) -> tuple[VisualTopic, Any]:
-    """Return the message that describes the plane, with its topic."""
-    return DESCRIPTION, String(data=urdf)
+def description(layout: Layout, inertia: float) -> tuple[VisualTopic, Any]:
+    """Return the message that describes a plane and its moment of inertia (kg m^2), with its topic."""
+    return DESCRIPTION, String(data=plane_urdf(layout, inertia))
 
 
-def joint_state(frame: Frame, stamp: Any) -> Any:
+def _joint_state(frame: Frame, stamp: Any) -> Any:
     """Return angle, rate and the robots' torque as the state of the joint."""
     return JointState(
         header=Header(stamp=stamp),
@@ -86,18 +133,13 @@ def joint_state(frame: Frame, stamp: Any) -> Any:
     )
 
 
-def robot_frame(agent_id: int) -> str:
-    """Return the name of a robot's frame."""
-    return f"robot_{agent_id:03d}"
-
-
 def _transforms(frame: Frame, stamp: Any) -> list[Any]:
     """Return the plane in the world, and each robot on the plane."""
     plane = TransformStamped(header=Header(stamp=stamp, frame_id=WORLD), child_frame_id=PLANE)
     _turn(plane.transform.rotation, tilt(frame.angle))
     found = [plane]
     for agent_id, place in frame.places.items():
-        robot = TransformStamped(header=Header(stamp=stamp, frame_id=PLANE), child_frame_id=robot_frame(agent_id))
+        robot = TransformStamped(header=Header(stamp=stamp, frame_id=PLANE), child_frame_id=f"robot_{agent_id:03d}")
         _set(robot.transform.translation, place)
         _turn(robot.transform.rotation, NO_TURN)
         found.append(robot)
@@ -118,8 +160,3 @@ def _set(target: Any, vector: Vector) -> None:
 
 def _turn(target: Any, turn: Quaternion) -> None:
     target.x, target.y, target.z, target.w = turn
-
-
-def _time(nanoseconds: int) -> Any:
-    seconds, rest = divmod(nanoseconds, _SECOND)
-    return Time(sec=seconds, nanosec=rest)

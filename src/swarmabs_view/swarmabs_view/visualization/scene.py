@@ -1,24 +1,65 @@
-"""What is drawn of a swarm: shapes in the frame `world`. It knows neither ROS nor a clock."""
+"""What is drawn of a swarm: shapes in the frame `world`. It knows neither ROS nor a clock.
+
+The frame `world` stands still: x along the level plane, z up, origin on the plane's axis. The frame `plane` turns with
+the plane. A positive angle lifts the end of positive positions, so the axis points along -y: the weight of a robot
+there, and a positive torque of the swarm, lower the angle (equation plane-dynamics). Robots are in lanes side by side.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, nan
+from math import cos, nan, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.messages import Kind
-from swarmabs_view.visualization.geometry import Layout, Pose, Quaternion, Vector, tilt, tilted
+from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, SwarmState
     from swarmabs_config.scenario import Scenario
 
+WORLD, PLANE = "world", "plane"
+JOINT = "plane_tilt"
+AXIS = (0.0, -1.0, 0.0)
+LARGEST_ANGLE = 1.5
+"""rad; every run ends there."""
+_THICKNESS = 0.02
+_LARGEST_ROBOT = 0.08
+_NARROWEST = 0.2
+"""Thickness of the plane, edge of the heaviest robot, and least width of the plane, as parts of its length."""
+_LANE = 1.25
+"""Width of a lane, as a multiple of the edge of the heaviest robot."""
 LABELLED = 50
 """More robots than these have no labels."""
 
 CUBE, CYLINDER, ARROW, LINES, TEXT = "cube", "cylinder", "arrow", "lines", "text"
+
+
+class Vector(NamedTuple):
+    """Coordinates, m."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(NamedTuple):
+    """A rotation."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class Pose(NamedTuple):
+    """Position, m, and rotation."""
+
+    position: Vector
+    orientation: Quaternion
+
 
 NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
 
@@ -45,26 +86,75 @@ _STATUS_COLOURS: dict[RobotStatus | None, Colour] = {"dead": GREY, "silent": GRE
 """Colours that tell more than the kind."""
 
 
+def tilt(angle: float) -> Quaternion:
+    """Return the rotation of the plane at an angle (rad)."""
+    half = angle / 2.0
+    x, y, z = (sin(half) * part for part in AXIS)
+    return Quaternion(x, y, z, cos(half))
+
+
+def tilted(point: Vector, angle: float) -> Vector:
+    """Return where in the world a point of the plane is at an angle (rad)."""
+    c, s = cos(angle), sin(angle)
+    return Vector(c * point.x - s * point.z, point.y, s * point.x + c * point.z)
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A robot as it is drawn: its lane's y (m) and the edge of its body (m)."""
+
+    agent_id: int
+    kind: int
+    lane: float
+    size: float
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What is drawn where: dimensions of the plane and of a lane, m, and the robots by id."""
+
+    length: float
+    width: float
+    thickness: float
+    robots: dict[int, Robot]
+    lane_width: float
+
+    @classmethod
+    def of(cls, length: float, robots: Iterable[tuple[int, int, float]]) -> Layout:
+        """Lay out a plane of some length (m) with robots of id, kind and mass (kg), whose volume goes with the mass."""
+        listed = sorted(robots)
+        heaviest = max((mass for _, _, mass in listed), default=1.0)
+        edge = _LARGEST_ROBOT * length
+        lane_width = _LANE * edge
+        first = -lane_width * (len(listed) - 1) / 2.0
+        return cls(
+            length,
+            max(_NARROWEST * length, lane_width * len(listed)),
+            _THICKNESS * length,
+            {
+                agent_id: Robot(agent_id, kind, first + index * lane_width, edge * (mass / heaviest) ** (1.0 / 3.0))
+                for index, (agent_id, kind, mass) in enumerate(listed)
+            },
+            lane_width,
+        )
+
+    def on_plane(self, robot: Robot, position: float) -> Vector:
+        """Return the middle of a robot's body in the frame of the plane, at a position along its lane (m)."""
+        return Vector(position, robot.lane, (self.thickness + robot.size) / 2.0)
+
+    def lane_ends(self, lane: float) -> tuple[Vector, Vector]:
+        """Return both ends of a lane on the surface, in the frame of the plane."""
+        above = 0.505 * self.thickness  # else the surface would hide it
+        return Vector(-self.length / 2.0, lane, above), Vector(self.length / 2.0, lane, above)
+
+
 @dataclass(frozen=True, slots=True)
 class Shape:
     """Something to draw, in the frame `world`.
 
-    Parameters
-    ----------
-    group, number : str, int
-        Which one it is: the next frame's shape with the same two takes its place.
-    kind : str
-        ``cube``, ``cylinder``, ``arrow`` (along x of its pose), ``lines`` (pairs of points in its pose) or ``text``.
-    pose : Pose
-        Of its middle, of an arrow its tail.
-    size : Vector
-        Extent, m; of lines x is the width, of a text z the height.
-    colour : Colour
-        Its colour.
-    points : tuple of Vector
-        Of lines.
-    text : str
-        Of a text.
+    Group and number say which one it is: the next frame's shape with the same two takes its place. The pose is that of
+    its middle, of an arrow (along x) its tail; `points` are pairs, in the pose of lines. The size is the extent, m; of
+    lines x is the width, of a text z the height.
     """
 
     group: str
@@ -78,22 +168,10 @@ class Shape:
 
 
 class Frame(NamedTuple):
-    """A swarm at one moment.
+    """A swarm in one step: stamp (ns), angle (rad) and rate (rad/s) of the plane, torque of the robots on it (N m).
 
-    Parameters
-    ----------
-    step, stamp : int
-        Of the plane's state; the stamp in ns.
-    angle, rate : float
-        Of the plane, rad and rad/s.
-    effort : float, optional
-        Torque of the robots about the joint, N m.
-    shapes : tuple of Shape
-        All there is to draw.
-    gone : tuple of tuple
-        Group and number of what was drawn before and no longer is.
-    places : dict
-        Pose of each robot in the frame `plane`, by id.
+    `gone` has group and number of what was drawn before and no longer is; `places` where each robot is in the frame
+    `plane`, m, by id.
     """
 
     step: int
@@ -109,12 +187,7 @@ class Frame(NamedTuple):
 class Scene:
     """Draws what is shown of a swarm, and remembers what it has drawn.
 
-    Parameters
-    ----------
-    layout : Layout
-        What is where.
-    torque_max : float
-        Torque, N m, at which an arrow is as long as half the plane.
+    An arrow is as long as half the plane at the torque `torque_max`, N m.
     """
 
     def __init__(self, layout: Layout, torque_max: float) -> None:
@@ -211,3 +284,32 @@ class Scene:
             thick = 0.03 * layout.length
             shapes.append(Shape("torque", number, ARROW, Pose(tail, turn), Vector(length, thick, thick), colour))
         return shapes
+
+
+def plane_urdf(layout: Layout, inertia: float) -> str:
+    """Return the plane as URDF: a plate on a level joint, with a moment of inertia (kg m^2) about its axis.
+
+    Its mass is that of a uniform plate with this moment of inertia, 12 J / (l^2 + t^2).
+    """
+    length, width, thickness = layout.length, layout.width, layout.thickness
+    mass = 12.0 * inertia / (length**2 + thickness**2)
+    return (
+        templates("swarmabs_view.visualization")
+        .get_template("plane.urdf.j2")
+        .render(
+            world=WORLD,
+            plane=PLANE,
+            joint=JOINT,
+            axis=_numbers(*AXIS),
+            limit=_numbers(LARGEST_ANGLE),
+            size=_numbers(length, width, thickness),
+            mass=_numbers(mass),
+            ixx=_numbers(mass * (width**2 + thickness**2) / 12.0),
+            iyy=_numbers(inertia),
+            izz=_numbers(mass * (length**2 + width**2) / 12.0),
+        )
+    )
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
