@@ -18,9 +18,7 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
 from swarmabs_fleet.host_plan import HostPlan
-from swarmabs_fleet.operate.client import OperatorClient
-from swarmabs_fleet.operate.health import HealthMonitor
-from swarmabs_fleet.operate.target import Target
+from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Target
 from swarmabs_fleet.parameters import parameter_file
 from swarmabs_fleet.permissions import Rights, host_rights, node_rights
 from swarmabs_run.orchestration.domain import claimed_domain

@@ -16,7 +16,7 @@ from tests.processes import until
 
 from swarmabs_cli import main
 from swarmabs_core.errors import InputError
-from swarmabs_fleet.operate.target import target
+from swarmabs_fleet.operate import target
 from swarmabs_run.orchestration.progress_file import INTERVAL, ProgressFile, Told, read_progress
 from swarmabs_run.orchestration.run_environment import RunOverError, environment_of_run, start_of
 from swarmabs_run.processes import RunProcesses, newest_run

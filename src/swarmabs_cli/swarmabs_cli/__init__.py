@@ -1,12 +1,14 @@
 """The command line ``swarm``. It parses, calls the library and prints; it decides nothing.
 
-Each command is a file in the folder of its section, with a function of the same name.
+Each command is a function of the same name, in a file in the folder of its section.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -24,6 +26,7 @@ SECTIONS = {
     "develop": "Set up and develop",
 }
 """Folders of commands, in the order in which they are listed, and their titles."""
+_COMMAND = re.compile(r"^@click\.(?:command|group)\b.*?^def (\w+)\(", re.MULTILINE | re.DOTALL)
 
 
 class LazyGroup(click.Group):
@@ -35,13 +38,13 @@ class LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Load a command; None if there is none of this name."""
-        section = next((section for section in SECTIONS if cmd_name in _files(section)), None)
-        if section is None:
-            return None
-        if not ctx.resilient_parsing:
-            ctx.with_resource(tracing_files_removed())
-        command: click.Command = getattr(import_module(f"{__name__}.{section}.{cmd_name}"), cmd_name)
-        return command
+        for section in SECTIONS:
+            if file := _files(section).get(cmd_name):
+                if not ctx.resilient_parsing:
+                    ctx.with_resource(tracing_files_removed())
+                command: click.Command = getattr(import_module(f"{__name__}.{section}.{file.stem}"), cmd_name)
+                return command
+        return None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands by section, without loading them."""
@@ -52,10 +55,12 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(name, _summary(name, path, width)) for name, path in files.items()])
 
 
+@cache
 def _files(section: str) -> dict[str, Path]:
-    """Return the files of a section by the names of their commands."""
-    found = sorted((Path(__file__).parent / section).glob("[!_]*.py"))
-    return {path.stem: path for path in found}
+    """Return the files of a section by the names of the commands in them."""
+    files = (Path(__file__).parent / section).glob("[!_]*.py")
+    found = {name: path for path in files for name in _COMMAND.findall(path.read_text(encoding="utf-8"))}
+    return dict(sorted(found.items()))
 
 
 def _summary(name: str, path: Path, width: int) -> str:

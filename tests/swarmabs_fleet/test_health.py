@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmabs_fleet.operate.health import SILENT, SILENT_AFTER, HealthMonitor, in_order
+from swarmabs_fleet.operate import SILENT, SILENT_AFTER, HealthMonitor, in_order
 
 HOSTS = {"plane_sim": "base", "agent_001": "cart-1", "agent_002": "cart-2"}
 

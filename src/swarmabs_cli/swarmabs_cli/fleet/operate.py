@@ -1,0 +1,136 @@
+"""The commands that speak to a swarm in real time: `swarm stop`, `reset`, `drain`, `join`, `remove`, `status`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from swarmabs_cli.options import json_option, together
+from swarmabs_cli.output import print_json
+from swarmabs_config.graph import OBSERVER
+from swarmabs_core.errors import RunError
+from swarmabs_core.realtime.observer import CARRIED_AWAY
+from swarmabs_fleet.operate import HealthMonitor, Row, Target, in_order, joined, target
+
+_STYLES = {"OK": "green", "WARN": "yellow"}
+
+_swarm = click.argument("swarm", metavar="FLEET.yaml|RUN", type=click.Path(exists=True, path_type=Path))
+_robot = click.argument("robot", type=int)
+_timeout = click.option(
+    "--timeout",
+    "patience",
+    type=click.FloatRange(0.1, 600.0),
+    default=5.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time to find the swarm's nodes, and then for each answer.",
+)
+of_swarm, of_robot = together(_swarm, _timeout), together(_swarm, _robot, _timeout)
+
+
+@click.command()
+@of_swarm
+def stop(swarm: Path, patience: float) -> None:
+    """Stop all robots of a fleet, or of a run in real time, until `reset`."""
+    _call(swarm, lambda _: "swarm/stop", patience, "all robots are told to stop, until reset")
+
+
+@click.command()
+@of_swarm
+def reset(swarm: Path, patience: float) -> None:
+    """Let the robots move again after `stop`, or for the first time in a fleet that begins stopped."""
+    _call(swarm, lambda _: "swarm/reset", patience, "robots stand for a second, then they follow again")
+
+
+@click.command()
+@of_robot
+def drain(swarm: Path, robot: int, patience: float) -> None:
+    """Take one robot out, such as for charging; its weight counts as gone from the plane."""
+    done = f"robot {robot} has stopped and counts as off the plane"
+    _call(swarm, lambda found: f"{found.robot(robot)}/leave", patience, done)
+
+
+@click.command()
+@of_robot
+def join(swarm: Path, robot: int, patience: float) -> None:
+    """Let a robot take part again after `drain`."""
+    _call(swarm, lambda found: f"{found.robot(robot)}/join", patience, f"robot {robot} takes part again")
+
+
+def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: str) -> None:
+    """Call a service of a swarm's node, and say what is done then."""
+    with target(swarm) as found:
+        name = service(found)
+        with joined(found) as client:
+            client.call(name, patience)
+    click.echo(f"{found.name}: {done}")
+
+
+@click.command()
+@of_robot
+def remove(swarm: Path, robot: int, patience: float) -> None:
+    """Say of a silent robot that it was carried off the plane, since it cannot say so itself."""
+    with target(swarm) as found:
+        found.robot(robot)
+        monitor = HealthMonitor({OBSERVER: found.hosts.get(OBSERVER, "unknown")})
+
+        def gone() -> bool:
+            return str(robot) in monitor.value(OBSERVER, "left").split()
+
+        with joined(found) as client, client.announced(robot, CARRIED_AWAY, patience):
+            client.listen(monitor, patience, gone)
+    if not gone():
+        raise RunError(
+            f"{found.name}: the observer has not taken robot {robot} off the plane; it does so only with one that is "
+            "silent, another can leave by itself: drain"
+        )
+    click.echo(f"{found.name}: robot {robot} counts as off the plane")
+
+
+@click.command()
+@_swarm
+@click.option("--watch", is_flag=True, help="Go on until interrupted.")
+@_timeout
+@json_option
+def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
+    """Show what every node of a fleet, or of a run in real time, says of its health.
+
+    The exit code is 1 if one is silent or in error.
+    """
+    if watch and as_json:
+        raise click.UsageError("--watch and --json exclude each other")
+    with target(swarm) as found, joined(found) as client:
+        monitor = HealthMonitor(found.hosts)
+        if watch:
+            with Live(_table(monitor.rows(0.0)), refresh_per_second=2) as live:
+
+                def refresh() -> bool:
+                    live.update(_table(monitor.rows(time.monotonic())))
+                    return False
+
+                client.listen(monitor, float("inf"), refresh)
+        client.listen(monitor, patience, monitor.complete)
+        rows = monitor.rows(time.monotonic())
+    if as_json:
+        nodes = [row._asdict() for row in rows]
+        print_json({"swarm": found.name, "in_order": in_order(rows), "nodes": nodes})
+    else:
+        Console(highlight=False).print(_table(rows))
+    return 0 if in_order(rows) else 1
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for head in ("node", "host", "health", "says"):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        level = Text(row.level, style=_STYLES.get(row.level, "red"))
+        table.add_row(Text(row.node), Text(row.host), level, Text(row.text))
+    return table

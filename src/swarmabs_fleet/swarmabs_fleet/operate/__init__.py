@@ -1,1 +1,0 @@
-"""Operating a swarm in real time: stop, reset, drain, join, status."""
