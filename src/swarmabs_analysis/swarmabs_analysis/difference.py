@@ -6,13 +6,13 @@ import struct
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from swarmabs_core.cdr import canonical, encode
-from swarmabs_core.messages import AgentState
+from swarmabs_core.cdr import agent_id_of, canonical, encode
+from swarmabs_core.messages import TOPIC_OF, AgentState
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Message
     from swarmabs_core.record import Record
 
 Side = Literal["A", "B"]
@@ -53,6 +53,11 @@ class Difference(NamedTuple):
     a: Value
     b: Value
     reason: str = ""
+
+    @classmethod
+    def of(cls, message: Message, field: str, a: Value, b: Value, reason: str = "") -> Difference:
+        """Return a difference in the place to which a message belongs."""
+        return cls(TOPIC_OF[type(message)].name, message.step, agent_id_of(message) or None, field, a, b, reason)
 
     @property
     def missing(self) -> Side | None:
@@ -106,19 +111,13 @@ def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator
             yield name, x, y
 
 
-def judge(
-    stored: Record, expected: Message, agent: int | None, tolerance: float, time: int | None = None
-) -> Difference | None:
+def judge(stored: Record, expected: Message, tolerance: float, time: int | None = None) -> Difference | None:
     """Return the first field by which a recorded message differs from the expected one, None if there is none.
 
     Parameters
     ----------
-    stored : Record
-        The recorded message.
-    expected : Message
-        What should stand there.
-    agent : int, optional
-        The robot to which the place belongs.
+    stored, expected
+        The recorded message, and what should stand there.
     tolerance : float
         As of `differing_fields`.
     time : int, optional
@@ -127,49 +126,35 @@ def judge(
     payload = encode(expected)
     if stored.payload == payload and (time is None or (stored.time == time and stored.published in {None, time})):
         return None
-    place = (stored.topic.name, expected.step, agent)
     found = {name: (was, should) for name, was, should in differing_fields(stored.message, expected, tolerance)}
     for name in (*(_CAUSES_FIRST if isinstance(expected, AgentState) else ("step",)), *found):
         if name in found:
-            return Difference(*place, name, *found[name])
+            return Difference.of(expected, name, *found[name])
     if time is not None and stored.time != time:
-        return Difference(*place, LOG_TIME, stored.time, time)
+        return Difference.of(expected, LOG_TIME, stored.time, time)
     if time is not None and stored.published not in {None, time}:
-        return Difference(*place, PUBLISH_TIME, stored.published, time)
-    return wrong_padding(stored, place, None if tolerance else payload)
+        return Difference.of(expected, PUBLISH_TIME, stored.published, time)
+    return wrong_padding(stored, None if tolerance else payload)
 
 
-def wrong_padding(
-    stored: Record, place: tuple[str, int, int | None], payload: bytes | None = None
-) -> Difference | None:
-    """Return that bytes are not canonical, though their fields are right; None if they are.
-
-    Parameters
-    ----------
-    stored : Record
-        The recorded message.
-    place : tuple
-        Topic, step and robot to which it belongs.
-    payload : bytes, optional
-        The canonical bytes, if they are known.
-    """
+def wrong_padding(stored: Record, payload: bytes | None = None) -> Difference | None:
+    """Return that bytes are not canonical, or not the right ones, though their fields are right; None if they are."""
     right = payload or canonical(stored.topic.message, stored.payload)
-    return None if stored.payload == right else Difference(*place, PADDING, in_hex(stored.payload), in_hex(right))
+    if stored.payload == right:
+        return None
+    return Difference.of(stored.message, PADDING, in_hex(stored.payload), in_hex(right))
 
 
-def place_of(record: Record) -> tuple[str, int, int | None]:
-    """Return topic, step and robot of a message, None if it is of no robot."""
-    return record.topic.name, record.message.step, record.agent_id or None
-
-
-def missing(topic: Topic, expected: Message, agent: int | None, reason: str = "") -> Difference:
+def missing(expected: Message) -> Difference:
     """Return that a message is not there."""
-    return Difference(topic.name, expected.step, agent, MESSAGE, None, expected._asdict(), reason)
+    return Difference.of(expected, MESSAGE, None, expected._asdict())
 
 
-def surplus(stored: Record, step: int, agent: int | None, reason: str = "") -> Difference:
-    """Return that a message is there which should not be."""
-    return Difference(stored.topic.name, step, agent, MESSAGE, stored.message._asdict(), None, reason)
+def surplus(stored: Record, step: int, reason: str) -> Difference:
+    """Return that a message is there, among those of a step, which should not be."""
+    message = stored.message
+    found = Difference.of(message, MESSAGE, message._asdict(), None, reason)._replace(step=step)
+    return found._replace(agent=message.agent_id) if isinstance(message, AgentState) else found  # also where it is 0
 
 
 def in_hex(payload: bytes) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification import Ending, LockstepVerification, Verification
+from swarmabs_analysis.verification.base import Ending
+from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_provenance, attached_scenario
 from swarmabs_bag.errors import DamagedBagError, NotABagError
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    from swarmabs_analysis.verification.base import Verification
     from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
 

@@ -91,7 +91,7 @@ class RealtimeCollector:
             return tuple(map(Record.of, self._refusals.add(problem, step, now)))
         topic, agent_id, message, payload, *_ = record
         known = self._known.setdefault(message.step, {})
-        place = (topic, payload if isinstance(message, SwarmEvent) else _part(record))
+        place = (topic, payload if isinstance(message, SwarmEvent) else part(record))
         if place not in known:
             known[place] = payload
             return (record,)
@@ -126,7 +126,7 @@ class RealtimeCollector:
         self._oldest = before
 
 
-def _part(record: Record) -> int:
+def part(record: Record) -> int:
     """Return what tells the messages of a topic and a step apart."""
     message = record.message
     if isinstance(message, DesiredAbstractState):

@@ -18,7 +18,8 @@ from tests.plugin_packages import SCALED, install
 from tests.swarmabs_core.helpers import builtin, digest
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification import Ending, LockstepVerification
+from swarmabs_analysis.verification.base import Ending
+from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import command_filter, controllers, desired_state, drive, plant

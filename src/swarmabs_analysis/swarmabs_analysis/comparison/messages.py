@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.steps import ORDER
-from swarmabs_analysis.difference import MESSAGE, Difference, Side, differing_fields, place_of
+from swarmabs_analysis.difference import MESSAGE, Difference, Side, differing_fields
 from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ class _Found:
     def missing(self, record: Record, side: Side) -> None:
         self._of(record.topic).missing[side] += 1
         there, missing = (MESSAGE, None) if side == "B" else (None, MESSAGE)
-        self._note(record, Difference(*place_of(record), MESSAGE, there, missing))
+        self._note(record, Difference.of(record.message, MESSAGE, there, missing))
 
     def pair(self, one: Record, other: Record) -> None:
         topic = self._of(one.topic)
@@ -220,7 +220,7 @@ class _Found:
             deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
             field = topic.fields.setdefault(name, _Field())
             field.add(deviation, step, agent)
-            self._note(one, Difference(*place_of(one), name, x, y))
+            self._note(one, Difference.of(one.message, name, x, y))
 
     def result(self) -> MessageComparison:
         return MessageComparison(

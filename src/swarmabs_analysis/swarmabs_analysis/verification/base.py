@@ -1,18 +1,23 @@
-"""What verifying a run has in common, in lockstep and in real time; see `swarmabs_analysis.verification`."""
+"""What verifying a run has in common, in lockstep and in real time."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from swarmabs_analysis.difference import PAYLOAD, Difference, in_hex
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from swarmabs_core.messages import Topic
+
+Finding: TypeAlias = "Difference | str | None"
+"""None if a message is right, else what is wrong, or why it cannot be checked."""
 
 
 class Ending(Enum):
@@ -33,6 +38,8 @@ class Verification(ABC):
     ----------
     tolerance : float
         A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
+    period_ns : int, optional
+        Period of a run in lockstep, ns, whose log times tell the steps.
 
     Attributes
     ----------
@@ -48,12 +55,13 @@ class Verification(ABC):
         How many steps a whole run has, None if that is not known.
     """
 
-    def __init__(self, tolerance: float) -> None:
+    def __init__(self, tolerance: float, period_ns: int | None = None) -> None:
         self.difference: Difference | None = None
         self.steps = self.messages = 0
         self.not_checkable: Counter[str] = Counter()
         self.expected_steps: int | None = None
         self._tolerance = tolerance
+        self._period_ns = period_ns
 
     @property
     @abstractmethod
@@ -61,30 +69,18 @@ class Verification(ABC):
         """The first step that is not verified, 0 before there is one."""
 
     @property
-    @abstractmethod
     def decided(self) -> bool:
         """Whether no further message can change what is found."""
+        return self.difference is not None
 
     def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
-        """Take the next message of the bag.
-
-        Parameters
-        ----------
-        topic : Topic
-            A topic that is recorded.
-        time : int
-            Its log time, ns.
-        payload : bytes
-            Its bytes.
-        published : int, optional
-            When it was published, ns, if that is to be verified.
-        """
+        """Take the next message of the bag, with its log time and, if that is to be verified, its publish time, ns."""
         if self.decided:
             return
         try:
             found: Record | Difference = Record.read(topic, time, payload, published)
         except MalformedMessageError as error:
-            step = self._step_of_no_message(time)
+            step = None if self._period_ns is None else time // self._period_ns
             found = Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
         self._take(found)
 
@@ -92,14 +88,24 @@ class Verification(ABC):
     def _take(self, found: Record | Difference) -> None:
         """Take a message, or that there is none."""
 
-    @abstractmethod
-    def _step_of_no_message(self, time: int) -> int | None:
-        """Return the step of bytes that are no message, by their log time (ns); None if that does not tell it."""
+    def _judge(self, findings: Iterable[Finding]) -> int:
+        """Count what was found of messages, up to the first difference; return of how many something was found."""
+        judged = 0
+        for finding in findings:
+            judged += 1
+            if finding is None:
+                self.messages += 1
+            elif isinstance(finding, str):
+                self.not_checkable[finding] += 1
+            else:
+                self.difference = finding
+                break
+        return judged
 
     @abstractmethod
     def finish(self, ending: Ending) -> None:
         """Judge what is left at the end of the bag."""
 
-    @abstractmethod
     def digest(self) -> str | None:
-        """Return the digest of what was found right, None if such a run has none."""
+        """Return the digest of what was found right; None in real time, where what is heard differs by the run."""
+        return None

@@ -2,44 +2,65 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from swarmabs_bag.realtime_recording import MEMORY, conflict
+from swarmabs_analysis.difference import Difference
+from swarmabs_bag.realtime_recording import MEMORY, conflict, part
 from swarmabs_core.messages import (
     AGENT_STATE,
-    BASIS,
     DESIRED_ABSTRACT_STATE,
+    TOPIC_OF,
+    AbstractState,
     AgentState,
+    AuxiliaryState,
     Basis,
     DesiredAbstractState,
     Mode,
+    PlaneState,
     Source,
     SwarmEvent,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Mapping
 
-    from swarmabs_core.messages import Topic
+    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record
 
 WAIT = 300
 """Steps that a message may be received behind those of later steps, and is still judged in its place."""
 _KEPT = MEMORY + 2 * WAIT
 
+AMBIGUOUS = "different messages of the step may have been sent, of which the bag has one"
+NO_STATES = "a robot's state that it was computed from is not in the bag"
+NO_PROVENANCE = "what it was computed from is not in the bag"
+
+Kind = TypeVar("Kind", AgentState, PlaneState, AbstractState, AuxiliaryState, Basis)
+
+
+class UnconfirmedError(Exception):
+    """A message is not found right: `finding` says what is wrong, or why it cannot be checked."""
+
+    def __init__(self, finding: Difference | str) -> None:
+        super().__init__(str(finding))
+        self.finding = finding
+
 
 class History:
-    """Messages by topic, step and what else tells them apart, of as many steps as may matter."""
+    """Messages by step, topic and what else tells them apart, of as many steps as may matter.
+
+    Attributes
+    ----------
+    steps : dict
+        The messages of each step by topic, and there by robot, mode of a desired state, or source of a provenance.
+    """
 
     def __init__(self) -> None:
-        self._by_step: dict[Topic, dict[int, dict[int, Record]]] = defaultdict(dict)
-        self._robots: dict[int, dict[int, Record]] = defaultdict(dict)
+        self.steps: dict[int, dict[Topic, dict[int, Record]]] = {}
         self._pinned: dict[int, dict[tuple[int, int], Record]] = {}
         self._ambiguous: set[tuple[str, int, int]] = set()
         self._newest: dict[tuple[str, int], int] = {}
-        self.steps: set[int] = set()
-        self._oldest = 0
 
     def add(self, stored: Record) -> bool:
         """Keep a message; return whether there is none in its place yet."""
@@ -49,83 +70,67 @@ class History:
             if of is not None:
                 self._ambiguous.add((of, message.agent_id, message.step))
             return True
-        sender = 0
-        if isinstance(message, AgentState):
-            place, key = self._robots[message.agent_id], message.step
-            sender = message.agent_id
-        else:
-            place = self._by_step[topic].setdefault(message.step, {})
-            key = 0
-            if isinstance(message, Basis):
-                key = sender = message.source
-            elif isinstance(message, DesiredAbstractState):
-                key = message.mode
+        key = part(stored)
+        place = self.steps.setdefault(message.step, {}).setdefault(topic, {})
         if key in place:
             return False
         place[key] = stored
-        if message.step < self._newest.get((topic.name, sender), -1):
+        sender = (topic.name, 0 if isinstance(message, DesiredAbstractState) else key)
+        if message.step < self._newest.get(sender, -1):
             # A sender's messages keep their order. Its clock may have been set back, and this not be the first.
-            self._ambiguous.add((topic.name, sender, message.step))
+            self._ambiguous.add((*sender, message.step))
         else:
-            self._newest[topic.name, sender] = message.step
-        self.steps.add(message.step)
+            self._newest[sender] = message.step
         return True
 
     def forget(self, step: int) -> None:
         """Forget what is too old to matter for steps from this one on; what a coordinator still uses is kept."""
-        for robot in self._robots.values():
-            while len(robot) > _KEPT:
-                del robot[next(iter(robot))]
-        oldest, first = step - _KEPT, self._oldest
-        if oldest - first > len(self.steps):
-            for by_step in self._by_step.values():
-                for old in [s for s in by_step if s < oldest]:
-                    del by_step[old]
-            self.steps = {s for s in self.steps if s >= oldest}
-        else:
-            for old in range(first, oldest):
-                for by_step in self._by_step.values():
-                    by_step.pop(old, None)
-                self.steps.discard(old)
-        self._oldest = max(first, oldest)
+        if len(self.steps) > _KEPT + 2 * WAIT:
+            self.steps = {s: found for s, found in self.steps.items() if s >= step - _KEPT}
 
-    def get(self, topic: Topic, step: int, key: int = 0) -> Record | None:
-        """Return the message of a coordinator."""
-        return self._by_step[topic].get(step, {}).get(key)
+    def on(self, topic: Topic, step: int) -> Mapping[int, Record]:
+        """Return the messages on a topic of a step by what tells them apart."""
+        return self.steps.get(step, {}).get(topic, {})
 
-    def basis(self, source: Source, step: int) -> Basis | None:
-        """Return from what a coordinator has computed its answer of a step."""
-        stored = None if self.is_ambiguous(BASIS, step, source) else self.get(BASIS, step, source)
+    def get(self, kind: type[Kind], step: int, key: int = 0) -> Kind | None:
+        """Return a message of a class, a step, and a robot or source; None if there is none."""
+        stored = self.on(TOPIC_OF[kind], step).get(key)
         message = None if stored is None else stored.message
-        return message if isinstance(message, Basis) else None
+        return message if isinstance(message, kind) else None
 
-    def desired(self, step: int) -> list[Record]:
+    def sure(self, kind: type[Kind], step: int, reason: str, key: int = 0) -> Kind:
+        """Return the same if there is one, and no other can have been sent.
+
+        Raises
+        ------
+        UnconfirmedError
+            For this reason if there is none.
+        """
+        message = self.get(kind, step, key)
+        if message is None or self.is_ambiguous(TOPIC_OF[kind], step, key):
+            raise UnconfirmedError(reason)
+        return message
+
+    def provenance(self, source: Source, step: int, reason: str = NO_PROVENANCE) -> Basis:
+        """Return from what a coordinator has computed its answer of a step; errors as of `sure`."""
+        return self.sure(Basis, step, reason, source)
+
+    def desired(self, step: int) -> list[DesiredAbstractState]:
         """Return the desired states of a step: one of each mode, RUN first."""
-        found = self._by_step[DESIRED_ABSTRACT_STATE].get(step, {})
-        return [found[mode] for mode in sorted(found)]
+        found = [stored.message for _, stored in sorted(self.on(DESIRED_ABSTRACT_STATE, step).items())]
+        return [message for message in found if isinstance(message, DesiredAbstractState)]
 
     def changes_within(self, step: int) -> bool:
         """Tell whether the parent controller may have changed its mind within a step that has no RUN."""
         before = next((found for s in range(step - 1, step - WAIT, -1) if (found := self.desired(s))), None)
-        return before is None or any(getattr(stored.message, "mode", None) == Mode.RUN for stored in before)
+        return before is None or any(desired.mode == Mode.RUN for desired in before)
 
-    def robots(self) -> list[int]:
-        """Return the ids of all robots that have been heard."""
-        return sorted(self._robots)
-
-    def state(self, agent_id: int, step: int) -> Record | None:
-        """Return the state of a robot."""
-        found = self._robots[agent_id].get(step) if agent_id in self._robots else None
-        if found is not None:
-            return found
-        return next((pins[agent_id, step] for pins in self._pinned.values() if (agent_id, step) in pins), None)
-
-    def states(self, source: Source, basis: Basis) -> dict[int, AgentState] | str:
-        """Return the states that a coordinator says to have used, or why they are not all there; they are kept."""
-        pins, found = {}, {}
-        problem = ""
-        for agent_id, step in zip(basis.agent_ids, basis.state_steps, strict=True):
-            stored = self.state(agent_id, step)
+    def states(self, source: Source, provenance: Basis) -> tuple[dict[int, AgentState], str]:
+        """Return the states that a coordinator says to have used, and why they are not all there; they are kept."""
+        pins: dict[tuple[int, int], Record] = {}
+        found, problem = {}, ""
+        for agent_id, step in zip(provenance.agent_ids, provenance.state_steps, strict=True):
+            stored = self._state(agent_id, step)
             if stored is None:
                 problem = NO_STATES
                 continue
@@ -135,16 +140,22 @@ class History:
             assert isinstance(stored.message, AgentState)  # noqa: S101 - kept as such
             found[agent_id] = stored.message
         self._pinned[source] = pins
-        return problem or found
+        return found, problem
+
+    def _state(self, agent_id: int, step: int) -> Record | None:
+        found = self.on(AGENT_STATE, step).get(agent_id)
+        if found is not None:
+            return found
+        return next((pins[agent_id, step] for pins in self._pinned.values() if (agent_id, step) in pins), None)
 
     def is_ambiguous(self, topic: Topic, step: int, agent_id: int = 0) -> bool:
         """Tell whether different messages were received of which the bag has the first."""
         return (topic.name, agent_id, step) in self._ambiguous
 
-    def any_ambiguous(self, topics: Iterable[Topic], step: int) -> bool:
-        """Tell whether a coordinator's messages of a step are ambiguous."""
-        return any(self.is_ambiguous(topic, step) for topic in topics)
 
-
-AMBIGUOUS = "different messages of the step may have been sent, of which the bag has one"
-NO_STATES = "a robot's state that it was computed from is not in the bag"
+def wrong_stamp(message: Message, schedule: Schedule, within: int = 0) -> Difference | None:
+    """Return that a message was made in another step than its own, or further from it than within so many steps."""
+    made = schedule.step(message.stamp)
+    if abs(made - message.step) <= within:
+        return None
+    return Difference.of(message, "stamp", message.stamp, None, f"that is in step {made}")

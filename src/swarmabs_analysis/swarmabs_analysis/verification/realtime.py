@@ -9,26 +9,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_analysis.difference import (
-    PUBLISH_TIME,
-    Difference,
-    place_of,
-    surplus,
-    wrong_padding,
-)
+from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wrong_padding
 from swarmabs_analysis.verification.base import Ending, Verification
-from swarmabs_analysis.verification.history import WAIT, History
-from swarmabs_analysis.verification.realtime_coordinators import ControllerCheck, ObserverCheck, PlaneCheck
-from swarmabs_analysis.verification.realtime_robot import RobotCheck
+from swarmabs_analysis.verification.history import WAIT, History, wrong_stamp
+from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
 from swarmabs_bag.realtime_recording import MEMORY
 from swarmabs_config import configure as lockstep, realtime as configure
-from swarmabs_core.messages import EVENTS, PLANE_STATE, Basis, DesiredAbstractState
+from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, Basis, DesiredAbstractState
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from swarmabs_analysis.verification.realtime_coordinators import Finding
+    from swarmabs_analysis.verification.base import Finding
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.realtime.base import Schedule
 
@@ -75,7 +68,7 @@ class RealtimeVerification(Verification):
         limited = frozenset(own_limits)
         self._robots = {
             config.agent_id: RobotCheck(
-                config, history, starts.get(config.agent_id), tolerance, own_limits=config.agent_id in limited
+                config, history, tolerance, starts.get(config.agent_id), own_limits=config.agent_id in limited
             )
             for config in configure.agent_configs(scenario, schedule)
         }
@@ -83,24 +76,12 @@ class RealtimeVerification(Verification):
         self._simulated_plane = simulated_plane
         self._observer = ObserverCheck(configure.observer_config(scenario, schedule), history, tolerance)
         controller = configure.controller_config(scenario, schedule)
-        self._controller = ControllerCheck(controller, history, lambda: lockstep.parent_controller(scenario), tolerance)
+        self._controller = ControllerCheck(controller, history, tolerance, lambda: lockstep.parent_controller(scenario))
 
     @property
     def step(self) -> int:
         """The first step that is not verified, 0 before there is one."""
         return max(0, self._judged or 0)
-
-    @property
-    def decided(self) -> bool:
-        """Whether no further message can change what is found."""
-        return self.difference is not None
-
-    def digest(self) -> None:
-        """Return that there is none: what a recorder hears differs from run to run."""
-        return
-
-    def _step_of_no_message(self, time: int) -> None:
-        """Return that its log time does not tell the step."""
 
     def _take(self, found: Record | Difference) -> None:
         if isinstance(found, Difference):
@@ -110,7 +91,7 @@ class RealtimeVerification(Verification):
         self._newest = max(self._newest, now)
         stamp = max(0, found.message.stamp)  # a bag has no time before 1970
         if found.published not in {None, stamp}:
-            self.difference = Difference(*place_of(found), PUBLISH_TIME, found.published, stamp)
+            self.difference = Difference.of(found.message, PUBLISH_TIME, found.published, stamp)
             return
         self.difference = self._keep(found, now)
         if self._judged is None:
@@ -122,31 +103,22 @@ class RealtimeVerification(Verification):
         self._judge_until(max(self._history.steps, default=-1) + 1)
 
     def _keep(self, stored: Record, now: int) -> Difference | None:
-        message, place = stored.message, place_of(stored)
-        if wrong := wrong_padding(stored, place):
+        message = stored.message
+        if wrong := wrong_padding(stored):
             return wrong
         if stored.topic is not EVENTS:
             if abs(message.step - now) > MEMORY:
-                return Difference(*place, "step", message.step, now, "when received")
-            wrong = self._wrong_stamp(stored)
-            if wrong is not None:
+                return Difference.of(message, "step", message.step, now, "when received")
+            if isinstance(message, (DesiredAbstractState, Basis)) and (
+                wrong := wrong_stamp(message, self._schedule, MEMORY)
+            ):
                 return wrong
-        if self._judged is not None and message.step < self._judged and stored.topic is not EVENTS:
-            self.not_checkable[LATE] += 1
+            if self._judged is not None and message.step < self._judged:
+                self.not_checkable[LATE] += 1
+                return None
+        if self._history.add(stored):
             return None
-        if not self._history.add(stored):
-            return surplus(stored, message.step, place[-1], "the recorder keeps one of its step")
-        return None
-
-    def _wrong_stamp(self, stored: Record) -> Difference | None:
-        """Return that a desired state or a basis was made in a step far from its own."""
-        message = stored.message
-        if not isinstance(message, (DesiredAbstractState, Basis)):
-            return None
-        made = self._schedule.step(message.stamp)
-        if abs(made - message.step) <= MEMORY:
-            return None
-        return Difference(*place_of(stored), "stamp", message.stamp, None, f"that is in step {made}")
+        return surplus(stored, message.step, "the recorder keeps one of its step")
 
     def _judge_until(self, end: int) -> None:
         """Judge all steps before one; that takes no longer where the clock was set far forward."""
@@ -157,38 +129,26 @@ class RealtimeVerification(Verification):
         steps = range(begin, end) if few else sorted(s for s in self._history.steps if begin <= s < end)
         for step in steps:
             if self.difference is None:
-                self._judge(step)
+                self._judge_step(step)
         self._judged = end
 
-    def _judge(self, step: int) -> None:
+    def _judge_step(self, step: int) -> None:
         """Judge what there is of a step, in the order in which the nodes tick."""
-        found = False
-        for finding in self._findings(step):
-            found = True
-            if isinstance(finding, Difference):
-                self.difference = finding
-                return
-            if finding is None:
-                self.messages += 1
-            else:
-                self.not_checkable[finding] += 1
-        self.steps += found
-        self._history.forget(step)
+        judged = self._judge(self._findings(step))
+        if self.difference is None:
+            self.steps += judged > 0
+            self._history.forget(step)
 
     def _findings(self, step: int) -> Iterator[Finding]:
-        for agent_id in self._history.robots():
-            stored = self._history.state(agent_id, step)
-            if stored is None:
-                continue
+        for agent_id, stored in sorted(self._history.on(AGENT_STATE, step).items()):
             robot = self._robots.get(agent_id)
             if robot is None:
-                yield surplus(stored, step, agent_id, "the scenario has no such robot")
+                yield surplus(stored, step, "the scenario has no such robot")
             else:
                 yield robot.check(stored)
-        plane = self._history.get(PLANE_STATE, step)
         if self._simulated_plane:
             yield from self._plane.check(step)
-        elif plane is not None:
-            yield MEASURED
+        else:
+            yield from [MEASURED] * len(self._history.on(PLANE_STATE, step))
         yield from self._observer.check(step)
         yield from self._controller.check(step)

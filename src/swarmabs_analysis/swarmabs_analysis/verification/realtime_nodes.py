@@ -1,0 +1,410 @@
+"""What each node has published in real time, recomputed from what its messages name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from swarmabs_analysis.difference import Difference, judge
+from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES, UnconfirmedError, wrong_stamp
+from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.controllers import StateFeedback
+from swarmabs_core.desired_state import DesiredStateGenerator
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BROADCASTS,
+    DESIRED_ABSTRACT_STATE,
+    NEVER,
+    PLANE_STATE,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    Broadcast,
+    DesiredAbstractState,
+    Mode,
+    PlaneState,
+    Source,
+    Status,
+)
+from swarmabs_core.realtime import controller, drives
+from swarmabs_core.realtime.agent import RealtimeAgentConfig, RealtimeLaw
+from swarmabs_core.realtime.controller import RealtimeControllerConfig
+from swarmabs_core.realtime.observer import RealtimeObserverConfig, RealtimeSums, Role
+from swarmabs_core.realtime.plane import PlaneMotion, RealtimePlaneConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from swarmabs_analysis.verification.base import Finding
+    from swarmabs_analysis.verification.history import History
+    from swarmabs_core.controllers import ParentController
+    from swarmabs_core.messages import Basis, Message
+    from swarmabs_core.record import Record
+
+Config = TypeVar("Config", RealtimeAgentConfig, RealtimeObserverConfig, RealtimePlaneConfig, RealtimeControllerConfig)
+
+NO_STATE_BEFORE = "the robot's state of the step before is not in the bag"
+OWN_LIMITS = "the robot has limits of its own"
+NO_BROADCASTS = "the broadcasts that the robot followed are not in the bag"
+NO_ANSWER_BEFORE = "the answer from which it goes on is not in the bag"
+NO_PLANE = "the plane's state that it answers is not in the bag"
+
+
+class _Check(Generic[Config]):
+    """What the checks have in common: how the node was configured, what the bag holds, and the tolerance of `judge`."""
+
+    def __init__(self, config: Config, history: History, tolerance: float) -> None:
+        self._config: Config = config
+        self._history = history
+        self._tolerance = tolerance
+
+    def _judge(self, stored: Record, expected: Message) -> Difference | None:
+        return judge(stored, expected, self._tolerance)
+
+    def _refuse_wrong_stamp(self, provenance: Basis) -> None:
+        """Refuse an answer that was made in another step than its own."""
+        if wrong := wrong_stamp(provenance, self._config.schedule):
+            raise UnconfirmedError(wrong)
+
+
+class RobotCheck(_Check[RealtimeAgentConfig]):
+    """Follows the states of one robot: each command from the state before and the broadcasts that it names.
+
+    Parameters
+    ----------
+    config, history, tolerance
+        As of all checks.
+    start : tuple of float, optional
+        Position (m) and velocity (m/s) at which a simulated body begins; None if the body is not simulated, and its
+        motion is not checked.
+    own_limits : bool
+        Whether the robot's limits are not those of the configuration, so that its commands cannot be checked.
+    """
+
+    def __init__(
+        self,
+        config: RealtimeAgentConfig,
+        history: History,
+        tolerance: float,
+        start: tuple[float, float] | None,
+        *,
+        own_limits: bool = False,
+    ) -> None:
+        super().__init__(config, history, tolerance)
+        self._start = start
+        self._own_limits = own_limits
+        self._law = RealtimeLaw(config)
+        self._age = config.schedule.steps(config.broadcast_age_limit)
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
+        self._before: AgentState | None = None
+
+    def check(self, stored: Record) -> Finding:
+        """Check the robot's next state."""
+        state, before = stored.message, self._before
+        assert isinstance(state, AgentState)  # noqa: S101 - the history keeps them apart
+        self._before = state
+        known = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
+        # Only the state of a simulated body is measured when its step begins.
+        wrong_time = None if self._start is None else wrong_stamp(state, self._config.schedule)
+        if wrong := self._judge(stored, known) or wrong_time:
+            return wrong
+        if self._history.is_ambiguous(AGENT_STATE, state.step, state.agent_id):
+            return AMBIGUOUS
+        if self._own_limits:
+            return OWN_LIMITS
+        if before is None and self._begins(state):
+            return None
+        if before is None or self._history.is_ambiguous(AGENT_STATE, before.step, state.agent_id):
+            return NO_STATE_BEFORE
+        found: Finding
+        try:
+            found = self._judge(stored, self._move(self._follow(state, before), before))
+        except UnconfirmedError as error:
+            found = error.finding
+        if isinstance(found, Difference) and state.step > before.step + 1:
+            return NO_STATE_BEFORE  # the command may be of a state in between
+        return found
+
+    def _begins(self, state: AgentState) -> bool:
+        """Tell whether a state is the first one of a robot with a simulated body."""
+        at_rest = (state.status, state.broadcast_step, state.command) == (Status.SAFE_STOP, NEVER, 0.0)
+        return at_rest and (state.position, state.velocity) == self._start
+
+    def _follow(self, state: AgentState, before: AgentState) -> AgentState:
+        """Return the state with the command, broadcasts and status that follow from the one before."""
+        brake = self._law.brake(before.velocity)
+        still = (0.0, brake) if str(state.command) == str(0.0) else (brake, 0.0)
+        at_rest = state._replace(command=still[0], broadcast_step=NEVER)
+        if state.broadcast_step == NEVER:
+            if state.status == Status.ACTIVE:
+                self._check_hold(state, before)
+            return at_rest
+        decision, _ = self._law.decide(before.position, before.velocity, self._broadcasts(state, before))
+        if decision.problem:
+            return at_rest
+        measured = self._start is not None or state.status == Status.LEFT
+        return state._replace(command=decision.command, status=Status.ACTIVE if measured else state.status)
+
+    def _check_hold(self, state: AgentState, before: AgentState) -> None:
+        """Refuse that an active robot follows nothing, unless the swarm may have had no spread."""
+        complete = True
+        for step in range(before.step - self._age, before.step + self._ahead + 1):
+            sums = self._history.get(AuxiliaryState, step)
+            if sums is None:
+                complete = complete and step > before.step
+            elif is_degenerate(sums.s0, sums.s3, self._config.bounds.plane_length):
+                return
+        if not complete:
+            raise UnconfirmedError(NO_BROADCASTS)
+        reason = "it follows nothing"
+        raise UnconfirmedError(Difference.of(state, "status", Status.ACTIVE, Status.SAFE_STOP, reason))
+
+    def _broadcasts(self, state: AgentState, before: AgentState) -> Broadcast:
+        """Return the broadcasts that the robot names, if it may have followed them."""
+        step, history = state.broadcast_step, self._history
+        if not before.step - self._age <= step <= before.step + self._ahead:
+            raise _not_to_follow(state, f"they were {before.step - step} steps old when it decided")
+        if any(history.is_ambiguous(topic, step) for topic in BROADCASTS):
+            raise UnconfirmedError(AMBIGUOUS)
+        abstract, sums = history.get(AbstractState, step), history.get(AuxiliaryState, step)
+        asked = next(iter(history.desired(step)), None)
+        if abstract is None or sums is None or asked is None:
+            raise UnconfirmedError(NO_BROADCASTS)
+        if asked.mode != Mode.RUN:
+            if history.changes_within(step):
+                raise UnconfirmedError(NO_BROADCASTS)
+            mode = Mode(asked.mode).name if asked.mode in set(Mode) else f"mode {asked.mode}"
+            raise _not_to_follow(state, f"the parent controller asked for {mode}")
+        for message in (abstract, sums, asked):
+            if problem := self._config.bounds.problem(message):
+                raise _not_to_follow(state, f"they had to be refused: {problem}")
+        return Broadcast(asked.stamp, step, abstract, sums, asked)
+
+    def _move(self, state: AgentState, before: AgentState) -> AgentState:
+        """Return the state with where a simulated body has come to."""
+        if self._start is None:
+            return state
+        passed = min(state.step - before.step, drives.MOST_STEPS)
+        places = [self._moved((before.position, before.velocity), passed, state.command)]
+        if state.broadcast_step == NEVER and state.command == 0.0:
+            # Stopped at once, or in a process that has begun anew.
+            places += [self._moved((before.position, 0.0), passed, 0.0), self._start]
+        there = next((p for p in places if p == (state.position, state.velocity)), places[0])
+        return state._replace(position=there[0], velocity=there[1])
+
+    def _moved(self, place: tuple[float, float], periods: int, command: float) -> tuple[float, float]:
+        for _ in range(periods):
+            place = self._law.controller.ideal.advance(*place, command)
+        return place
+
+
+def _not_to_follow(state: AgentState, reason: str) -> UnconfirmedError:
+    """Return that a robot must not have followed the broadcasts that it names."""
+    return UnconfirmedError(Difference.of(state, "broadcast_step", state.broadcast_step, NEVER, reason))
+
+
+class ObserverCheck(_Check[RealtimeObserverConfig]):
+    """Abstract and auxiliary states, from the robots' states that the observer names."""
+
+    def __init__(self, config: RealtimeObserverConfig, history: History, tolerance: float) -> None:
+        super().__init__(config, history, tolerance)
+        self._sums = RealtimeSums(config)
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
+
+    def check(self, step: int) -> Iterator[Finding]:
+        """Check what there is of a step."""
+        answers = [
+            found for topic in (ABSTRACT_STATE, AUXILIARY_STATE) for found in self._history.on(topic, step).values()
+        ]
+        try:
+            expected = self._recompute(self._history.provenance(Source.OBSERVER, step))
+        except UnconfirmedError as error:
+            yield from [error.finding] * len(answers)
+            return
+        for stored in answers:
+            if self._history.is_ambiguous(stored.topic, step):
+                yield AMBIGUOUS
+            else:
+                yield self._judge(stored, expected[stored.topic is AUXILIARY_STATE])
+
+    def _recompute(self, provenance: Basis) -> tuple[AbstractState, AuxiliaryState]:
+        """Return what the observer's answers must be."""
+        states, problem = self._history.states(Source.OBSERVER, provenance)
+        if problem:
+            raise UnconfirmedError(problem)
+        self._refuse_wrong_stamp(provenance)
+        self._refuse_wrong_robots(provenance)
+        standing = {i for i, mark in zip(provenance.agent_ids, provenance.standing, strict=True) if mark}
+        for agent_id in set(states) - standing:
+            if self._sums.role(states[agent_id], provenance.step) is Role.SILENT:
+                reason = f"robot {agent_id} was silent"
+                raise UnconfirmedError(Difference.of(provenance, "standing", 0, 1, reason))
+        return self._sums.sum_up(states, standing, provenance.step, provenance.stamp)
+
+    def _refuse_wrong_robots(self, provenance: Basis) -> None:
+        ids, begins = provenance.agent_ids, (provenance.since, provenance.begun)
+        newest = max(provenance.state_steps, default=0)
+        wrong: Difference | None = None
+        if begins != (NEVER, NEVER):
+            wrong = Difference.of(provenance, "since", provenance.since, NEVER, "of the observer")
+        elif list(ids) != sorted(set(ids)) or not set(ids) <= set(self._config.members):
+            wrong = Difference.of(provenance, "agent_ids", str(ids), None, "not members in order")
+        elif newest > provenance.step + self._ahead:
+            wrong = Difference.of(provenance, "state_steps", newest, None, "from the future")
+        if wrong is not None:
+            raise UnconfirmedError(wrong)
+
+
+class PlaneCheck(_Check[RealtimePlaneConfig]):
+    """The simulated plane's states, each from the one before and the robots' states that the plane names.
+
+    With a sensor that is not perfect the true state is not recorded: it is followed from the beginning, or not at all.
+    """
+
+    def __init__(self, config: RealtimePlaneConfig, history: History, tolerance: float) -> None:
+        super().__init__(config, history, tolerance)
+        self._motion = PlaneMotion(config)
+        self._true_state: tuple[int, float, float] | None = None
+
+    def check(self, step: int) -> Iterator[Finding]:
+        """Check what there is of a step."""
+        stored = self._history.on(PLANE_STATE, step).get(0)
+        try:
+            provenance = self._history.provenance(Source.PLANE, step)
+            last, self._true_state = self._true_state, None
+            places = self._places(provenance, last)
+        except UnconfirmedError as error:
+            if stored is not None:
+                yield error.finding
+            return
+        self._true_state = (step, *places[0])
+        if stored is None:
+            return
+        if self._history.is_ambiguous(PLANE_STATE, step):
+            yield AMBIGUOUS
+            return
+        wrong = [self._judge(stored, self._state(provenance, place)) for place in places]
+        if None in wrong:
+            self._true_state = (step, *places[wrong.index(None)])
+        yield None if None in wrong else wrong[0]
+
+    def _places(self, provenance: Basis, last: tuple[int, float, float] | None) -> list[tuple[float, float]]:
+        """Return the true states in which the plane may be: one, but for a plane that has begun anew."""
+        step, since, begun = provenance.step, provenance.since, provenance.begun
+        self._refuse_wrong_stamp(provenance)
+        if since == NEVER:
+            self._history.states(Source.PLANE, provenance)
+            begin = (self._config.plane.angle, self._config.plane.angular_velocity)
+            return [begin] if last is None else [begin, last[1:], (last[1], begin[1])]
+        try:
+            before = self._history.provenance(Source.PLANE, since, NO_ANSWER_BEFORE)
+            start = self._start(since, last, held=before.begun == NEVER)
+            if begun != before.begun and not (before.begun == NEVER and since <= begun <= step):
+                raise UnconfirmedError(Difference.of(provenance, "begun", begun, before.begun, "of the plane"))
+            earlier, lost = self._history.states(Source.PLANE, before)
+        finally:
+            robots, missed = self._history.states(Source.PLANE, provenance)  # last, so that these are kept
+        if begun == NEVER:
+            return [start]
+        if lost or missed:
+            raise UnconfirmedError(NO_STATES)
+        return [self._motion.advance(start, earlier, robots, step - since, since - begun)]
+
+    def _start(self, since: int, last: tuple[int, float, float] | None, *, held: bool) -> tuple[float, float]:
+        """Return the true state from which the plane continued; while it is held, it keeps what it begins with."""
+        if self._config.plane.sensor.perfect:
+            state = self._history.sure(PlaneState, since, NO_ANSWER_BEFORE)
+            return state.angle, self._config.plane.angular_velocity if held else state.angular_velocity
+        if last is None or last[0] != since:
+            raise UnconfirmedError(NO_ANSWER_BEFORE)
+        return last[1:]
+
+    def _state(self, provenance: Basis, place: tuple[float, float]) -> PlaneState:
+        """Return what the plane says of where it is; while it is held, that it is at rest."""
+        rate = 0.0 if provenance.begun == NEVER else place[1]
+        return PlaneState(provenance.stamp, provenance.step, *self._motion.measured(place[0], rate, provenance.step))
+
+
+class ControllerCheck(_Check[RealtimeControllerConfig]):
+    """Desired states, each from the plane's state and those before; `make_law` makes the control law."""
+
+    def __init__(
+        self,
+        config: RealtimeControllerConfig,
+        history: History,
+        tolerance: float,
+        make_law: Callable[[], ParentController],
+    ) -> None:
+        super().__init__(config, history, tolerance)
+        self._make_law = make_law
+        self._generator: DesiredStateGenerator | None = None
+        self._law_step = self._begun = -1
+
+    def check(self, step: int) -> Iterator[Finding]:
+        """Check what there is of a step."""
+        answers = self._history.on(DESIRED_ABSTRACT_STATE, step)
+        expected: DesiredAbstractState | Difference | str
+        try:
+            expected = self._recompute(self._history.provenance(Source.CONTROLLER, step), answers)
+        except UnconfirmedError as error:
+            expected = error.finding
+        for mode in sorted(answers):
+            if self._history.is_ambiguous(DESIRED_ABSTRACT_STATE, step):
+                yield AMBIGUOUS
+            elif mode != Mode.RUN:
+                yield self._check_still(answers[mode])
+            else:
+                yield self._judge(answers[mode], expected) if isinstance(expected, DesiredAbstractState) else expected
+
+    def _recompute(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredAbstractState:
+        """Return what the parent controller must have asked for."""
+        step, since = provenance.step, provenance.since
+        begins = since == NEVER and provenance.begun == step
+        missed = step - since
+        follows = since == self._law_step and provenance.begun == self._begun and 0 < missed <= controller.MOST_STEPS
+        generator, self._generator = self._generator, None
+        if generator is not None and not (begins or follows or self._law_step < since < step):
+            reason = f"its law began at {provenance.begun}"
+            raise UnconfirmedError(Difference.of(provenance, "since", since, self._law_step, reason))
+        plane = self._history.sure(PlaneState, step, NO_PLANE)
+        if begins:
+            self._law_step, self._begun, generator = step - 1, step, self._new_generator(self._make_law())
+        elif not follows or generator is None:
+            generator = self._resumed(provenance, answers)
+        try:
+            while True:
+                self._law_step += 1
+                time = (self._law_step - self._begun) * self._config.schedule.period_ns
+                _, desired = generator.advance(time, plane)
+                if self._law_step == step:
+                    break
+        except RunError as error:
+            topic = DESIRED_ABSTRACT_STATE.name
+            raise UnconfirmedError(Difference(topic, step, None, "mode", Mode.RUN, Mode.STOP, str(error))) from error
+        self._generator = generator
+        return desired._replace(stamp=provenance.stamp)
+
+    def _resumed(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredStateGenerator:
+        """Return the generator as it was before an answer, if a law without memory makes that known."""
+        law = self._make_law()
+        asked = answers[Mode.RUN].message if Mode.RUN in answers else None
+        if not isinstance(asked, DesiredAbstractState) or not isinstance(law, StateFeedback):
+            raise UnconfirmedError(NO_ANSWER_BEFORE)
+        generator = self._new_generator(law)
+        generator.resume(asked.torque, asked.torque_rate)
+        self._law_step, self._begun = provenance.step - 1, provenance.begun
+        return generator
+
+    def _new_generator(self, law: ParentController) -> DesiredStateGenerator:
+        return DesiredStateGenerator(self._config.schedule.period_ns, self._config.manifold, law)
+
+    def _check_still(self, stored: Record) -> Difference | None:
+        """Check what is published while the swarm keeps still: some point of the manifold, without any rate."""
+        asked = stored.message
+        assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - kept by topic
+        torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
+        return self._judge(
+            stored, DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
+        )
