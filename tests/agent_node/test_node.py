@@ -11,7 +11,7 @@ from agent_node.node import PARAMETERS, make
 from swarmabs_config.graph import LOCKSTEP, ROBOT
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import FaultKind, RobotFault
+from swarmabs_core.faults import InjectedFault, LieFault, LossFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, Kind
 from swarmabs_core.parameters import Value
@@ -64,7 +64,10 @@ def test_every_parameter_reaches_the_configuration() -> None:
         damping=0.8,
         limits=Limits(8.0, 9.0),
         life=LifeSpan(3, ChangeKind.FREEZE, 30),
-        faults=(RobotFault(FaultKind.LOSS, (0.25,)), RobotFault(FaultKind.LIE, (0.1, 1.0, 2.0), 3, 9)),
+        faults=(
+            InjectedFault(LossFault(probability=0.25)),
+            InjectedFault(LieFault(position_offset=0.1, mass_factor=2.0), 3, 9),
+        ),
         seed=99,
         feels_gravity=True,
         last_step=77,

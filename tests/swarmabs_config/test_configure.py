@@ -6,7 +6,7 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_config import configure
 from swarmabs_core.behaviours import LifeSpan, Limits
 from swarmabs_core.controllers import Arise, StateFeedback, lqr_gains
-from swarmabs_core.faults import FaultKind, RobotFault
+from swarmabs_core.faults import DelayFault, InjectedFault, LieFault, LossFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.swarm_law import SwarmGains
@@ -57,8 +57,8 @@ def test_robots() -> None:
         assert robot.gains == SwarmGains((1.0, 2.0), (3.0, 4.0), (5.0, 6.0), 7.0)
         assert robot.limits == Limits(force=2.5)
         assert robot.seed == 9
-    loss, delay = RobotFault(FaultKind.LOSS, (0.25,)), RobotFault(FaultKind.DELAY, (2.0,))
-    lie = RobotFault(FaultKind.LIE, (0.01, 1.0, 1.0), 10, 30)
+    loss, delay = InjectedFault(LossFault(probability=0.25)), InjectedFault(DelayFault(steps=2))
+    lie = InjectedFault(LieFault(position_offset=0.01), 10, 30)
     assert [robot.faults for robot in robots] == [(loss, delay), (loss, lie), (loss,), (loss, delay)]
 
 

@@ -4,7 +4,25 @@ import pytest
 from tests.swarmabs_core.helpers import agent_state
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import Falsification, FaultKind, RobotFault, duplicated, held_back, lost, true_state
+from swarmabs_core.faults import (
+    ClockOffsetFault,
+    DelayFault,
+    DuplicationFault,
+    Falsification,
+    InjectedFault,
+    LieFault,
+    LossFault,
+    ReorderingFault,
+    true_state,
+)
+
+
+def lost(probability: float, seed: int, step: int, agent_id: int) -> bool:
+    return LossFault(probability=probability).loses(f"{seed}:{step}:{agent_id}")
+
+
+def held_back(probability: float, steps: int, seed: int, step: int, agent_id: int) -> int:
+    return ReorderingFault(probability=probability, steps=steps).late(f"{seed}:{step}:{agent_id}")
 
 
 def test_draws_are_frozen() -> None:
@@ -43,7 +61,8 @@ def test_robots_steps_and_seeds_draw_independently() -> None:
 def test_draws_of_other_faults_are_frozen_too() -> None:
     late = [(step, held_back(0.3, 4, 1, step, 3)) for step in range(20)]
     assert [(step, by) for step, by in late if by] == [(3, 4), (5, 1), (7, 1), (8, 2), (13, 4), (15, 4), (17, 2)]
-    assert [step for step in range(20) if duplicated(0.3, 1, step, 3, "state")] == [0, 4, 6, 10, 12, 14, 15, 17, 18, 19]
+    twice = DuplicationFault(probability=0.3)
+    assert [step for step in range(20) if twice.doubles(f"1:{step}:3:state")] == [0, 4, 6, 10, 12, 14, 15, 17, 18, 19]
 
 
 def test_how_late_broadcasts_come_is_uniform() -> None:
@@ -55,17 +74,17 @@ def test_how_late_broadcasts_come_is_uniform() -> None:
 
 
 FAULTS = [
-    RobotFault(FaultKind.LOSS, (0.25,)),
-    RobotFault(FaultKind.DELAY, (2.0,), 10),
-    RobotFault(FaultKind.REORDERING, (0.1, 3.0), 0, 20),
-    RobotFault(FaultKind.CLOCK_OFFSET, (-1e-9,), 3, 4),
-    RobotFault(FaultKind.LIE, (0.1, -0.3333333333333333, 1e-3), 3, 4),
+    InjectedFault(LossFault(probability=0.25)),
+    InjectedFault(DelayFault(steps=2), 10),
+    InjectedFault(ReorderingFault(probability=0.1, steps=3), 0, 20),
+    InjectedFault(ClockOffsetFault(offset=-1e-9), 3, 4),
+    InjectedFault(LieFault(position_offset=0.1, position_factor=-0.3333333333333333, mass_factor=1e-3), 3, 4),
 ]
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_a_fault_as_a_parameter(fault: RobotFault) -> None:
-    assert RobotFault.parse(str(fault)) == fault
+def test_a_fault_as_a_parameter(fault: InjectedFault) -> None:
+    assert InjectedFault.parse(str(fault)) == fault
 
 
 @pytest.mark.parametrize(
@@ -74,7 +93,7 @@ def test_a_fault_as_a_parameter(fault: RobotFault) -> None:
 )
 def test_what_is_no_fault_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="is not of the form"):
-        RobotFault.parse(text)
+        InjectedFault.parse(text)
 
 
 @pytest.mark.parametrize("text", ["3 loss 0 -1 0.1", "lie 0 -1 0 1 2", "3 lie 0 -1 0 0 1", "x lie 0 -1 0 1 2", ""])

@@ -15,7 +15,7 @@ from swarmabs_config import configure
 from swarmabs_core.abstraction import Weight, abstraction, damping_sums, second_moments
 from swarmabs_core.behaviours import Agent, Plane
 from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.faults import lost
+from swarmabs_core.faults import LossFault
 from swarmabs_core.messages import (
     NEVER,
     AbstractState,
@@ -153,7 +153,7 @@ def test_loss() -> None:
         states = run.agent(robot)
         for k in range(200):
             before, after = states[k], states[k + 1]
-            if lost(0.3, 1, k, robot):
+            if LossFault(probability=0.3).loses(f"1:{k}:{robot}"):
                 missed += 1
                 assert (after.command, after.broadcast_step) == (before.command, before.broadcast_step)
             else:

@@ -18,6 +18,7 @@ from swarmabs_bag.realtime import DRIVER, realtime_world
 from swarmabs_bag.realtime_recording import RECORDED
 from swarmabs_config import configure
 from swarmabs_config.scenario.errors import show
+from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
@@ -272,7 +273,10 @@ def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
     except InputError:  # the events contradict the scenario: the first that does is a difference
         return planned, ()
     done = [fault for fault in scenario.faults if fault not in planned.faults]
-    shown = "; ".join(" ".join(f"{name} {value}" for name, value in fault if value is not None) for fault in done[:20])
+    trees = ({"kind": fault.kind, **tree_of(fault)} for fault in done[:20])
+    shown = "; ".join(
+        " ".join(f"{name} {value}" for name, value in each.items() if value is not None) for each in trees
+    )
     more = f" and {len(done) - 20} more" if len(done) > 20 else ""
     return scenario, (f"from outside, by the events in the bag: {shown}{more}",) if done else ()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from swarmabs_config.graph import recording_window as window_of
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
 from swarmabs_core.controllers import ParentLaw
-from swarmabs_core.faults import Falsification, FaultKind, RobotFault
+from swarmabs_core.faults import Falsification, InjectedFault, LieFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.parent_response import ParentResponse
@@ -38,22 +38,20 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
     )
 
 
-def robot_faults(scenario: Scenario, agent_id: int) -> tuple[RobotFault, ...]:
+def robot_faults(scenario: Scenario, agent_id: int) -> tuple[InjectedFault, ...]:
     """Return what is injected into a robot besides changes of the membership."""
     return tuple(
-        RobotFault(FaultKind(fault.kind), fault.values, *scenario.fault_steps(fault))
-        for fault in scenario.robot_faults
-        if fault.hits(agent_id)
+        InjectedFault.of(fault, *scenario.fault_steps(fault)) for fault in scenario.robot_faults if fault.hits(agent_id)
     )
 
 
 def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
     """Return the injected lies of all robots, by robot."""
     return tuple(
-        Falsification(agent.id, fault)
+        Falsification(agent.id, injected)
         for agent in scenario.agents
-        for fault in robot_faults(scenario, agent.id)
-        if fault.kind is FaultKind.LIE
+        for injected in robot_faults(scenario, agent.id)
+        if isinstance(injected.fault, LieFault)
     )
 
 

@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
+from swarmabs_core.faults import DelayFault
 from swarmabs_core.theory.check import check
 from swarmabs_core.theory.setting import Setting
 from swarmabs_core.theory.state_feedback import ANGLE_MAX
@@ -34,7 +35,7 @@ def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
         period=scenario.period,
         robots=configure.agent_configs(scenario),
         duration=scenario.duration,
-        delay=max((fault.steps for fault in scenario.faults if fault.kind == "delay"), default=0),
+        delay=max((fault.steps for fault in scenario.faults if isinstance(fault, DelayFault)), default=0),
         faulty=bool(scenario.faults),
         angle_max=angle_max,
     )

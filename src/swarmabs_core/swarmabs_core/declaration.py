@@ -17,6 +17,8 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, Scalar, SettingError, Settings, Value
 
 _KEY = "declared"
+LONGEST_TIME = 2**31 - 1
+"""Longest time, s: what the seconds of a ROS time stamp hold."""
 DeclarationT = TypeVar("DeclarationT")
 
 
@@ -32,7 +34,7 @@ class Setting:
         What it is in a file, where the default may be None.
     default : object
         Default of the field.
-    unset : Scalar, optional
+    unset : Value, optional
         What a parameter says for none; None if there is no such value.
     make : callable, optional
         Makes the value, or an item of an array, of that of the parameter; ``say`` is the way back.
@@ -49,7 +51,7 @@ class Setting:
     parameter: Parameter
     in_file: Parameter
     default: object
-    unset: Scalar | None
+    unset: Value | None
     make: Callable[[Any], object] | None
     say: Callable[[Any], Any]
     whole_nanoseconds: bool
@@ -110,7 +112,8 @@ def setting(
     length: int | None = None,
     choices: tuple[str, ...] | None = None,
     item: Scalar = "",
-    unset: Scalar | None = None,
+    unset: Value | None = None,
+    null: str = "none",
     make: Callable[[Any], object] | None = None,
     say: Callable[[Any], Any] = str,
     whole_nanoseconds: bool = False,
@@ -127,6 +130,8 @@ def setting(
         Meaning and unit.
     name : str, optional
         Its name as a parameter and in files, if that is not the attribute's.
+    null : str
+        What null in a file means.
     """
     said: Any = default
     if unset is not None:
@@ -147,7 +152,7 @@ def setting(
     )
     in_file = parameter
     if unset is not None:
-        in_file = dataclasses.replace(parameter, description=f"{description}; null: none")
+        in_file = dataclasses.replace(parameter, description=f"{description}; null: {null}")
     if isinstance(unset, (int, float)):
         parameter = dataclasses.replace(
             parameter, description=f"{description}; {unset:g}: none", minimum=unset, above=None
@@ -210,7 +215,7 @@ def setting_of(declaration: type, attribute: str) -> Setting:
 
 def attribute_of(declared: Setting, value: Any) -> object:
     """Return the value of a field that a file's value, None for none, means; the way back is in `tree_of`."""
-    return declared.default if value is None else _meant(declared, value)
+    return declared.default if value is None else _made(declared, value)
 
 
 def entries_of(declaration: type) -> tuple[Entry, ...]:
@@ -359,6 +364,10 @@ def _meant(declared: Setting, value: Value) -> object:
     """Return the value that a parameter means."""
     if declared.unset is not None and value == declared.unset:
         return declared.default
+    return _made(declared, value)
+
+
+def _made(declared: Setting, value: Value) -> object:
     if declared.make is None:
         return value
     if isinstance(value, tuple) and not declared.parameter.length:

@@ -1,22 +1,33 @@
-"""Injected faults of robots and their messages, drawn so that every run and every process draws the same."""
+"""The faults that a scenario can inject; each kind is declared once, with its settings and with what it does.
+
+The schema of scenarios, the parameters of nodes and the tables of the documentation follow from these classes. What is
+random is drawn so that every run and every process draws the same.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from hashlib import blake2b
-from math import isfinite
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+from swarmabs_core.declaration import LONGEST_TIME, setting, setting_of
 from swarmabs_core.errors import InputError
+from swarmabs_core.membership import ChangeKind
+from swarmabs_core.parameters import SettingError
+from swarmabs_core.plant import STEEPEST
+from swarmabs_core.steering import DISTURBANCE, REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from swarmabs_core.messages import AgentState
 
-_STATE, _HEARD = "state", "heard"
+LARGEST_OFFSET = 1e6
+"""Largest offset of a clock, s: nanoseconds of it are exact in a float."""
+SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
+"""Factors of a lie between which it can be undone without harm."""
+_AT = "time in s; the fault step is the nearest step, round(at/step)"
 
 
 def fraction(text: str) -> float:
@@ -25,65 +36,407 @@ def fraction(text: str) -> float:
     return float((int.from_bytes(digest, "big") >> 11) * 2.0**-53)
 
 
-def lost(probability: float, seed: int, step: int, agent_id: int) -> bool:
-    """Tell whether a robot misses the broadcasts of a step; the draw is that of the text ``seed:step:agent``."""
-    return probability > 0.0 and fraction(f"{seed}:{step}:{agent_id}") < probability
+def _time(default: float | None, description: str, **more: Any) -> Any:
+    return setting(default, description, minimum=0.0, maximum=LONGEST_TIME, **more)
 
 
-def held_back(probability: float, steps: int, seed: int, step: int, agent_id: int) -> int:
-    """Return by how many steps, at most `steps`, the broadcasts of a step come late to a robot; mostly 0.
-
-    Whether they do is the draw of ``seed:step:agent:reordering``, by how many that of ``seed:step:agent:late``.
-    """
-    draw = f"{seed}:{step}:{agent_id}"
-    if fraction(f"{draw}:reordering") >= probability:
-        return 0
-    return 1 + int(fraction(f"{draw}:late") * steps)
+def _probability(description: str) -> Any:
+    return setting(0.0, description, minimum=0.0, maximum=1.0, required=True)
 
 
-def duplicated(probability: float, seed: int, step: int, agent_id: int, what: str) -> bool:
-    """Tell whether a robot says its state twice, or hears the broadcasts twice: ``seed:step:agent:what``."""
-    return fraction(f"{seed}:{step}:{agent_id}:{what}") < probability
+def _robot() -> Any:
+    return setting(1, "id of the robot, one of swarm.agents", minimum=1, maximum=65535, required=True)
 
 
-class FaultKind(str, Enum):
-    """What is injected into a robot, and what its values are."""
-
-    LOSS = "loss"
-    """Probability."""
-    DELAY = "delay"
-    """Steps."""
-    DUPLICATION = "duplication"
-    """Probability."""
-    REORDERING = "reordering"
-    """Probability, most steps."""
-    CLOCK_OFFSET = "clock_offset"
-    """Offset in s."""
-    LIE = "lie"
-    """Offset of the position in m, factor of the position, factor of the mass."""
-
-
-_VALUES = {FaultKind.REORDERING: 2, FaultKind.LIE: 3}
+def _end(name: str, end: float | None, begin: float, what: str) -> None:
+    if end is not None and end <= begin:
+        raise SettingError("", f"{what} ends at {end!r} s, before it begins", f"use {name} after {begin!r} s")
 
 
 @dataclass(frozen=True, slots=True)
-class RobotFault:
-    """A fault that acts on a robot in steps ``first`` to ``end - 1``, or to the end of the run."""
+class Fault:
+    """What a scenario injects."""
 
-    kind: FaultKind
-    values: tuple[float, ...]
+    kind: ClassVar[str]
+    description: ClassVar[str]
+
+
+@dataclass(frozen=True, slots=True)
+class MembershipFault(Fault):
+    """Ends a robot, or lets it join, at one step."""
+
+    at: float | None = _time(0.0, _AT, required=True)
+    agent: int = _robot()
+
+
+@dataclass(frozen=True, slots=True)
+class KillFault(MembershipFault):
+    """The robot's process dies; the robot stands still where it is, its weight stays on the plane."""
+
+    kind: ClassVar[str] = ChangeKind.KILL.value
+    description: ClassVar[str] = "the process dies, the robot stands still"
+
+
+@dataclass(frozen=True, slots=True)
+class LeaveFault(MembershipFault):
+    """The robot says that it leaves; from the next step its weight is gone."""
+
+    kind: ClassVar[str] = ChangeKind.LEAVE.value
+    description: ClassVar[str] = "the robot leaves the plane"
+
+
+@dataclass(frozen=True, slots=True)
+class RemoveFault(MembershipFault):
+    """The robot is taken off the plane without being asked; from the next step its weight is gone."""
+
+    kind: ClassVar[str] = ChangeKind.REMOVE.value
+    description: ClassVar[str] = "the robot is taken off the plane"
+
+
+@dataclass(frozen=True, slots=True)
+class JoinFault(MembershipFault):
+    """The robot, listed under ``swarm.agents``, is not there before the fault step."""
+
+    kind: ClassVar[str] = ChangeKind.JOIN.value
+    description: ClassVar[str] = "the robot appears on the plane at its initial position"
+
+    at: float | None = _time(
+        None, _AT, unset=-1.0, null="only when it is added to a run that is steered", required=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FreezeFault(MembershipFault):
+    """The robot's process is stopped (SIGSTOP); the robot stands still where it is."""
+
+    kind: ClassVar[str] = ChangeKind.FREEZE.value
+    description: ClassVar[str] = "the process is stopped, the robot stands still"
+
+
+@dataclass(frozen=True, slots=True)
+class SettingFault(Fault):
+    """Sets a number, the field `sets`, for the whole run at a step, until it is set again."""
+
+    sets: ClassVar[str]
+
+    at: float = _time(0.0, "time in s from which on it holds; the nearest step counts", required=True)
+    until: float | None = _time(
+        None, "time in s from which on it is 0 again", unset=-1.0, null="when it is set again, or never"
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse an end before the beginning."""
+        _end("an 'until'", self.until, self.at, "it")
+
+    @property
+    def value(self) -> float:
+        """What is set."""
+        return float(getattr(self, self.sets))
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFault(SettingFault):
+    """The angle wanted is above the parent controller's reference by an offset."""
+
+    kind: ClassVar[str] = REFERENCE
+    description: ClassVar[str] = "the angle wanted is offset"
+    sets: ClassVar[str] = "offset"
+
+    offset: float = setting(
+        0.0,
+        "what is added to the parent controller's reference, rad",
+        above=-STEEPEST,
+        below=STEEPEST,
+        required=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceFault(SettingFault):
+    """A constant torque disturbs the plane, besides ``plane.disturbance`` and with its sign."""
+
+    kind: ClassVar[str] = DISTURBANCE
+    description: ClassVar[str] = "a constant torque disturbs the plane"
+    sets: ClassVar[str] = "torque"
+
+    torque: float = setting(0.0, "torque, N m; a positive one turns the plane to smaller angles", required=True)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFault(Fault):
+    """Acts on robots and their messages for a while.
+
+    A kind overrides what it does; a draw is a text that differs from robot to robot and from step to step.
+    """
+
+    announcement: ClassVar[str]
+
+    begin: float = _time(0.0, "time in s from which on it acts; the nearest step counts", name="from")
+    to: float | None = _time(None, "time in s from which on it acts no more", unset=-1.0, null="to the end")
+
+    def __post_init__(self) -> None:
+        """Refuse an end before the beginning."""
+        _end("a 'to'", self.to, self.begin, "the fault")
+
+    def hits(self, agent_id: int) -> bool:
+        """Tell whether it is injected into a robot."""
+        raise NotImplementedError
+
+    def announced(self) -> tuple[tuple[float, str], ...]:
+        """Return value and text of the events that announce it; one with value 0 is left out."""
+        return ((float(next(iter(self.effect().values()))), self.announcement.format(self)),)
+
+    def loses(self, draw: str) -> bool:  # noqa: ARG002
+        """Tell whether nothing reaches the robot in a step."""
+        return False
+
+    def late(self, draw: str) -> int:  # noqa: ARG002
+        """Return how many steps later than usual the broadcasts of a step reach the robot."""
+        return 0
+
+    def doubles(self, draw: str) -> bool:  # noqa: ARG002
+        """Tell whether what a robot says, or hears, in a step comes twice."""
+        return False
+
+    def clock_offset(self) -> int:
+        """Return by how much the robot's clock is ahead, ns."""
+        return 0
+
+    def falsified(self, state: AgentState) -> AgentState:
+        """Return what the robot says its state is."""
+        return state
+
+    def effect(self) -> dict[str, float]:
+        """Return what says how it acts, whenever and on whomever: the settings that only its kind has."""
+        return {name: getattr(self, name) for name in _own_settings(type(self))}
+
+
+def _own_settings(kind: type[RobotFault]) -> list[str]:
+    common = {*RobotFault.__slots__, *MessageFault.__slots__, *SingleRobotFault.__slots__}
+    return [field.name for field in fields(kind) if field.name not in common]
+
+
+@dataclass(frozen=True, slots=True)
+class MessageFault(RobotFault):
+    """Acts on what robots hear and say."""
+
+    agents: tuple[int, ...] | None = setting(
+        None, "ids of the robots that it hits", unset=(), null="all", item=1, minimum=1, maximum=65535
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse an end before the beginning, and robots that are named twice."""
+        RobotFault.__post_init__(self)
+        if self.agents is not None and not self.agents:
+            raise SettingError("agents", "no robots are named", "name some, or leave out 'agents' for all")
+        if self.agents is not None and len(set(self.agents)) < len(self.agents):
+            twice = next(agent for agent in self.agents if self.agents.count(agent) > 1)
+            raise SettingError("agents", f"robot {twice} is named twice", "name each robot once")
+
+    def hits(self, agent_id: int) -> bool:
+        """Tell whether it is injected into a robot."""
+        return self.agents is None or agent_id in self.agents
+
+
+@dataclass(frozen=True, slots=True)
+class LossFault(MessageFault):
+    """Robots miss broadcasts at random and keep their previous command."""
+
+    kind: ClassVar[str] = "loss"
+    description: ClassVar[str] = "robots keep their previous command at random"
+    announcement: ClassVar[str] = "loss of the broadcasts"
+
+    probability: float = _probability("probability of a loss, for each robot and step")
+
+    def loses(self, draw: str) -> bool:
+        """Draw it."""
+        return fraction(draw) < self.probability
+
+
+@dataclass(frozen=True, slots=True)
+class DelayFault(MessageFault):
+    """Robots compute with broadcasts that are some steps old; their command is 0 until there are any."""
+
+    kind: ClassVar[str] = "delay"
+    description: ClassVar[str] = "robots use earlier broadcasts"
+    announcement: ClassVar[str] = "delay of the broadcasts, steps"
+
+    steps: int = setting(0, "age of the broadcasts, steps", minimum=0, below=2**31, required=True)
+
+    def late(self, draw: str) -> int:  # noqa: ARG002
+        """Return the age."""
+        return self.steps
+
+
+@dataclass(frozen=True, slots=True)
+class DuplicationFault(MessageFault):
+    """Robots hear broadcasts twice and say their state twice, at random."""
+
+    kind: ClassVar[str] = "duplication"
+    description: ClassVar[str] = "messages come twice at random"
+    announcement: ClassVar[str] = "duplication of messages"
+
+    probability: float = _probability(
+        "probability that a robot hears the broadcasts of a step twice, and that it says its state twice"
+    )
+
+    def doubles(self, draw: str) -> bool:
+        """Draw it."""
+        return fraction(draw) < self.probability
+
+
+@dataclass(frozen=True, slots=True)
+class ReorderingFault(MessageFault):
+    """Broadcasts reach robots after later ones, at random; a robot acts on the newest that it has."""
+
+    kind: ClassVar[str] = "reordering"
+    description: ClassVar[str] = "broadcasts come after later ones at random"
+    announcement: ClassVar[str] = "reordering of the broadcasts within {0.steps:g} steps"
+
+    probability: float = _probability("probability that broadcasts come late, for each robot and step")
+    steps: int = setting(1, "most steps by which they come late", minimum=1, below=2**31)
+
+    def late(self, draw: str) -> int:
+        """Draw whether they come late, and by how many steps."""
+        if fraction(f"{draw}:reordering") >= self.probability:
+            return 0
+        return 1 + int(fraction(f"{draw}:late") * self.steps)
+
+
+@dataclass(frozen=True, slots=True)
+class SingleRobotFault(RobotFault):
+    """Acts on one robot."""
+
+    agent: int = _robot()
+
+    def hits(self, agent_id: int) -> bool:
+        """Tell whether it is injected into a robot."""
+        return self.agent == agent_id
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffsetFault(SingleRobotFault):
+    """The clock of a robot is wrong: the stamps of its states and events are off."""
+
+    kind: ClassVar[str] = "clock_offset"
+    description: ClassVar[str] = "the robot's stamps are off"
+    announcement: ClassVar[str] = "offset of the clock, s"
+
+    offset: float = setting(
+        0.0,
+        "by how much its clock is ahead, s",
+        minimum=-LARGEST_OFFSET,
+        maximum=LARGEST_OFFSET,
+        whole_nanoseconds=True,
+        required=True,
+    )
+
+    def clock_offset(self) -> int:
+        """Return the offset, ns."""
+        return round(Fraction(repr(self.offset)) * 10**9)
+
+
+@dataclass(frozen=True, slots=True)
+class LieFault(SingleRobotFault):
+    """A robot says a false position or mass; the plane feels the true ones."""
+
+    kind: ClassVar[str] = "lie"
+    description: ClassVar[str] = "the robot says a false position or mass"
+
+    position_offset: float = setting(0.0, "what it adds to its position, m")
+    position_factor: float = setting(
+        1.0, "by what it multiplies its position before; not 0", minimum=-LARGEST_FACTOR, maximum=LARGEST_FACTOR
+    )
+    mass_factor: float = setting(1.0, "by what it multiplies its mass", above=0.0, maximum=LARGEST_FACTOR)
+
+    def __post_init__(self) -> None:
+        """Refuse an end before the beginning, a lie that is true, and one that cannot be undone."""
+        RobotFault.__post_init__(self)
+        if abs(self.position_factor) < SMALLEST_FACTOR:
+            raise SettingError(
+                "position_factor",
+                f"{self.position_factor!r} cannot be undone",
+                f"give a number of at least {SMALLEST_FACTOR!r} in magnitude",
+            )
+        if (self.position_offset, self.position_factor, self.mass_factor) == (0.0, 1.0, 1.0):
+            raise SettingError(
+                "", "this robot tells the truth", "give 'position_offset', 'position_factor' or 'mass_factor'"
+            )
+
+    def announced(self) -> tuple[tuple[float, str], ...]:
+        """Announce what is false."""
+        factors = (self.position_factor, "false position, factor"), (self.mass_factor, "false mass, factor")
+        return (
+            (self.position_offset, "false position, m too much"),
+            *((factor, text) for factor, text in factors if factor != 1.0),
+        )
+
+    def falsified(self, state: AgentState) -> AgentState:
+        """Falsify position and mass."""
+        position = state.position * self.position_factor + self.position_offset
+        return state._replace(position=position, mass=state.mass * self.mass_factor)
+
+    def true_state(self, state: AgentState) -> AgentState:
+        """Return the state of which a falsified one was made.
+
+        The position is divided as it was multiplied, so its last bits are those of the published one and not of the
+        robot's own.
+        """
+        position = (state.position - self.position_offset) / self.position_factor
+        return state._replace(position=position, mass=state.mass / self.mass_factor)
+
+
+FAULTS: dict[str, type[Fault]] = {
+    each.kind: each
+    for each in (
+        KillFault,
+        LeaveFault,
+        RemoveFault,
+        JoinFault,
+        FreezeFault,
+        ReferenceFault,
+        DisturbanceFault,
+        LossFault,
+        DelayFault,
+        DuplicationFault,
+        ReorderingFault,
+        ClockOffsetFault,
+        LieFault,
+    )
+}
+"""Every kind of fault."""
+_ROBOT_FAULTS = {kind: each for kind, each in FAULTS.items() if issubclass(each, RobotFault)}
+
+
+@dataclass(frozen=True, slots=True)
+class InjectedFault:
+    """A fault that acts on a robot in steps ``first`` to ``end - 1``, or to the end of the run.
+
+    Parameters
+    ----------
+    fault : RobotFault
+        How it acts; it has the defaults where it says when and on whom.
+    """
+
+    fault: RobotFault
     first: int = 0
     end: int | None = None
+
+    @classmethod
+    def of(cls, fault: RobotFault, first: int, end: int | None) -> InjectedFault:
+        """Return a fault of a scenario as it acts on each robot that it hits."""
+        return cls(type(fault)(**fault.effect()), first, end)
 
     def acts(self, step: int) -> bool:
         """Tell whether it acts in a step."""
         return self.first <= step and (self.end is None or step < self.end)
 
     def __str__(self) -> str:
-        return " ".join((self.kind.value, str(self.first), str(self.end or -1), *map(repr, self.values)))
+        values = (repr(float(value)) for value in self.fault.effect().values())
+        return " ".join((self.fault.kind, str(self.first), str(self.end or -1), *values))
 
     @classmethod
-    def parse(cls, text: str) -> RobotFault:
+    def parse(cls, text: str) -> InjectedFault:
         """Read ``KIND FIRST END VALUE...``, such as ``loss 100 500 0.2``; -1 stands for no end.
 
         Raises
@@ -91,50 +444,32 @@ class RobotFault:
         InputError
             If the text is not of this form.
         """
-        fault: RobotFault | None
         try:
             name, first, end, *numbers = text.split()
-            kind, values = FaultKind(name), tuple(map(float, numbers))
-            fault = cls(kind, values, int(first), None if int(end) < 0 else int(end))
-        except ValueError:
-            fault = None
-        if fault is None or len(values) != _VALUES.get(kind, 1) or not all(map(isfinite, values)) or fault.first < 0:
-            raise InputError(
-                f"fault {text!r} is not of the form 'KIND FIRST END VALUE...', such as 'loss 100 500 0.2', with KIND "
-                f"one of {', '.join(kind.value for kind in FaultKind)}"
-            )
-        return fault
-
-    def told(self) -> Iterator[tuple[float, str]]:
-        """Yield value and text of the events that announce it."""
-        texts: tuple[tuple[str, float], ...]
-        match self.kind:
-            case FaultKind.LOSS:
-                texts = (("loss of the broadcasts", 0.0),)
-            case FaultKind.DELAY:
-                texts = (("delay of the broadcasts, steps", 0.0),)
-            case FaultKind.DUPLICATION:
-                texts = (("duplication of messages", 0.0),)
-            case FaultKind.REORDERING:
-                texts = ((f"reordering of the broadcasts within {self.values[1]:g} steps", 0.0),)
-            case FaultKind.CLOCK_OFFSET:
-                texts = (("offset of the clock, s", 0.0),)
-            case FaultKind.LIE:
-                position = ("false position, m too much", 0.0), ("false position, factor", 1.0)
-                texts = (*position, ("false mass, factor", 1.0))
-        for value, (text, neutral) in zip(self.values, texts, strict=False):
-            if value != neutral:
-                yield value, text
+            kind = _ROBOT_FAULTS[name]
+            effect = dict[str, Any]()
+            for setting_name, number in zip(_own_settings(kind), numbers, strict=True):
+                parameter = setting_of(kind, setting_name).parameter
+                effect[setting_name] = parameter.check(type(parameter.default)(float(number)))  # type: ignore[arg-type]
+            found = cls(kind(**effect), int(first), None if int(end) < 0 else int(end))
+            if found.first >= 0:
+                return found
+        except (KeyError, ValueError, OverflowError, InputError):
+            pass
+        raise InputError(
+            f"fault {text!r} is not of the form 'KIND FIRST END VALUE...', such as 'loss 100 500 0.2', with KIND "
+            f"one of {', '.join(_ROBOT_FAULTS)}"
+        )
 
 
 class Falsification(NamedTuple):
-    """A fault of one robot that falsifies its states."""
+    """A lie of one robot."""
 
     agent_id: int
-    fault: RobotFault
+    injected: InjectedFault
 
     def __str__(self) -> str:
-        return f"{self.agent_id} {self.fault}"
+        return f"{self.agent_id} {self.injected}"
 
     @classmethod
     def parse(cls, text: str) -> Falsification:
@@ -146,22 +481,17 @@ class Falsification(NamedTuple):
             If the text is not of this form.
         """
         agent_id, _, rest = text.partition(" ")
-        fault = RobotFault.parse(rest)
-        if not agent_id.isdecimal() or fault.kind is not FaultKind.LIE or 0.0 in fault.values[1:]:
+        injected = InjectedFault.parse(rest)
+        if not agent_id.isdecimal() or not isinstance(injected.fault, LieFault):
             raise InputError(f"lie {text!r} is not of the form 'AGENT lie FIRST END OFFSET FACTOR FACTOR'")
-        return cls(int(agent_id), fault)
+        return cls(int(agent_id), injected)
 
 
 def true_state(state: AgentState, lies: Iterable[Falsification]) -> AgentState:
-    """Return a robot's state as it is, without what injected faults have made of it.
-
-    The position is divided as it was multiplied, so its last bits are those of the published one and not of the robot's
-    own.
-    """
-    for agent_id, fault in lies:
-        if agent_id == state.agent_id and fault.acts(state.step):
-            offset, factor, heavier = fault.values
-            state = state._replace(position=(state.position - offset) / factor, mass=state.mass / heavier)
+    """Return a robot's state as it is, without what injected faults have made of it."""
+    for agent_id, injected in lies:
+        if agent_id == state.agent_id and injected.acts(state.step) and isinstance(injected.fault, LieFault):
+            state = injected.fault.true_state(state)
     return state
 
 
@@ -170,7 +500,7 @@ class RobotFaults:
 
     Parameters
     ----------
-    faults : iterable of RobotFault
+    faults : iterable of InjectedFault
         At most one of a kind acts in a step.
     seed : int
         Seed of what is drawn.
@@ -178,69 +508,56 @@ class RobotFaults:
         Id of the robot.
     """
 
-    def __init__(self, faults: Iterable[RobotFault], seed: int, agent_id: int) -> None:
+    def __init__(self, faults: Iterable[InjectedFault], seed: int, agent_id: int) -> None:
         self._faults = tuple(faults)
-        self._kinds = frozenset(fault.kind for fault in self._faults)
         self._seed = seed
         self._agent_id = agent_id
 
-    def __bool__(self) -> bool:
-        return bool(self._faults)
+    def _acting(self, step: int) -> list[RobotFault]:
+        return [each.fault for each in self._faults if each.acts(step)]
 
-    def _values(self, kind: FaultKind, step: int) -> tuple[float, ...] | None:
-        if kind not in self._kinds:
-            return None
-        return next((fault.values for fault in self._faults if fault.kind is kind and fault.acts(step)), None)
+    def _draw(self, step: int) -> str:
+        return f"{self._seed}:{step}:{self._agent_id}"
 
     def loses(self, step: int) -> bool:
         """Tell whether nothing reaches the robot in a step."""
-        values = self._values(FaultKind.LOSS, step)
-        return values is not None and lost(values[0], self._seed, step, self._agent_id)
+        return any(fault.loses(self._draw(step)) for fault in self._acting(step))
 
     def late(self, step: int) -> int:
         """Return how many steps later than usual the broadcasts of a step reach the robot."""
-        late = 0
-        if (values := self._values(FaultKind.DELAY, step)) is not None:
-            late += int(values[0])
-        if (values := self._values(FaultKind.REORDERING, step)) is not None:
-            late += held_back(values[0], int(values[1]), self._seed, step, self._agent_id)
-        return late
+        return sum(fault.late(self._draw(step)) for fault in self._acting(step))
 
     def hears_twice(self, step: int) -> bool:
         """Tell whether the broadcasts of a step reach the robot twice."""
-        return self._duplicates(step, _HEARD)
+        return any(fault.doubles(f"{self._draw(step)}:heard") for fault in self._acting(step))
 
     def says_twice(self, step: int) -> bool:
         """Tell whether the robot publishes its state of a step twice."""
-        return self._duplicates(step, _STATE)
-
-    def _duplicates(self, step: int, what: str) -> bool:
-        values = self._values(FaultKind.DUPLICATION, step)
-        return values is not None and duplicated(values[0], self._seed, step, self._agent_id, what)
+        return any(fault.doubles(f"{self._draw(step)}:state") for fault in self._acting(step))
 
     def clock_offset(self, step: int) -> int:
         """Return by how much the robot's clock is ahead in a step, ns."""
-        values = self._values(FaultKind.CLOCK_OFFSET, step)
-        return 0 if values is None else round(Fraction(repr(values[0])) * 10**9)
+        return sum(fault.clock_offset() for fault in self._acting(step))
 
     def said(self, state: AgentState) -> AgentState:
         """Return what the robot says its state is."""
-        values = self._values(FaultKind.LIE, state.step)
-        if values is None:
-            return state
-        offset, factor, heavier = values
-        return state._replace(position=state.position * factor + offset, mass=state.mass * heavier)
+        for fault in self._acting(state.step):
+            state = fault.falsified(state)
+        return state
 
     def acting(self, step: int) -> Iterator[tuple[float, str]]:
         """Yield value and text of the announcements of all faults that act in a step."""
-        for fault in self._faults:
-            if fault.acts(step):
-                yield from fault.told()
+        for fault in self._acting(step):
+            yield from _told(fault)
 
     def changing(self, step: int) -> Iterator[tuple[float, str]]:
         """Yield value and text of the announcements of the faults that begin or, with value 0, end with a step."""
-        for fault in self._faults:
-            if fault.first == step and fault.acts(step):
-                yield from fault.told()
-            elif fault.end == step:
-                yield from ((0.0, f"over: {text}") for _, text in fault.told())
+        for each in self._faults:
+            if each.first == step and each.acts(step):
+                yield from _told(each.fault)
+            elif each.end == step:
+                yield from ((0.0, f"over: {text}") for _, text in _told(each.fault))
+
+
+def _told(fault: RobotFault) -> Iterator[tuple[float, str]]:
+    return ((value, text) for value, text in fault.announced() if value)

@@ -14,7 +14,6 @@ from swarmabs_config.scenario import (
     Constant,
     DoubleIntegratorAgent,
     Generate,
-    LossFault,
     LqrConfig,
     PdConfig,
     Plane,
@@ -26,6 +25,7 @@ from swarmabs_config.scenario import (
     spread,
 )
 from swarmabs_config.scenario.loader import default_name
+from swarmabs_core.faults import LossFault
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 PAPER = (
@@ -282,7 +282,7 @@ def test_models_are_immutable_and_strict() -> None:
 
 def test_faults_can_be_built_directly() -> None:
     scenario = Scenario(schema=1, swarm=Swarm(agents=PAPER), faults=(LossFault(probability=0.5),))
-    assert scenario.faults == (LossFault(kind="loss", probability=0.5),)
+    assert scenario.faults == (LossFault(probability=0.5),)
 
 
 @pytest.mark.parametrize(

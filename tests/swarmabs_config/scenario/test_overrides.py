@@ -8,7 +8,6 @@ from swarmabs_config.scenario import (
     AriseConfig,
     Constant,
     Generate,
-    LossFault,
     LqrConfig,
     PdConfig,
     Scenario,
@@ -17,6 +16,7 @@ from swarmabs_config.scenario import (
     load_scenario,
     parse_scenario,
 )
+from swarmabs_core.faults import LossFault
 
 TEXT = """\
 schema: 1

@@ -10,30 +10,19 @@ from pydantic import ValidationError
 from swarmabs_config.scenario import (
     Agent,
     AriseConfig,
-    ClockOffsetFault,
     Constant,
     ControllerConfig,
     CsvTrajectory,
-    DelayFault,
     Disturbance,
     DoubleIntegratorAgent,
-    DuplicationFault,
-    Fault,
-    FreezeFault,
     Generate,
-    JoinFault,
-    KillFault,
-    LeaveFault,
-    LieFault,
     Limits,
     Lockstep,
-    LossFault,
     LqrConfig,
     Manifold,
     PdConfig,
     Plane,
     QuinticStep,
-    ReorderingFault,
     Scenario,
     ScenarioError,
     Sine,
@@ -46,6 +35,19 @@ from swarmabs_config.scenario import (
     yaml_tree,
 )
 from swarmabs_config.scenario.model import is_name
+from swarmabs_core.faults import (
+    ClockOffsetFault,
+    DelayFault,
+    DuplicationFault,
+    Fault,
+    FreezeFault,
+    JoinFault,
+    KillFault,
+    LeaveFault,
+    LieFault,
+    LossFault,
+    ReorderingFault,
+)
 
 numbers = st.floats(-1e12, 1e12)
 small = st.floats(-1.0, 1.0)

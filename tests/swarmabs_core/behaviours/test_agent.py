@@ -10,7 +10,7 @@ from tests.swarmabs_core.helpers import PERIOD_NS, broadcasts
 from swarmabs_core.behaviours import Agent, AgentConfig, LifeSpan, Limits
 from swarmabs_core.behaviours.base import ConflictError, UnexpectedMessageError
 from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.faults import FaultKind, RobotFault, lost
+from swarmabs_core.faults import DelayFault, InjectedFault, LossFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -282,10 +282,10 @@ def test_force_limit_goes_before_the_speed_limit() -> None:
 
 
 def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
-    node = agent(faults=(RobotFault(FaultKind.LOSS, (0.5,)),), seed=4)
+    node = agent(faults=(InjectedFault(LossFault(probability=0.5)),), seed=4)
     *_, before = node.start()  # its loss is announced first
     states = [state(hear(node, broadcasts(step, desired=0.1 * step))) for step in range(40)]
-    losses = [lost(0.5, 4, step, 3) for step in range(40)]
+    losses = [LossFault(probability=0.5).loses(f"4:{step}:3") for step in range(40)]
     assert 10 < sum(losses) < 30
     for step, gone in enumerate(losses):
         new = (law(before, desired=0.1 * step), step)
@@ -296,7 +296,7 @@ def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
 
 @kinds
 def test_delayed_broadcasts_meet_the_robots_present_state(kind: Kind) -> None:
-    node = agent(kind, faults=(RobotFault(FaultKind.DELAY, (2.0,)),))
+    node = agent(kind, faults=(InjectedFault(DelayFault(steps=2)),))
     *_, before = node.start()  # the delay is announced first
     for step in range(6):
         after = state(hear(node, broadcasts(step, desired=0.1 * step)))

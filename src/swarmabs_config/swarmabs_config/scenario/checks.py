@@ -11,13 +11,14 @@ from swarmabs_config import configure
 from swarmabs_core import behaviours
 from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.law_registry import LAWS
+from swarmabs_core.membership import ChangeKind
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .fault_checks import faults, lasting_faults, offset_law, settings
-from .faults import AgentFault, JoinFault, LeaveFault, RemoveFault
 from .fields import SMALLEST, Finding, Location
 from .timing import NANOSECONDS
 
@@ -270,9 +271,9 @@ def _membership(scenario: "Scenario") -> Iterator[str]:
     """Follow the robots that are there through all faults: their number, and the preimage of the manifold."""
     active = {agent.id for agent in scenario.initial_agents}
     heavy = set(active)
-    by_step: dict[int, list[AgentFault]] = {}
+    by_step: dict[int, list[MembershipFault]] = {}
     for fault in scenario.faults:
-        if isinstance(fault, AgentFault):
+        if isinstance(fault, MembershipFault):
             # A robot that joins is there in the fault step, one that goes is so for the last time.
             first = scenario.fault_step(fault.at) + (not isinstance(fault, JoinFault))
             if first <= scenario.steps:
@@ -285,7 +286,7 @@ def _membership(scenario: "Scenario") -> Iterator[str]:
                 heavy.add(change.agent)
             else:
                 active.discard(change.agent)
-                if isinstance(change, LeaveFault | RemoveFault):
+                if not ChangeKind(change.kind).stays:
                     heavy.discard(change.agent)
         states.append((step, len(active), frozenset(heavy)))
     few = next(((step, count) for step, count, _ in states if count < 2), None)

@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from swarmabs_config.scenario.declared import model_of
+from swarmabs_core.declaration import LONGEST_TIME
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.trajectory import SHORTEST, Constant, QuinticSpline, QuinticStep, Sine
 
@@ -19,7 +20,6 @@ from .fields import (
     problem,
     raise_findings,
 )
-from .timing import LONGEST
 
 MOST_ROWS = 2000
 """Most rows of a trajectory: they travel to the parent controller as parameters."""
@@ -42,7 +42,7 @@ class CsvTrajectory(Model):
         exclude=True,
         description="CSV file with the header time,angle (s, rad), relative to the scenario's file",
     )
-    times: Annotated[tuple[Annotated[NonNegative, Field(le=LONGEST)], ...], AsTuple] = Field(
+    times: Annotated[tuple[Annotated[NonNegative, Field(le=LONGEST_TIME)], ...], AsTuple] = Field(
         default=(), description="instead of a file: times of the rows, increasing, s"
     )
     angles: Annotated[tuple[Angle, ...], AsTuple] = Field(

@@ -14,13 +14,13 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, create_model
 from pydantic_core import CoreSchema, core_schema
 
-from swarmabs_core.declaration import Part, Setting, attribute_of, entries_of, setting_of, tree_of
+from swarmabs_core.declaration import LONGEST_TIME, Part, Setting, attribute_of, entries_of, setting_of, tree_of
 from swarmabs_core.parameters import Parameter, Scalar, SettingError
 
 from .errors import show
 from .fields import LARGEST, Finding, Model, WithoutNegativeZero, as_error, as_tuple, not_tiny, problem
 from .texts import TEXTS
-from .timing import LONGEST, WholeNanoseconds
+from .timing import WholeNanoseconds
 
 _LARGEST_INTEGER = 2**63 - 1
 ModelT = TypeVar("ModelT", bound=Model)
@@ -224,7 +224,7 @@ def _scalar(
         most = None if below is not None else _LARGEST_INTEGER if high is None else high
         return Annotated[int, Field(gt=above, ge=-_LARGEST_INTEGER if low is None else low, lt=below, le=most)]
     if whole_nanoseconds:
-        return Annotated[float, Field(gt=above, le=LONGEST), WholeNanoseconds]
+        return Annotated[float, Field(gt=above, ge=low, le=LONGEST_TIME if high is None else high), WholeNanoseconds]
     least = None if above is not None else -LARGEST if low is None else low
     most = None if below is not None else LARGEST if high is None else high
     bounds = Field(gt=above, ge=least, lt=below, le=most)

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_core.controllers import OffsetController
-from swarmabs_core.membership import UNPLANNED
-
-from .faults import (
-    AgentFault,
+from swarmabs_core.declaration import LONGEST_TIME
+from swarmabs_core.faults import (
     ClockOffsetFault,
     JoinFault,
+    MembershipFault,
     MessageFault,
     ReferenceFault,
     RobotFault,
     SettingFault,
     SingleRobotFault,
 )
+from swarmabs_core.membership import UNPLANNED
+
 from .fields import Finding, Location
-from .timing import LONGEST
 
 if TYPE_CHECKING:
     from .model import Scenario
@@ -33,7 +33,7 @@ def faults(scenario: "Scenario") -> Iterator[Finding]:
     gone: dict[int, tuple[int, Location]] = {}
     for index, fault in enumerate(scenario.faults):
         here: Location = ("faults", index)
-        if not isinstance(fault, AgentFault):
+        if not isinstance(fault, MembershipFault):
             continue
         if fault.agent not in ids:
             yield _unknown_robot((*here, "agent"), fault.agent, ids)
@@ -121,7 +121,7 @@ def lasting_faults(scenario: "Scenario") -> Iterator[Finding]:
             yield _too_late((*here, "from"), fault.begin, first, scenario)
         elif first >= last:
             yield _too_short((*here, "to"), first)
-        elif isinstance(fault, ClockOffsetFault) and scenario.duration + fault.offset > LONGEST:
+        elif isinstance(fault, ClockOffsetFault) and scenario.duration + fault.offset > LONGEST_TIME:
             yield Finding.of((*here, "offset"), "stamps would be beyond what a message holds", "use a smaller offset")
         hit = {agent for _, agent in named} or ids
         others = known.setdefault(fault.kind, [])

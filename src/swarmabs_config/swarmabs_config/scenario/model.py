@@ -6,6 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from swarmabs_core.behaviours.base import Lockstep, Run
+from swarmabs_core.faults import FAULTS, Fault, JoinFault, MembershipFault, RobotFault, SettingFault
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.parent_response import ParentResponse, SumObserver
@@ -20,7 +21,6 @@ from .agents import AGENT_KINDS, Agent, Generate
 from .controllers import DEFAULT_CONTROLLER, ControllerConfig
 from .declared import Declared, Like, declared_field, like, model_of
 from .errors import describe
-from .faults import FAULT_KINDS, AgentFault, Fault, JoinFault, RobotFault, SettingFault
 from .fields import (
     AsTuple,
     Model,
@@ -38,6 +38,8 @@ LONGEST_NAME = 60
 DEFAULT_OBSERVER = "sum"
 OBSERVERS = {each.type: model_of(each, tag="type") for each in (SumObserver, ParentResponse)}
 """The model of each ``observer.type``."""
+FAULT_KINDS = {kind: model_of(each, tag="kind") for kind, each in FAULTS.items()}  # type: ignore[arg-type]  # classes are hashable
+"""The model of each ``kind`` of fault."""
 
 
 def is_name(text: str) -> bool:
@@ -172,9 +174,9 @@ class Scenario(Model):
         return tuple(agent for agent in self.agents if agent.id not in later)
 
     @property
-    def membership_faults(self) -> tuple[AgentFault, ...]:
+    def membership_faults(self) -> tuple[MembershipFault, ...]:
         """The faults that end a robot or let it join."""
-        return tuple(fault for fault in self.faults if isinstance(fault, AgentFault))
+        return tuple(fault for fault in self.faults if isinstance(fault, MembershipFault))
 
     @property
     def robot_faults(self) -> tuple[RobotFault, ...]:

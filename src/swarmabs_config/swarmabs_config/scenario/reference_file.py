@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from swarmabs_core.declaration import LONGEST_TIME
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.trajectory import SHORTEST
 
@@ -12,7 +13,6 @@ from .controllers import MOST_ROWS
 from .errors import ScenarioError, show
 from .fields import LARGEST
 from .text_file import read_text
-from .timing import LONGEST
 from .yaml_tree import Entry, Mark, Node
 
 HEADER = ["time", "angle"]
@@ -105,8 +105,10 @@ def _row(row: list[str], source: str, line: int) -> tuple[float, float]:
             raise ScenarioError(source, f"{show(text)} is no number", "give a finite number", line=line, field=name)
         numbers.append(number)
     time, angle = numbers
-    if not 0.0 <= time <= LONGEST:
-        raise ScenarioError(source, f"{time!r} s is out of range", f"give 0 to {LONGEST} s", line=line, field="time")
+    if not 0.0 <= time <= LONGEST_TIME:
+        raise ScenarioError(
+            source, f"{time!r} s is out of range", f"give 0 to {LONGEST_TIME} s", line=line, field="time"
+        )
     if not abs(angle) < STEEPEST:
         raise ScenarioError(
             source,

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from swarmabs_config import configure
+from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import FAULTS, SettingFault
 from swarmabs_core.membership import UNPLANNED, Change, ChangeKind
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE
+from swarmabs_core.steering import ENDS
 
-from .faults import FAULT_KINDS
 from .loader import parse_scenario
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from .model import Scenario
 
-_VALUE = {REFERENCE: "offset", DISTURBANCE: "torque"}
+_VALUE = {kind: each.sets for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
 _ENDS = {kind.value: kind for kind in ENDS.values()}
 
 
@@ -92,7 +93,7 @@ def _planned(
         return None
     faults = []
     for fault in scenario.faults:
-        data = fault.model_dump(mode="json", by_alias=True)
+        data: dict[str, Any] = {"kind": fault.kind, **tree_of(fault)}
         agent_id = data.get("agent")
         if data["kind"] in steered or (agent_id in ended and data["kind"] in _ENDING):
             continue
@@ -111,4 +112,4 @@ def _planned(
     return faults
 
 
-_ENDING = {kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN} & FAULT_KINDS.keys()
+_ENDING = {kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN}

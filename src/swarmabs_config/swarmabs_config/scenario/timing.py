@@ -5,11 +5,11 @@ from typing import Annotated, TypeAlias
 
 from pydantic import AfterValidator, Field
 
+from swarmabs_core.declaration import LONGEST_TIME
+
 from .fields import problem
 
 NANOSECONDS = 10**9
-LONGEST = 2**31 - 1
-"""Longest time in seconds: what the seconds of a ROS time stamp hold."""
 
 
 def to_nanoseconds(seconds: float) -> int:
@@ -36,9 +36,9 @@ def _whole_nanoseconds(seconds: float) -> float:
         to_nanoseconds(seconds)
     except ValueError as exc:
         raise problem(str(exc), "give at most nine decimals, e.g. 0.01") from None
-    return seconds
+    return seconds + 0.0
 
 
 WholeNanoseconds = AfterValidator(_whole_nanoseconds)
-Duration: TypeAlias = Annotated[float, Field(gt=0, le=LONGEST), WholeNanoseconds]
+Duration: TypeAlias = Annotated[float, Field(gt=0, le=LONGEST_TIME), WholeNanoseconds]
 """A positive time in s that is a whole number of nanoseconds."""

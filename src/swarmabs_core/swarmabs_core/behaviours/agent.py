@@ -11,7 +11,7 @@ from swarmabs_core.behaviours.reception import Reception, Transmission
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import RobotFault, RobotFaults
+from swarmabs_core.faults import InjectedFault, RobotFaults
 from swarmabs_core.law_registry import LAWS, PAPER, Robot
 from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.messages import (
@@ -111,8 +111,8 @@ class AgentConfig(RobotConfig):
 
     period_ns: int = same(Run, "period_ns")
     life: LifeSpan = part(LifeSpan, name="")
-    faults: tuple[RobotFault, ...] = setting(
-        (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'", make=RobotFault.parse
+    faults: tuple[InjectedFault, ...] = setting(
+        (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'", make=InjectedFault.parse
     )
     seed: int = same(Run, "seed")
     feels_gravity: bool = same(Plane, "robot_gravity")
