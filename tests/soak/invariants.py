@@ -102,11 +102,12 @@ class NothingStale(Invariant):
     def _reached(self, agent_id: int, step: int) -> int:
         """Return the newest set that has reached a robot in a step."""
         faults, coming = self._faults[agent_id], self._coming[agent_id]
-        coming[step] = step + faults.late(step)
+        acting, draw = faults.acting(step), faults.draw(step)
+        coming[step] = step + sum(fault.late(draw) for fault in acting)
         come = [sent for sent, at in coming.items() if at <= step]
         for sent in come:
             del coming[sent]
-        if come and not faults.loses(step):
+        if come and not any(fault.loses(draw) for fault in acting):
             self._newest[agent_id] = max(self._newest.get(agent_id, -1), *come)
         return self._newest.get(agent_id, NEVER)
 

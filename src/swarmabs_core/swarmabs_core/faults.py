@@ -53,15 +53,29 @@ def _end(name: str, end: float | None, begin: float, what: str) -> None:
         raise SettingError("", f"{what} ends at {end!r} s, before it begins", f"use {name} after {begin!r} s")
 
 
-@dataclass(frozen=True, slots=True)
+FAULTS: dict[str, type[Fault]] = {}
+"""Every kind of fault."""
+
+
+@dataclass(frozen=True)
 class Fault:
-    """What a scenario injects."""
+    """What a scenario injects.
+
+    A kind is a subclass with a `kind`, the name by which a scenario chooses it, and a `description` in a few words.
+    """
 
     kind: ClassVar[str]
     description: ClassVar[str]
 
+    def __init_subclass__(cls, **words: str) -> None:
+        """Note a kind of fault."""
+        for name, text in words.items():
+            setattr(cls, name, text)
+        if "kind" in words:
+            FAULTS[cls.kind] = cls
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True)
 class MembershipFault(Fault):
     """Ends a robot, or lets it join, at one step."""
 
@@ -69,51 +83,40 @@ class MembershipFault(Fault):
     agent: int = _robot()
 
 
-@dataclass(frozen=True, slots=True)
-class KillFault(MembershipFault):
+@dataclass(frozen=True)
+class KillFault(MembershipFault, kind=ChangeKind.KILL.value, description="the process dies, the robot stands still"):
     """The robot's process dies; the robot stands still where it is, its weight stays on the plane."""
 
-    kind: ClassVar[str] = ChangeKind.KILL.value
-    description: ClassVar[str] = "the process dies, the robot stands still"
 
-
-@dataclass(frozen=True, slots=True)
-class LeaveFault(MembershipFault):
+@dataclass(frozen=True)
+class LeaveFault(MembershipFault, kind=ChangeKind.LEAVE.value, description="the robot leaves the plane"):
     """The robot says that it leaves; from the next step its weight is gone."""
 
-    kind: ClassVar[str] = ChangeKind.LEAVE.value
-    description: ClassVar[str] = "the robot leaves the plane"
 
-
-@dataclass(frozen=True, slots=True)
-class RemoveFault(MembershipFault):
+@dataclass(frozen=True)
+class RemoveFault(MembershipFault, kind=ChangeKind.REMOVE.value, description="the robot is taken off the plane"):
     """The robot is taken off the plane without being asked; from the next step its weight is gone."""
 
-    kind: ClassVar[str] = ChangeKind.REMOVE.value
-    description: ClassVar[str] = "the robot is taken off the plane"
 
-
-@dataclass(frozen=True, slots=True)
-class JoinFault(MembershipFault):
+@dataclass(frozen=True)
+class JoinFault(
+    MembershipFault, kind=ChangeKind.JOIN.value, description="the robot appears on the plane at its initial position"
+):
     """The robot, listed under ``swarm.agents``, is not there before the fault step."""
-
-    kind: ClassVar[str] = ChangeKind.JOIN.value
-    description: ClassVar[str] = "the robot appears on the plane at its initial position"
 
     at: float | None = _time(
         None, _AT, unset=-1.0, null="only when it is added to a run that is steered", required=True
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FreezeFault(MembershipFault):
+@dataclass(frozen=True)
+class FreezeFault(
+    MembershipFault, kind=ChangeKind.FREEZE.value, description="the process is stopped, the robot stands still"
+):
     """The robot's process is stopped (SIGSTOP); the robot stands still where it is."""
 
-    kind: ClassVar[str] = ChangeKind.FREEZE.value
-    description: ClassVar[str] = "the process is stopped, the robot stands still"
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SettingFault(Fault):
     """Sets a number, the field `sets`, for the whole run at a step, until it is set again."""
 
@@ -134,13 +137,9 @@ class SettingFault(Fault):
         return float(getattr(self, self.sets))
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceFault(SettingFault):
+@dataclass(frozen=True)
+class ReferenceFault(SettingFault, kind=REFERENCE, description="the angle wanted is offset", sets="offset"):
     """The angle wanted is above the parent controller's reference by an offset."""
-
-    kind: ClassVar[str] = REFERENCE
-    description: ClassVar[str] = "the angle wanted is offset"
-    sets: ClassVar[str] = "offset"
 
     offset: float = setting(
         0.0,
@@ -151,18 +150,16 @@ class ReferenceFault(SettingFault):
     )
 
 
-@dataclass(frozen=True, slots=True)
-class DisturbanceFault(SettingFault):
+@dataclass(frozen=True)
+class DisturbanceFault(
+    SettingFault, kind=DISTURBANCE, description="a constant torque disturbs the plane", sets="torque"
+):
     """A constant torque disturbs the plane, besides ``plane.disturbance`` and with its sign."""
-
-    kind: ClassVar[str] = DISTURBANCE
-    description: ClassVar[str] = "a constant torque disturbs the plane"
-    sets: ClassVar[str] = "torque"
 
     torque: float = setting(0.0, "torque, N m; a positive one turns the plane to smaller angles", required=True)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RobotFault(Fault):
     """Acts on robots and their messages for a while.
 
@@ -183,8 +180,9 @@ class RobotFault(Fault):
         raise NotImplementedError
 
     def announced(self) -> tuple[tuple[float, str], ...]:
-        """Return value and text of the events that announce it; one with value 0 is left out."""
-        return ((float(next(iter(self.effect().values()))), self.announcement.format(self)),)
+        """Return value and text of the events that announce it: its first setting, if it is not 0, and the text."""
+        value = float(next(iter(self.effect().values())))
+        return ((value, self.announcement.format(self)),) if value else ()
 
     def loses(self, draw: str) -> bool:  # noqa: ARG002
         """Tell whether nothing reaches the robot in a step."""
@@ -212,11 +210,10 @@ class RobotFault(Fault):
 
 
 def _own_settings(kind: type[RobotFault]) -> list[str]:
-    common = {*RobotFault.__slots__, *MessageFault.__slots__, *SingleRobotFault.__slots__}
-    return [field.name for field in fields(kind) if field.name not in common]
+    return [field.name for field in fields(kind) if field.name not in {"begin", "to", "agent", "agents"}]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MessageFault(RobotFault):
     """Acts on what robots hear and say."""
 
@@ -238,13 +235,14 @@ class MessageFault(RobotFault):
         return self.agents is None or agent_id in self.agents
 
 
-@dataclass(frozen=True, slots=True)
-class LossFault(MessageFault):
+@dataclass(frozen=True)
+class LossFault(
+    MessageFault,
+    kind="loss",
+    description="robots keep their previous command at random",
+    announcement="loss of the broadcasts",
+):
     """Robots miss broadcasts at random and keep their previous command."""
-
-    kind: ClassVar[str] = "loss"
-    description: ClassVar[str] = "robots keep their previous command at random"
-    announcement: ClassVar[str] = "loss of the broadcasts"
 
     probability: float = _probability("probability of a loss, for each robot and step")
 
@@ -253,13 +251,14 @@ class LossFault(MessageFault):
         return fraction(draw) < self.probability
 
 
-@dataclass(frozen=True, slots=True)
-class DelayFault(MessageFault):
+@dataclass(frozen=True)
+class DelayFault(
+    MessageFault,
+    kind="delay",
+    description="robots use earlier broadcasts",
+    announcement="delay of the broadcasts, steps",
+):
     """Robots compute with broadcasts that are some steps old; their command is 0 until there are any."""
-
-    kind: ClassVar[str] = "delay"
-    description: ClassVar[str] = "robots use earlier broadcasts"
-    announcement: ClassVar[str] = "delay of the broadcasts, steps"
 
     steps: int = setting(0, "age of the broadcasts, steps", minimum=0, below=2**31, required=True)
 
@@ -268,13 +267,14 @@ class DelayFault(MessageFault):
         return self.steps
 
 
-@dataclass(frozen=True, slots=True)
-class DuplicationFault(MessageFault):
+@dataclass(frozen=True)
+class DuplicationFault(
+    MessageFault,
+    kind="duplication",
+    description="messages come twice at random",
+    announcement="duplication of messages",
+):
     """Robots hear broadcasts twice and say their state twice, at random."""
-
-    kind: ClassVar[str] = "duplication"
-    description: ClassVar[str] = "messages come twice at random"
-    announcement: ClassVar[str] = "duplication of messages"
 
     probability: float = _probability(
         "probability that a robot hears the broadcasts of a step twice, and that it says its state twice"
@@ -285,13 +285,14 @@ class DuplicationFault(MessageFault):
         return fraction(draw) < self.probability
 
 
-@dataclass(frozen=True, slots=True)
-class ReorderingFault(MessageFault):
+@dataclass(frozen=True)
+class ReorderingFault(
+    MessageFault,
+    kind="reordering",
+    description="broadcasts come after later ones at random",
+    announcement="reordering of the broadcasts within {0.steps:g} steps",
+):
     """Broadcasts reach robots after later ones, at random; a robot acts on the newest that it has."""
-
-    kind: ClassVar[str] = "reordering"
-    description: ClassVar[str] = "broadcasts come after later ones at random"
-    announcement: ClassVar[str] = "reordering of the broadcasts within {0.steps:g} steps"
 
     probability: float = _probability("probability that broadcasts come late, for each robot and step")
     steps: int = setting(1, "most steps by which they come late", minimum=1, below=2**31)
@@ -303,7 +304,7 @@ class ReorderingFault(MessageFault):
         return 1 + int(fraction(f"{draw}:late") * self.steps)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SingleRobotFault(RobotFault):
     """Acts on one robot."""
 
@@ -314,13 +315,14 @@ class SingleRobotFault(RobotFault):
         return self.agent == agent_id
 
 
-@dataclass(frozen=True, slots=True)
-class ClockOffsetFault(SingleRobotFault):
+@dataclass(frozen=True)
+class ClockOffsetFault(
+    SingleRobotFault,
+    kind="clock_offset",
+    description="the robot's stamps are off",
+    announcement="offset of the clock, s",
+):
     """The clock of a robot is wrong: the stamps of its states and events are off."""
-
-    kind: ClassVar[str] = "clock_offset"
-    description: ClassVar[str] = "the robot's stamps are off"
-    announcement: ClassVar[str] = "offset of the clock, s"
 
     offset: float = setting(
         0.0,
@@ -336,12 +338,9 @@ class ClockOffsetFault(SingleRobotFault):
         return round(Fraction(repr(self.offset)) * 10**9)
 
 
-@dataclass(frozen=True, slots=True)
-class LieFault(SingleRobotFault):
+@dataclass(frozen=True)
+class LieFault(SingleRobotFault, kind="lie", description="the robot says a false position or mass"):
     """A robot says a false position or mass; the plane feels the true ones."""
-
-    kind: ClassVar[str] = "lie"
-    description: ClassVar[str] = "the robot says a false position or mass"
 
     position_offset: float = setting(0.0, "what it adds to its position, m")
     position_factor: float = setting(
@@ -365,11 +364,12 @@ class LieFault(SingleRobotFault):
 
     def announced(self) -> tuple[tuple[float, str], ...]:
         """Announce what is false."""
-        factors = (self.position_factor, "false position, factor"), (self.mass_factor, "false mass, factor")
-        return (
-            (self.position_offset, "false position, m too much"),
-            *((factor, text) for factor, text in factors if factor != 1.0),
+        told = (
+            (self.position_offset, 0.0, "false position, m too much"),
+            (self.position_factor, 1.0, "false position, factor"),
+            (self.mass_factor, 1.0, "false mass, factor"),
         )
+        return tuple((value, text) for value, true, text in told if value != true)
 
     def falsified(self, state: AgentState) -> AgentState:
         """Falsify position and mass."""
@@ -386,25 +386,6 @@ class LieFault(SingleRobotFault):
         return state._replace(position=position, mass=state.mass / self.mass_factor)
 
 
-FAULTS: dict[str, type[Fault]] = {
-    each.kind: each
-    for each in (
-        KillFault,
-        LeaveFault,
-        RemoveFault,
-        JoinFault,
-        FreezeFault,
-        ReferenceFault,
-        DisturbanceFault,
-        LossFault,
-        DelayFault,
-        DuplicationFault,
-        ReorderingFault,
-        ClockOffsetFault,
-        LieFault,
-    )
-}
-"""Every kind of fault."""
 _ROBOT_FAULTS = {kind: each for kind, each in FAULTS.items() if issubclass(each, RobotFault)}
 
 
@@ -513,51 +494,25 @@ class RobotFaults:
         self._seed = seed
         self._agent_id = agent_id
 
-    def _acting(self, step: int) -> list[RobotFault]:
+    def acting(self, step: int) -> list[RobotFault]:
+        """Return the faults that act in a step."""
         return [each.fault for each in self._faults if each.acts(step)]
 
-    def _draw(self, step: int) -> str:
+    def draw(self, step: int) -> str:
+        """Return the text of which everything that is random in a step is drawn."""
         return f"{self._seed}:{step}:{self._agent_id}"
 
-    def loses(self, step: int) -> bool:
-        """Tell whether nothing reaches the robot in a step."""
-        return any(fault.loses(self._draw(step)) for fault in self._acting(step))
+    def double(self, step: int, what: str) -> bool:
+        """Tell whether the robot's ``state`` of a step is published twice, or what is ``heard`` in it comes twice."""
+        return any(fault.doubles(f"{self.draw(step)}:{what}") for fault in self.acting(step))
 
-    def late(self, step: int) -> int:
-        """Return how many steps later than usual the broadcasts of a step reach the robot."""
-        return sum(fault.late(self._draw(step)) for fault in self._acting(step))
+    def announced(self, step: int, *, first: bool) -> Iterator[tuple[float, str]]:
+        """Yield value and text of the events of a step: of the faults that begin or, with value 0, end with it.
 
-    def hears_twice(self, step: int) -> bool:
-        """Tell whether the broadcasts of a step reach the robot twice."""
-        return any(fault.doubles(f"{self._draw(step)}:heard") for fault in self._acting(step))
-
-    def says_twice(self, step: int) -> bool:
-        """Tell whether the robot publishes its state of a step twice."""
-        return any(fault.doubles(f"{self._draw(step)}:state") for fault in self._acting(step))
-
-    def clock_offset(self, step: int) -> int:
-        """Return by how much the robot's clock is ahead in a step, ns."""
-        return sum(fault.clock_offset() for fault in self._acting(step))
-
-    def said(self, state: AgentState) -> AgentState:
-        """Return what the robot says its state is."""
-        for fault in self._acting(state.step):
-            state = fault.falsified(state)
-        return state
-
-    def acting(self, step: int) -> Iterator[tuple[float, str]]:
-        """Yield value and text of the announcements of all faults that act in a step."""
-        for fault in self._acting(step):
-            yield from _told(fault)
-
-    def changing(self, step: int) -> Iterator[tuple[float, str]]:
-        """Yield value and text of the announcements of the faults that begin or, with value 0, end with a step."""
+        In the robot's `first` step that is all that act.
+        """
         for each in self._faults:
-            if each.first == step and each.acts(step):
-                yield from _told(each.fault)
-            elif each.end == step:
-                yield from ((0.0, f"over: {text}") for _, text in _told(each.fault))
-
-
-def _told(fault: RobotFault) -> Iterator[tuple[float, str]]:
-    return ((value, text) for value, text in fault.announced() if value)
+            if each.acts(step) and (first or each.first == step):
+                yield from each.fault.announced()
+            elif each.end == step and not first:
+                yield from ((0.0, f"over: {text}") for _, text in each.fault.announced())

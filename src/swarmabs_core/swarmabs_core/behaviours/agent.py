@@ -193,7 +193,7 @@ class Agent:
             self._steer(message)
             return ()
         answers = self._hear(topic, message)
-        if self._faults.hears_twice(message.step):
+        if self._faults.double(message.step, "heard"):
             answers = (*answers, *self._hear(topic, message))
         return answers
 

@@ -23,9 +23,10 @@ class Reception:
 
     def send(self, step: int, broadcasts: Broadcast) -> bool:
         """Send the set of the current step; tell whether the robot hears in this step at all."""
-        self._coming.setdefault(step + self._faults.late(step), []).append(broadcasts)
+        acting, draw = self._faults.acting(step), self._faults.draw(step)
+        self._coming.setdefault(step + sum(fault.late(draw) for fault in acting), []).append(broadcasts)
         come = self._coming.pop(step, [])
-        if self._faults.loses(step):
+        if any(fault.loses(draw) for fault in acting):
             return False
         for sent in come:
             sent_at, mode = sent.step, sent.desired.mode
@@ -58,14 +59,20 @@ class Transmission:
         for answer in answers:
             if isinstance(answer, AgentState):
                 said.extend(self._announced(answer))
-                said.extend([self._faults.said(answer)] * (2 if self._faults.says_twice(answer.step) else 1))
+                state = answer
+                for fault in self._faults.acting(answer.step):
+                    state = fault.falsified(state)
+                said.extend([state] * (2 if self._faults.double(answer.step, "state") else 1))
             else:
                 said.append(answer)
-        return tuple(m._replace(stamp=m.stamp + self._faults.clock_offset(m.step)) for m in said)
+        return tuple(m._replace(stamp=m.stamp + self._clock_offset(m.step)) for m in said)
+
+    def _clock_offset(self, step: int) -> int:
+        return sum(fault.clock_offset() for fault in self._faults.acting(step))
 
     def _announced(self, state: AgentState) -> list[SwarmEvent]:
         """Return the events of the faults that begin or end with a state; with the first, of all that act."""
-        found = self._faults.changing(state.step) if self._begun else self._faults.acting(state.step)
+        found = self._faults.announced(state.step, first=not self._begun)
         self._begun = True
         kind = EventKind.FAULT_INJECTED
         return [SwarmEvent(state.stamp, state.step, state.agent_id, kind, value, text) for value, text in found]
