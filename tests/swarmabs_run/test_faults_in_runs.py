@@ -28,6 +28,7 @@ from swarmabs_core.messages import (
     Messages,
     PlaneState,
     Status,
+    Topic,
 )
 from swarmabs_core.record import Record
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
@@ -217,19 +218,19 @@ def test_duplication_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = builtin("pd_het_4", "duration=0.5", "faults=[{kind: duplication, probability: 0.5, agents: [2, 3]}]")
     published: Counter[tuple[int, int]] = Counter()
     heard: Counter[int] = Counter()
-    add, hear = RunCollector.add, Agent.handle
+    add, hear = RunCollector.add, Agent._hear
 
     def counting_add(self: RunCollector, record: Record) -> list[RecordedStep]:
         if isinstance(record.message, AgentState):
             published[record.agent_id, record.message.step] += 1
         return add(self, record)
 
-    def counting_hear(self: Agent, message: Message) -> Messages:
+    def counting_hear(self: Agent, topic: Topic, message: Message) -> Messages:
         heard[self._config.agent_id] += 1
-        return hear(self, message)
+        return hear(self, topic, message)
 
     monkeypatch.setattr(RunCollector, "add", counting_add)
-    monkeypatch.setattr(Agent, "handle", counting_hear)
+    monkeypatch.setattr(Agent, "_hear", counting_hear)
     run = Run(scenario)
     twice = {robot: sum(count == 2 for (who, _), count in published.items() if who == robot) for robot in (1, 2, 3, 4)}
     assert (twice[1], twice[4]) == (0, 0)
