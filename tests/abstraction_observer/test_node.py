@@ -20,7 +20,6 @@ from swarmabs_core.messages import (
     EventKind,
     SwarmEvent,
 )
-from swarmabs_core.parent_response import ParentModel
 from swarmabs_ros.status import StatusChannel
 
 CHANNEL = StatusChannel("abstraction_observer")
@@ -51,8 +50,10 @@ def test_it_hears_robots_and_sums_them_up() -> None:
 def test_it_watches_the_plane_if_that_is_wanted() -> None:
     friction = (0.02, 900.0, 600.0, 0.03, 800.0, 1.5)
     given = settings_from(PARAMETERS, type="parent_response", inertia=0.7, friction=friction, bandwidth=12.0)
-    assert given.made(ObserverConfig).parent_model == ParentModel(0.7, Friction(*friction), 12.0)
-    assert settings_from(PARAMETERS).made(ObserverConfig).parent_model is None
+    config = given.made(ObserverConfig)
+    assert config.watches_plane
+    assert (config.inertia, config.friction, config.bandwidth) == (0.7, Friction(*friction), 12.0)
+    assert not settings_from(PARAMETERS).made(ObserverConfig).watches_plane
     spec = make(given, CHANNEL)
     assert spec.behaviour.awaits() == (AGENT_STATE, PLANE_STATE)
     assert set(given.endpoints(OBSERVER, LOCKSTEP).subscriptions) == {AGENT_STATE, PLANE_STATE}

@@ -24,16 +24,14 @@ from swarmabs_core.behaviours import Agent, AgentConfig
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import AbstractState, AgentState, AuxiliaryState, DesiredAbstractState, Kind, PlaneState
-from swarmabs_core.plant import Disturbance, PlaneDynamics, standing, straight, swarm_load
+from swarmabs_core.plant import Plane, PlaneDynamics, standing, straight, swarm_load
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 
 PAPER = Friction(*FRICTION)
 
 
 def plane(period: float, *, substep: float = 1e-5, law: Friction = PAPER) -> PlaneDynamics:
-    return PlaneDynamics(
-        inertia=INERTIA, friction=law, disturbance=Disturbance(0.0, 0.0), period=period, substep=substep
-    )
+    return PlaneDynamics(Plane(inertia=INERTIA, friction=law, substep=substep), period)
 
 
 def test_units_of_the_friction() -> None:

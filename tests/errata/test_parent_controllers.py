@@ -14,7 +14,7 @@ from swarmabs_core.controllers import CONTROLLERS, Arise, AriseGains, ParentCont
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
-from swarmabs_core.plant import Disturbance, PlaneDynamics, swarm_load
+from swarmabs_core.plant import Plane, PlaneDynamics, swarm_load
 from swarmabs_core.trajectory import Sine
 
 VISCOUS = FRICTION[5]
@@ -30,13 +30,7 @@ def riccati(inertia: float, a22: float) -> np.ndarray:
 def test_linearised_friction_has_the_wrong_sign() -> None:
     """Before eq. ControlLawPD and in app. ProofLQR_SI: A22 = +c/(J + J_sd0); a plane without torque slows down."""
     dt, w = 1e-5, 0.5
-    rest = PlaneDynamics(
-        inertia=TOTAL,
-        friction=Friction(0.0, 1.0, 1.0, 0.0, 1.0, VISCOUS),
-        disturbance=Disturbance(0.0, 0.0),
-        period=dt,
-        substep=dt,
-    )
+    rest = PlaneDynamics(Plane(inertia=TOTAL, friction=Friction(0.0, 1.0, 1.0, 0.0, 1.0, VISCOUS), substep=dt), dt)
     _, after = rest.advance(0.0, w, 0.0, swarm_load([], 9.81))
     found = (after - w) / dt / w
     assert found < 0.0

@@ -32,7 +32,7 @@ from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
-from swarmabs_core.plant import Disturbance, PlaneDynamics, SwarmLoad
+from swarmabs_core.plant import Plane, PlaneDynamics, SwarmLoad
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_core.theory.state_feedback import estimate, matrix_eigenvalues, potential, radius_squared
 
@@ -45,9 +45,7 @@ J_DOT_PRINTED = 1.9059
 def acceleration(th: float, w: float, torque: float, inertia: float, inertia_rate: float) -> float:
     """w' by eq. newDynamics, from the package's plane over a vanishing period."""
     dt = 1e-6
-    moving = PlaneDynamics(
-        inertia=INERTIA, friction=Friction(*FRICTION), disturbance=Disturbance(0.0, 0.0), period=dt, substep=dt
-    )
+    moving = PlaneDynamics(Plane(inertia=INERTIA, friction=Friction(*FRICTION), substep=dt), dt)
     load = SwarmLoad((torque, 0.0, 0.0, 0.0), (inertia, inertia_rate * dt, 0.0, 0.0, 0.0, 0.0, 0.0))
     return (moving.advance(th, w, 0.0, load)[1] - w) / dt
 

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from swarmabs_core.drive import DoubleIntegratorDrive, Lag, SingleIntegratorDrive
+from swarmabs_core.messages import Kind
 
 masses = st.floats(0.05, 5.0)
 dampings = st.one_of(st.just(0.0), st.floats(1e-12, 1e-3), st.floats(1e-3, 50.0))
@@ -88,7 +89,7 @@ def test_lag_of_a_single_integrator_is_the_matrix_exponential(
 ) -> None:
     augmented = np.array([[0.0, 1.0, 0.0], [0.0, -1.0 / lag, 1.0 / lag], [0.0, 0.0, 0.0]])
     expected = expm(augmented * h)[:2] @ [p, v, u]
-    answer, ideal = Lag.of_velocity(lag, h), SingleIntegratorDrive(h).advance(p, v, u)
+    answer, ideal = Lag.of(Kind.SINGLE_INTEGRATOR, lag, h, 1.0, 0.0), SingleIntegratorDrive(h).advance(p, v, u)
     found = [ideal[0] + answer.gap_to_position * (v - u), ideal[1] + answer.gap_to_velocity * (v - u)]
     assert found == pytest.approx(expected, rel=1e-10, abs=1e-11)
 
@@ -100,7 +101,7 @@ def test_lag_of_a_double_integrator_is_the_matrix_exponential(
     assume(c == 0.0 or c * h > 1e-6 * m)  # closer to no damping, SciPy's expm is off by up to 5e-4
     system = [[0, 1, 0, 0], [0, -c / m, 1 / m, 0], [0, 0, -1 / lag, 1 / lag], [0, 0, 0, 0]]
     expected = expm(np.array(system) * h) @ [p, v, f, u]
-    answer, ideal = Lag.of_force(lag, h, m, c), DoubleIntegratorDrive.of(h, m, c).advance(p, v, u)
+    answer, ideal = Lag.of(Kind.DOUBLE_INTEGRATOR, lag, h, m, c), DoubleIntegratorDrive.of(h, m, c).advance(p, v, u)
     found = [
         ideal[0] + answer.gap_to_position * (f - u),
         ideal[1] + answer.gap_to_velocity * (f - u),
@@ -111,7 +112,7 @@ def test_lag_of_a_double_integrator_is_the_matrix_exponential(
 
 @given(periods, lags, masses)
 def test_lag_without_damping_is_the_limit_of_little_damping(h: float, lag: float, m: float) -> None:
-    free, slow = Lag.of_force(lag, h, m, 0.0), Lag.of_force(lag, h, m, 1e-13 * m / h)
+    free, slow = (Lag.of(Kind.DOUBLE_INTEGRATOR, lag, h, m, c) for c in (0.0, 1e-13 * m / h))
     assert slow.gap_to_velocity == pytest.approx(free.gap_to_velocity, rel=1e-12)
     assert slow.gap_to_position == pytest.approx(free.gap_to_position, rel=1e-12)
 
@@ -122,7 +123,7 @@ def test_lag_keeps_its_digits_where_lag_and_drag_are_equally_fast(h: float, offs
     """In rational arithmetic: both time constants are 0.5 s, or differ by a little."""
     a, b = Fraction(-h) / Fraction(0.5), Fraction(-(1.0 + offset) * 1.0 * h) / Fraction(0.5)
     homogeneous = [sum(a**i * b ** (n - i) for i in range(n + 1)) for n in range(50)]
-    lag = Lag.of_force(0.5, h, 0.5, 1.0 + offset)
+    lag = Lag.of(Kind.DOUBLE_INTEGRATOR, 0.5, h, 0.5, 1.0 + offset)
     first = sum(term / factorial(n + 1) for n, term in enumerate(homogeneous))
     second = sum(term / factorial(n + 2) for n, term in enumerate(homogeneous))
     assert lag.gap_to_velocity == pytest.approx(float(first) * h / 0.5, rel=1e-13)

@@ -9,7 +9,7 @@ from tests.swarmabs_core.helpers import Run, builtin
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.friction import Friction
 from swarmabs_core.messages import AbstractState, PlaneState
-from swarmabs_core.parent_response import ParentModel, TorqueEstimator
+from swarmabs_core.parent_response import TorqueEstimator
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def test_without_filter_it_is_the_mean_over_the_period_to_second_order() -> None
     errors = []
     for period in (0.02, 0.01, 0.005):
         time, (angle, rate) = swinging(period, 2.0)
-        estimator = TorqueEstimator(ParentModel(J, SMOOTH, 1e9), period)
+        estimator = TorqueEstimator(J, SMOOTH, 1e9, period)
         found = np.array([estimator.update(th, w, JS)[0] for th, w in zip(angle, rate, strict=True)])
         assert found[0] == 0.0
         errors.append(np.abs(found[1:] - mean_torque(time, angle)).max())
@@ -49,7 +49,7 @@ def test_without_filter_it_is_the_mean_over_the_period_to_second_order() -> None
 
 def test_filter_is_of_first_order() -> None:
     """On a plane held by the friction of a constant rate, the estimate approaches -f(w)/cos th by 1 - e^(-lambda t)."""
-    estimator = TorqueEstimator(ParentModel(J, SMOOTH, 20.0), 0.01)
+    estimator = TorqueEstimator(J, SMOOTH, 20.0, 0.01)
     found = [estimator.update(0.3, 0.5, JS) for _ in range(60)]
     final = -SMOOTH.torque(0.5) / np.cos(0.3)
     expected = final * (1.0 - np.exp(-20.0 * 0.01 * np.arange(60)))
@@ -60,7 +60,7 @@ def test_filter_is_of_first_order() -> None:
 def test_noise_of_the_rate_is_spread_as_the_documentation_says() -> None:
     sigma, bandwidth, period = 1e-3, 50.0, 0.01
     still = Friction(0.0, 1.0, 1.0, 0.0, 1.0, 0.0)
-    estimator = TorqueEstimator(ParentModel(J, still, bandwidth), period)
+    estimator = TorqueEstimator(J, still, bandwidth, period)
     noise = sigma * np.random.default_rng(3).standard_normal(20_000)
     found = np.array([estimator.update(0.0, w, JS)[0] for w in noise])
     share = 1.0 - np.exp(-bandwidth * period)

@@ -14,6 +14,7 @@ from swarmabs_core.errors import RunError
 from swarmabs_core.friction import Friction
 from swarmabs_core.plant import (
     Disturbance,
+    Plane,
     PlaneDynamics,
     RobotPath,
     SwarmLoad,
@@ -79,7 +80,7 @@ def reference(
 def dynamics(
     period: float, substep: float, friction: Friction = NONE, disturbance: Disturbance = CALM
 ) -> PlaneDynamics:
-    return PlaneDynamics(inertia=0.5, friction=friction, disturbance=disturbance, period=period, substep=substep)
+    return PlaneDynamics(Plane(friction=friction, disturbance=disturbance, substep=substep), period)
 
 
 def load_of_movers(period: float) -> SwarmLoad:
@@ -197,9 +198,7 @@ def test_substeps_are_not_longer_than_asked_for() -> None:
 
 
 def stopped(substep: float, end_stop: float, friction: Friction = SMOOTH) -> PlaneDynamics:
-    return PlaneDynamics(
-        inertia=0.5, friction=friction, disturbance=CALM, period=0.4, substep=substep, end_stop=end_stop
-    )
+    return PlaneDynamics(Plane(friction=friction, disturbance=CALM, substep=substep, end_stop=end_stop), 0.4)
 
 
 @pytest.mark.parametrize("substep", [0.004, 0.001, 0.0001])

@@ -61,17 +61,7 @@ class DampingSums(NamedTuple):
 
 
 def abstraction(robots: Iterable[Weight] | Columns, gravity: float, sums: Sums = robot_sums) -> Abstraction:
-    """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState).
-
-    Parameters
-    ----------
-    robots : iterable of Weight, or columns
-        Robots on the plane.
-    gravity : float
-        m/s^2.
-    sums : Sums
-        How to sum over them.
-    """
+    """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState)."""
     moment, inertia, momentum, half_inertia_rate, q = sums(robots, _weight_terms)
     return Abstraction(gravity * moment, inertia, gravity * momentum, 2.0 * half_inertia_rate, q)
 
@@ -82,17 +72,10 @@ def _weight_terms(m: float = 0.0, p: float = 0.0, v: float = 0.0) -> tuple[float
 
 
 def second_moments(robots: Iterable[tuple[float, float]] | Columns, sums: Sums = robot_sums) -> SecondMoments:
-    """Return S0..S3 of the robots that follow the law (eq. pinv).
+    """Return S0..S3 of the robots that follow the law, of each its mass (kg) and position (m) (eq. pinv).
 
     S3 is summed around the centre S1/S0, which keeps its digits when the robots are close together; it is
     never negative. No robots give zeros.
-
-    Parameters
-    ----------
-    robots : iterable of tuple, or columns
-        Mass (kg) and position (m) of each.
-    sums : Sums
-        How to sum over them.
     """
     members = tuple(robots)
     s0, s1, s2 = sums(members, _moment_terms)
@@ -117,14 +100,7 @@ def damping_sums(
 ) -> DampingSums:
     """Return D0..D2 of the double integrators that follow the law (in eq. nodeControlLaw_double).
 
-    Parameters
-    ----------
-    robots : iterable of tuple, or columns
-        Mass (kg), position (m) and damping (N s/m) of each.
-    ksd : float
-        Damping that the law adds, N s/m.
-    sums : Sums
-        How to sum over them.
+    Of each it takes mass (kg), position (m) and damping (N s/m), to which the law adds `ksd` (N s/m).
     """
 
     def terms(m: float = 0.0, p: float = 0.0, c: float = 0.0) -> tuple[float, ...]:
@@ -138,21 +114,7 @@ def damping_sums(
 def observed(
     stamp: int, step: int, weights: Sequence[Weight], followers: Sequence[AgentState], gravity: float, ksd: float
 ) -> tuple[AbstractState, AuxiliaryState]:
-    """Return what an observer publishes.
-
-    Parameters
-    ----------
-    stamp, step : int
-        Of both messages; ns and steps.
-    weights : sequence of Weight
-        All robots whose weight is on the plane.
-    followers : sequence of AgentState
-        Those of them that follow the law.
-    gravity : float
-        m/s^2.
-    ksd : float
-        Damping that the double integrators' law adds, N s/m.
-    """
+    """Return what an observer publishes of all robots whose weight is on the plane, and those that follow the law."""
     *abstract, q = abstraction(weights, gravity)
     moments = second_moments((s.mass, s.position) for s in followers)
     damped = ((s.mass, s.position, s.damping) for s in followers if s.kind == Kind.DOUBLE_INTEGRATOR)

@@ -136,17 +136,7 @@ _LAYOUTS = {topic.message: _Layout(topic.message) for topic in TOPICS}
 
 
 def encode(message: Message) -> bytes:
-    """Serialise a message.
-
-    Parameters
-    ----------
-    message : Message
-        Any message of the swarm.
-
-    Returns
-    -------
-    bytes
-        Canonical CDR with its four-byte encapsulation header: equal messages give equal bytes.
+    """Return a message as canonical CDR with its four-byte encapsulation header: equal messages give equal bytes.
 
     Raises
     ------
@@ -199,14 +189,7 @@ def _check_lengths(message_type: type[Message], lengths: list[int]) -> None:
 
 
 def decode(message_type: type[Message], data: bytes) -> Message:
-    """Read a message from CDR; the content of padding bytes does not matter.
-
-    Parameters
-    ----------
-    message_type : type
-        The class of the message, one of those in `swarmabs_core.messages.TOPICS`.
-    data : bytes
-        CDR with encapsulation header, as it comes from DDS.
+    """Read a message from CDR with encapsulation header, as it comes from DDS, whatever padding holds.
 
     Raises
     ------
@@ -283,14 +266,7 @@ def _refuse_head(message_type: type[Message], encapsulation: bytes) -> None:
 
 
 def canonical(message_type: type[Message], data: bytes) -> bytes:
-    """Return the canonical form of bytes that are a message: padding is zero, nothing follows, equal ones are equal.
-
-    Parameters
-    ----------
-    message_type : type
-        The class of the message.
-    data : bytes
-        What `decode` has read.
+    """Return the canonical form of what `decode` has read: padding is zero, nothing follows, equal ones are equal.
 
     Raises
     ------

@@ -9,15 +9,7 @@ BANDWIDTH = 50.0
 
 
 class CommandFilter:
-    """x'' = w^2 (u - x) - 2 w x', advanced by whole periods.
-
-    Parameters
-    ----------
-    period : float
-        s.
-    bandwidth : float
-        w, rad/s.
-    """
+    """x'' = w^2 (u - x) - 2 w x', advanced by whole periods (s), with the bandwidth w in rad/s."""
 
     def __init__(self, period: float, bandwidth: float = BANDWIDTH) -> None:
         wt = bandwidth * period

@@ -32,17 +32,7 @@ def fallen(plane: PlaneState) -> str:
 
 
 class DesiredStateGenerator:
-    """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period.
-
-    Parameters
-    ----------
-    period_ns : int
-        Control period, ns.
-    manifold : Manifold
-        Curve on which the desired abstract state lies.
-    law : ParentController
-        The control law.
-    """
+    """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period."""
 
     def __init__(self, period_ns: int, manifold: Manifold, law: ParentController) -> None:
         self._manifold = manifold
@@ -56,21 +46,10 @@ class DesiredStateGenerator:
         """Go on as if the filter were in this state: torque (N m) and its rate (N m/s)."""
         self._state = (torque, rate)
 
-    def advance(
-        self, time_ns: int, plane: PlaneState, mode: Mode = Mode.RUN, *, offset: float = 0.0
-    ) -> tuple[Messages, DesiredAbstractState]:
+    def advance(self, time_ns: int, plane: PlaneState, *, offset: float = 0.0) -> tuple[Messages, DesiredAbstractState]:
         """Return events, and the desired abstract state that follows a state of the plane.
 
-        Parameters
-        ----------
-        time_ns : int
-            Time of the law and its reference, ns.
-        plane : PlaneState
-            The plane's state, whose step the answer takes over.
-        mode : Mode
-            What the answer asks of the swarm.
-        offset : float
-            By how much the angle wanted is above the law's own reference, rad.
+        The law and its reference are asked at a time (ns); the angle wanted is by an offset (rad) above the reference.
 
         Raises
         ------
@@ -96,7 +75,7 @@ class DesiredStateGenerator:
         desired = DesiredAbstractState(
             time_ns,
             step,
-            mode,
+            Mode.RUN,
             torque,
             manifold.inertia(torque),
             rate,

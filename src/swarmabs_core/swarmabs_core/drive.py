@@ -52,13 +52,7 @@ def _second_difference(a: float, b: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SingleIntegratorDrive:
-    """p' = u, integrated exactly.
-
-    Parameters
-    ----------
-    period : float
-        Control period, s.
-    """
+    """p' = u, integrated exactly over a control period (s)."""
 
     period: float
 
@@ -68,19 +62,7 @@ class SingleIntegratorDrive:
 
 
 class DoubleIntegratorDrive(NamedTuple):
-    """m v' = f - c v, p' = v, with f held: exact zero-order-hold discretisation.
-
-    Parameters
-    ----------
-    decay : float
-        Share of the velocity that is left after a period.
-    force_to_velocity : float
-        s/kg.
-    velocity_to_position : float
-        s.
-    force_to_position : float
-        s^2/kg.
-    """
+    """m v' = f - c v, p' = v, with f held: exact zero-order-hold discretisation, in kg, m, s and N."""
 
     decay: float
     force_to_velocity: float
@@ -89,17 +71,7 @@ class DoubleIntegratorDrive(NamedTuple):
 
     @classmethod
     def of(cls, period: float, mass: float, damping: float) -> DoubleIntegratorDrive:
-        """Return the drive of a robot.
-
-        Parameters
-        ----------
-        period : float
-            Control period, s.
-        mass : float
-            kg.
-        damping : float
-            N s/m, zero is allowed.
-        """
+        """Return the drive of a robot; period in s, mass in kg, damping in N s/m, which may be 0."""
         z = -damping * period / mass
         phi1, phi2 = _phi(z)
         return cls(1.0 + z * phi1, phi1 * period / mass, phi1 * period, phi2 * period * period / mass)
@@ -134,23 +106,12 @@ class Lag:
 
     @classmethod
     def of(cls, kind: Kind, time_constant: float, period: float, mass: float, damping: float) -> Lag | None:
-        """Return the lag of a robot's drive, None without any; units as of the two below."""
+        """Return the lag of a robot's drive, None without any; time constant and period in s, kg, N s/m."""
         if not time_constant:
             return None
-        if kind is Kind.SINGLE_INTEGRATOR:
-            return cls.of_velocity(time_constant, period)
-        return cls.of_force(time_constant, period, mass, damping)
-
-    @classmethod
-    def of_velocity(cls, time_constant: float, period: float) -> Lag:
-        """Return the lag of a single integrator; time constant and period in s."""
-        z = -period / time_constant
-        return cls(exp(z), exp(z), period * _phi(z)[0])
-
-    @classmethod
-    def of_force(cls, time_constant: float, period: float, mass: float, damping: float) -> Lag:
-        """Return the lag of a double integrator of a mass (kg) and a damping (N s/m)."""
         lag, drag = -period / time_constant, -damping * period / mass
+        if kind is Kind.SINGLE_INTEGRATOR:
+            return cls(exp(lag), exp(lag), period * _phi(lag)[0])
         return cls(
             exp(lag),
             period / mass * _difference(lag, drag),

@@ -9,14 +9,8 @@ from typing import NamedTuple
 class Friction(NamedTuple):
     """f_f(w) = g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w.
 
-    Parameters
-    ----------
-    g1, g4 : float
-        Amplitudes of the Stribeck and of the Coulomb term, N m.
-    g2, g3, g5 : float
-        Steepness of the hyperbolic tangents, s/rad.
-    g6 : float
-        Viscous friction, N m s/rad.
+    Amplitudes of the Stribeck and of the Coulomb term are in N m, steepness of the hyperbolic tangents is in s/rad,
+    viscous friction in N m s/rad.
     """
 
     g1: float

@@ -21,25 +21,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class ParentModel:
-    """What is known of the plane, and how fast the estimate follows.
-
-    Parameters
-    ----------
-    inertia : float
-        Moment of inertia J of the plane alone, kg m^2.
-    friction : Friction
-        Friction of the bearing.
-    bandwidth : float
-        Of the filter, rad/s; its delay is the inverse.
-    """
-
-    inertia: float
-    friction: Friction
-    bandwidth: float
-
-
-@dataclass(frozen=True, slots=True)
 class SumObserver:
     """The sum over the robots' states."""
 
@@ -64,38 +45,32 @@ class TorqueEstimator:
 
     Parameters
     ----------
-    model : ParentModel
-        The plane.
+    inertia : float
+        Moment of inertia J of the plane alone, kg m^2.
+    friction : Friction
+        Friction of its bearing.
+    bandwidth : float
+        Of the filter, rad/s; its delay is the inverse.
     period : float
         Control period, s.
     """
 
-    def __init__(self, model: ParentModel, period: float) -> None:
-        self._model = model
+    def __init__(self, inertia: float, friction: Friction, bandwidth: float, period: float) -> None:
+        self._inertia = inertia
+        self._friction = friction
         self._period = period
-        self._share = -expm1(-model.bandwidth * period)
+        self._share = -expm1(-bandwidth * period)
         self._before: tuple[float, float, float] | None = None
         self._torque = 0.0
 
     def update(self, angle: float, angular_velocity: float, swarm_inertia: float) -> tuple[float, float]:
-        """Take the next measurement and return the estimated torque and its rate.
+        """Take angle (rad) and angular velocity (rad/s); return the estimated torque (N m) and its rate (N m/s).
 
         The first one says nothing of a torque yet: the estimate is 0 as if the plane were in equilibrium.
-
-        Parameters
-        ----------
-        angle, angular_velocity : float
-            Of the plane, rad and rad/s.
-        swarm_inertia : float
-            Moment of inertia J_s of the swarm, kg m^2, which the response does not tell.
-
-        Returns
-        -------
-        tuple of float
-            N m and N m/s.
+        What the response does not tell is the moment of inertia J_s (kg m^2) of the swarm.
         """
-        friction = self._model.friction.torque(angular_velocity)
-        momentum = (self._model.inertia + swarm_inertia) * angular_velocity
+        friction = self._friction.torque(angular_velocity)
+        momentum = (self._inertia + swarm_inertia) * angular_velocity
         before, self._before = self._before, (angle, momentum, friction)
         if before is None:
             return self._torque, 0.0

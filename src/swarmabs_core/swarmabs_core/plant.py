@@ -48,17 +48,7 @@ def straight(mass: float, start: float, end: float) -> RobotPath:
 
 
 def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], period: float) -> RobotPath:
-    """Return the cubic path between two states.
-
-    Parameters
-    ----------
-    mass : float
-        kg.
-    start, end : tuple of float
-        Position (m) and velocity (m/s) at the beginning and at the end.
-    period : float
-        Time between them, s.
-    """
+    """Return the cubic path between two states, each a position (m) and a velocity (m/s), a period (s) apart."""
     p0, v0 = start
     p1, v1 = end
     d0, d1, rise = v0 * period, v1 * period, p1 - p0
@@ -67,30 +57,14 @@ def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], p
 
 @dataclass(frozen=True, slots=True)
 class SwarmLoad:
-    """Torque and inertia of the swarm over one period as polynomials of s in [0, 1], lowest power first.
-
-    Parameters
-    ----------
-    torque : tuple of float
-        Four coefficients, N m.
-    inertia : tuple of float
-        Seven coefficients, kg m^2.
-    """
+    """Torque (N m) and inertia (kg m^2) of the swarm over a period: coefficients of s in [0, 1], lowest power first."""
 
     torque: tuple[float, float, float, float]
     inertia: tuple[float, float, float, float, float, float, float]
 
 
 def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
-    """Sum the robots' loads; the sums are correctly rounded, so the order of the robots does not matter.
-
-    Parameters
-    ----------
-    paths : sequence of RobotPath
-        All robots whose weight is on the plane.
-    gravity : float
-        m/s^2.
-    """
+    """Sum the loads of all robots on the plane, correctly rounded, so that their order does not matter."""
     curved = [path for path in paths if path.c2 or path.c3]
     return summed_load(
         term_columns((path[:3] for path in paths), linear_terms), term_columns(curved, cubic_terms), gravity
@@ -178,22 +152,9 @@ class Plane:
 class PlaneDynamics:
     """Integrates the plane over one control period by the classical Runge-Kutta method with fixed substeps.
 
-    Parameters
-    ----------
-    inertia : float
-        Moment of inertia J of the plane alone, kg m^2.
-    friction : Friction
-        Friction of the bearing.
-    disturbance : Disturbance
-        Disturbance torque.
-    period : float
-        Control period, s.
-    substep : float
-        Largest integration step, s; the period is divided into equal ones. 0.5 to 1 ms suit the paper's
-        friction, whose slope at rest makes the plane stiff.
-    end_stop : float
-        Angle of the end stops on both sides, rad. They are inelastic: at the end of a substep that leads beyond
-        one, the plane is at the stop and at rest. It stays there as long as every further substep leads beyond.
+    The period is divided into equal substeps; 0.5 to 1 ms suit the paper's friction, whose slope at rest makes the
+    plane stiff. The end stops are inelastic: at the end of a substep that leads beyond one, the plane is at the stop
+    and at rest. It stays there as long as every further substep leads beyond.
 
     Attributes
     ----------
@@ -202,53 +163,20 @@ class PlaneDynamics:
         of the substep (s), and the angular velocity (rad/s) that is lost.
     """
 
-    def __init__(
-        self,
-        *,
-        inertia: float,
-        friction: Friction,
-        disturbance: Disturbance,
-        period: float,
-        substep: float,
-        end_stop: float = inf,
-    ) -> None:
-        self._inertia = inertia
-        self._friction = friction
-        self._disturbance = disturbance
+    def __init__(self, plane: Plane, period: float) -> None:
+        self._plane = plane
         self._period = period
         # A period that is a multiple of the substep must not gain one more by rounding.
-        self._count = max(1, ceil(period / substep * (1.0 - 1e-12)))
+        self._count = max(1, ceil(period / plane.substep * (1.0 - 1e-12)))
         self._shares = [n / (2 * self._count) for n in range(2 * self._count + 1)]
-        self._end_stop = end_stop
         self.impact: tuple[float, float] | None = None
-
-    @classmethod
-    def of(cls, plane: Plane, period: float) -> PlaneDynamics:
-        """Return the dynamics of a plane with a control period (s)."""
-        return cls(
-            inertia=plane.inertia,
-            friction=plane.friction,
-            disturbance=plane.disturbance,
-            period=period,
-            substep=plane.substep,
-            end_stop=plane.end_stop,
-        )
 
     def advance(
         self, angle: float, angular_velocity: float, time: float, load: SwarmLoad, extra: float = 0.0
     ) -> tuple[float, float]:
         """Return angle (rad) and angular velocity (rad/s) one period after `time` (s).
 
-        Parameters
-        ----------
-        angle, angular_velocity : float
-            At that time, rad and rad/s.
-        time : float
-            s.
-        load : SwarmLoad
-            The swarm over the period.
-        extra : float
-            Constant torque over the period besides the disturbance, N m, with the sign of the disturbance.
+        `extra` is a constant torque (N m) over the period besides the disturbance, with the sign of the disturbance.
 
         Raises
         ------
@@ -259,8 +187,7 @@ class PlaneDynamics:
         torque, inertia, inertia_rate, disturbance = self._sample(time, load)
         if extra:
             disturbance = [value + extra for value in disturbance]
-        g1, g2, g3 = self._friction.g1, self._friction.g2, self._friction.g3
-        g4, g5, g6 = self._friction.g4, self._friction.g5, self._friction.g6
+        g1, g2, g3, g4, g5, g6 = self._plane.friction
 
         def acceleration(th: float, w: float, n: int) -> float:
             friction = g1 * (tanh(g2 * w) - tanh(g3 * w)) + g4 * tanh(g5 * w) + g6 * w
@@ -268,7 +195,7 @@ class PlaneDynamics:
 
         h = period / count
         half = 0.5 * h
-        th, w, end_stop = angle, angular_velocity, self._end_stop
+        th, w, end_stop = angle, angular_velocity, self._plane.end_stop
         rests = abs(angle) == end_stop and not angular_velocity
         self.impact = None
         try:
@@ -296,11 +223,11 @@ class PlaneDynamics:
         """Evaluate torque, inertia, inertia rate, disturbance at the ends and middles of the substeps."""
         t0, t1, t2, t3 = load.torque
         j0, j1, j2, j3, j4, j5, j6 = load.inertia
-        period, total = self._period, self._inertia + j0
+        period, total = self._period, self._plane.inertia + j0
         k2, k3, k4, k5 = 2.0 * j2, 3.0 * j3, 4.0 * j4, 5.0 * j5
         return (
             [t0 + s * (t1 + s * (t2 + s * t3)) for s in self._shares],
             [total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6))))) for s in self._shares],
             [(j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * 6.0 * j6))))) / period for s in self._shares],
-            self._disturbance.torques([time + s * period for s in self._shares]),
+            self._plane.disturbance.torques([time + s * period for s in self._shares]),
         )

@@ -16,20 +16,8 @@ _new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` is a Python func
 class Record(NamedTuple):
     """A message with its bytes: whoever has both decodes once, and never encodes again.
 
-    Parameters
-    ----------
-    topic : Topic
-        Where it was published.
-    agent_id : int
-        The robot that it is about, 0 for none.
-    message : Message
-        What it says.
-    payload : bytes
-        CDR; canonical but for what `read` returns.
-    time : int, optional
-        Log time, ns, where a bag's own times are to be judged.
-    published : int, optional
-        When it was published, ns, as the bag says.
+    The robot that it is about is 0 for none; the payload is canonical CDR but for what `read` returns. Where a bag's
+    own times are to be judged, there are its log time and when it was published by the bag, ns.
     """
 
     topic: Topic

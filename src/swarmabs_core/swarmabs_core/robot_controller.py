@@ -43,14 +43,8 @@ COMMAND_LIMITED = "command limited"
 class Decision(NamedTuple):
     """What a robot does with the broadcasts of a step.
 
-    Parameters
-    ----------
-    command : float
-        m/s or N: the law's within the limits, or what brakes the robot.
-    wanted : float
-        What the law asks for.
-    problem : str
-        Why the robot brakes; empty if it follows.
+    The command (m/s or N) is the one that the law wants, within the limits, or, if there is a problem, what brakes the
+    robot.
     """
 
     command: float
@@ -61,18 +55,7 @@ class Decision(NamedTuple):
 class RobotController:
     """The law of one robot, its limits and its brake. It keeps no state.
 
-    Parameters
-    ----------
-    robot : Robot
-        What the law may know of the robot.
-    law : str
-        Name of the law.
-    settings : Settings
-        Settings of the law besides the gains; those left out have their defaults.
-    limits : Limits
-        What the drive can do.
-    plane_length : float
-        m; against it the spread of the swarm is judged.
+    The length of the plane (m) is what the spread of the swarm is judged against.
 
     Attributes
     ----------
@@ -80,10 +63,6 @@ class RobotController:
         Position (m), velocity (m/s) and the three broadcasts in, the command of the law (m/s or N) out.
     ideal : SingleIntegratorDrive or DoubleIntegratorDrive
         The motion that the law expects.
-    mass : float
-        kg.
-    braking_time : float
-        Time constant of the brake, s.
 
     Raises
     ------

@@ -91,8 +91,5 @@ class RobotSensor(Sensor):
         length=2,
     )
     resolution: Pair = setting(
-        (0.0, 0.0),
-        "steps to which its own position, m, and velocity, m/s, are rounded; 0: none",
-        minimum=0.0,
-        length=2,
+        (0.0, 0.0), "steps to which its own position, m, and velocity, m/s, are rounded; 0: none", minimum=0.0, length=2
     )

@@ -32,21 +32,9 @@ Pair = tuple[float, float]
 
 
 def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float) -> Pair:
-    """Return a robot's row of the pseudo-inverse (eq. pinv, with the missing 1/g).
+    """Return a robot's row of the pseudo-inverse (eq. pinv, with the missing 1/g); S3 must not vanish.
 
-    Parameters
-    ----------
-    mass, position : float
-        kg, m.
-    sums : AuxiliaryState
-        Broadcast sums; S3 must not vanish.
-    gravity : float
-        m/s^2.
-
-    Returns
-    -------
-    tuple of float
-        Velocity per torque rate, m/(N m), and per inertia rate, m/(kg m^2).
+    It is the velocity per torque rate, m/(N m), and per inertia rate, m/(kg m^2).
     """
     return (
         mass * (sums.s2 - position * sums.s1) / (gravity * sums.s3),
@@ -57,19 +45,8 @@ def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float)
 def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, float, float]:
     """Return C_a, by which damping acts on the rate of the abstract state (in eq. nodeControlLaw_double, corrected).
 
-    It is Phi diag((c_i + k_sd)/m_i) Phi+, the diagonal being that of the double integrators.
-
-    Parameters
-    ----------
-    sums : AuxiliaryState
-        Broadcast sums; S3 must not vanish.
-    gravity : float
-        m/s^2.
-
-    Returns
-    -------
-    tuple of float
-        The 2 x 2 matrix row by row: 1/s on the diagonal, (N m)/(kg m^2 s) above and kg m^2/(N m s) below it.
+    It is Phi diag((c_i + k_sd)/m_i) Phi+, the diagonal being that of the double integrators, row by row: 1/s on the
+    diagonal, (N m)/(kg m^2 s) above and kg m^2/(N m s) below it. S3 must not vanish.
     """
     s0, s1, s2, s3 = sums.s0, sums.s1, sums.s2, sums.s3
     d0, d1, d2 = sums.d0, sums.d1, sums.d2
@@ -100,24 +77,7 @@ def single_integrator_command(
     sums: AuxiliaryState,
     desired: DesiredAbstractState,
 ) -> float:
-    """Return the velocity command of a single integrator (eq. nodeControlLaw).
-
-    Parameters
-    ----------
-    mass, position : float
-        Of the robot, kg and m.
-    gains : SwarmGains
-        Only `k` is used.
-    gravity : float
-        m/s^2.
-    abstract, sums, desired : AbstractState, AuxiliaryState, DesiredAbstractState
-        The broadcasts of one step; S3 must not vanish.
-
-    Returns
-    -------
-    float
-        m/s.
-    """
+    """Return the velocity command (m/s) of a single integrator (eq. nodeControlLaw); S3 must not vanish."""
     r0, r1 = pinv_row(mass, position, sums, gravity)
     k0, k1 = gains.k
     return r0 * (k0 * (desired.torque - abstract.torque) + desired.mean_torque_rate) + r1 * (
@@ -136,23 +96,9 @@ def double_integrator_command(
     sums: AuxiliaryState,
     desired: DesiredAbstractState,
 ) -> float:
-    """Return the force command of a double integrator (eq. nodeControlLaw_double, corrected).
+    """Return the force command (N) of a double integrator (eq. nodeControlLaw_double, corrected); S3 must not vanish.
 
-    Parameters
-    ----------
-    mass, damping, position, velocity : float
-        Of the robot, kg, N s/m, m and m/s.
-    gains : SwarmGains
-        All but `k` are used.
-    gravity : float
-        m/s^2.
-    abstract, sums, desired : AbstractState, AuxiliaryState, DesiredAbstractState
-        The broadcasts of one step; S3 must not vanish.
-
-    Returns
-    -------
-    float
-        N.
+    Mass, damping, position and velocity are those of the robot: kg, N s/m, m, m/s.
     """
     r0, r1 = pinv_row(mass, position, sums, gravity)
     c00, c01, c10, c11 = damping_matrix(sums, gravity)

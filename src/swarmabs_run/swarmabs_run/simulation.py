@@ -42,7 +42,7 @@ def nodes_in_process(scenario: Scenario) -> dict[NodeName, NodeInProcess]:
         configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
     )
     watching = configure.observer_config(scenario)
-    options = () if watching.parent_model is None else (Option.WATCHING,)
+    options = (Option.WATCHING,) if watching.watches_plane else ()
     nodes = {
         NodeName(NodeKind.OBSERVER): _node(Observer(watching), OBSERVER, *options),
         NodeName(NodeKind.PLANE): _node(Plane(configure.plane_config(scenario)), PLANE),

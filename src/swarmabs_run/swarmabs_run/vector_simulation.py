@@ -222,7 +222,7 @@ class VectorSimulation:
         self._controller = Controller(
             configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
         )
-        self._dynamics = PlaneDynamics.of(scenario.plane, scenario.period)
+        self._dynamics = PlaneDynamics(scenario.plane, scenario.period)
         self._swarm = _Swarm(scenario)
         self._outside: set[int] = set()
 

@@ -20,9 +20,9 @@ from swarmabs_core.messages import (
     PlaneState,
     SwarmEvent,
 )
-from swarmabs_core.parent_response import ParentModel, TorqueEstimator
+from swarmabs_core.parent_response import TorqueEstimator
 
-MODEL = ParentModel(0.5, Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), 50.0)
+MODEL = (0.5, Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), 50.0)
 
 
 def observer(*schedule: Change, last_step: int | None = None) -> Observer:
@@ -31,8 +31,8 @@ def observer(*schedule: Change, last_step: int | None = None) -> Observer:
 
 def watching(config: ObserverConfig) -> ObserverConfig:
     """Return the configuration of an observer that watches the plane."""
-    friction, bandwidth = MODEL.friction, MODEL.bandwidth
-    return replace(config, type="parent_response", inertia=MODEL.inertia, friction=friction, bandwidth=bandwidth)
+    inertia, friction, bandwidth = MODEL
+    return replace(config, type="parent_response", inertia=inertia, friction=friction, bandwidth=bandwidth)
 
 
 def plane(step: int = 0) -> PlaneState:
@@ -56,7 +56,7 @@ def test_the_plane_is_heard_if_there_is_a_model_of_it() -> None:
 
 def test_torque_is_the_estimators_and_the_rest_the_robots() -> None:
     node, summing, estimator = observer(), Observer(ObserverConfig((1, 2, 3), PERIOD_NS, 9.81, 1.0)), None
-    estimator = TorqueEstimator(MODEL, PERIOD_NS / 1e9)
+    estimator = TorqueEstimator(*MODEL, PERIOD_NS / 1e9)
     for step in range(4):
         abstract, auxiliary = feed(node, *robots(step), plane(step))
         summed, same = feed(summing, *robots(step))

@@ -24,7 +24,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.parent_response import ParentModel, ParentResponse, TorqueEstimator
+from swarmabs_core.parent_response import ParentResponse, TorqueEstimator
 from swarmabs_core.plant import Plane
 from swarmabs_core.steering import change_of
 from swarmabs_core.swarm_law import SwarmGains
@@ -53,9 +53,9 @@ class ObserverConfig:
     bandwidth: float = same(ParentResponse, "bandwidth")
 
     @property
-    def parent_model(self) -> ParentModel | None:
-        """What is known of the plane, if its motion says where the torque comes from."""
-        return None if self.type == "sum" else ParentModel(self.inertia, self.friction, self.bandwidth)
+    def watches_plane(self) -> bool:
+        """Whether the plane's motion says where the torque comes from."""
+        return self.type == ParentResponse.type
 
 
 class Observer:
@@ -69,9 +69,10 @@ class Observer:
     """
 
     def __init__(self, config: ObserverConfig) -> None:
-        model = config.parent_model
         self._config = config
-        self._estimator = None if model is None else TorqueEstimator(model, config.period_ns / 1e9)
+        self._estimator: TorqueEstimator | None = None
+        if config.watches_plane:
+            self._estimator = TorqueEstimator(config.inertia, config.friction, config.bandwidth, config.period_ns / 1e9)
         self._plane: PlaneState | None = None
         self._announced = -1
         self._membership = Membership(config.members, config.schedule)

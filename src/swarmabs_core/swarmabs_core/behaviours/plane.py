@@ -70,7 +70,7 @@ class Plane:
     def __init__(self, config: PlaneConfig) -> None:
         self._config = config
         self._period = config.period_ns / 1e9
-        self._dynamics = PlaneDynamics.of(config.plane, self._period)
+        self._dynamics = PlaneDynamics(config.plane, self._period)
         lagging = config.actuator_lag > 0.0 and config.actuator_lag >= CURVED_FROM * self._period
         self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
         self._torques = StepSchedule(config.torques)

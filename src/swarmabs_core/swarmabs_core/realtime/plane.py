@@ -84,7 +84,7 @@ class PlaneMotion:
     def __init__(self, config: RealtimePlaneConfig) -> None:
         self._config = config
         self._period = config.schedule.period
-        self._dynamics = PlaneDynamics.of(replace(config.plane, end_stop=config.end_stop), self._period)
+        self._dynamics = PlaneDynamics(replace(config.plane, end_stop=config.end_stop), self._period)
         self.impact: float | None = None
 
     def advance(
