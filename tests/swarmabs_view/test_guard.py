@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmabs_view.guard import refusal, response_headers
+from swarmabs_view.server import refusal, response_headers
 
 OWN = {"Host": "127.0.0.1:8000"}
 

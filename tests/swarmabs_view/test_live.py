@@ -25,8 +25,7 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.program import SwarmNode
 from swarmabs_ros.start import initialise
-from swarmabs_view.facts import regions
-from swarmabs_view.health import ProcessWatch
+from swarmabs_view.facts import Shading, regions
 from swarmabs_view.listener import Listener
 from swarmabs_view.live import RATE_WINDOW, SILENCE, LiveSession, LiveView, StepRate
 from swarmabs_view.protocol import (
@@ -39,10 +38,11 @@ from swarmabs_view.protocol import (
     Plane,
     Play,
     Robot,
+    Session,
     Sets,
     State,
 )
-from swarmabs_view.shading import Shading
+from swarmabs_view.sources import ProcessWatch
 
 HELLO = Hello(
     source="swarm",
@@ -148,7 +148,7 @@ def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
 
 
 def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
-    class After:
+    class After(Session):
         wishes = 0
 
         def hello(self) -> list[Message]:

@@ -13,10 +13,9 @@ from tests.swarmabs_bag.sample_run import write_bag
 
 from swarmabs_bag.swarm_state import SILENT_STEPS, STATUSES
 from swarmabs_core.messages import AgentState
-from swarmabs_view.facts import regions
+from swarmabs_view.facts import Shading, regions
 from swarmabs_view.playback import COLUMNS, PlaybackSession, Recording, open_recording
 from swarmabs_view.protocol import Frame, Message, Pause, Play, Seek, Sets, Speed, State
-from swarmabs_view.shading import Shading
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 from tests.docs.pages import ROOT
 
-from swarmabs_bag.swarm_state import finite
+from swarmabs_bag.swarm_state import Abstract as ShownAbstract, Instant, ShownRobot, finite
 from swarmabs_view.protocol import (
     CONTROL,
     FROM_PAGE,
@@ -137,3 +137,29 @@ def test_wishes_of_a_page(text: str, wish: object) -> None:
 def test_what_is_no_wish_is_refused(text: str) -> None:
     with pytest.raises(ValidationError):
         CONTROL.validate_json(text)
+
+
+INSTANT = Instant(7, 70_000_000, 0.07, 0.1, -0.2, None, ShownAbstract(1.0, None), ShownAbstract(2.0, 0.5))
+
+
+def test_a_frame_has_all_that_is_shown_but_the_stamp() -> None:
+    assert set(Instant._fields) - set(Frame.model_fields) == {"stamp"}
+    frame = Frame.of(INSTANT, [ShownRobot(0.5, 0.0, None, "dead"), ShownRobot()], 250.0)
+    assert frame.model_dump() == {
+        "v": 1,
+        "type": "frame",
+        "step": 7,
+        "time": 0.07,
+        "angle": 0.1,
+        "angular_velocity": -0.2,
+        "reference": None,
+        "abstract": {"torque": 1.0, "inertia": None},
+        "desired": {"torque": 2.0, "inertia": 0.5},
+        "robots": {
+            "position": [0.5, None],
+            "velocity": [0.0, None],
+            "command": [None, None],
+            "status": ["dead", None],
+        },
+        "step_rate": 250.0,
+    }

@@ -31,7 +31,7 @@ from swarmabs_config.theory import check_scenario
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.progress import Outcome, Progress
 from swarmabs_run.summary import summarise, summary_table
-from swarmabs_view.display import shown_progress
+from swarmabs_view.terminal import shown_progress
 
 
 class Execute(Protocol):

@@ -6,20 +6,17 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING
 
-from swarmabs_view.curves import CurveBuffer
-from swarmabs_view.frame import events_of, frame_of, robots_of
-from swarmabs_view.protocol import Curves, Events, Frame, Hello, Sets, State
-from swarmabs_view.shading import Shading
+from swarmabs_view.facts import Shading
+from swarmabs_view.protocol import Curves, Event, Events, Frame, Hello, Robot, Session, Sets, State
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_bag.swarm_state import SwarmState
+    from swarmabs_bag.swarm_state import Instant, SwarmState
     from swarmabs_core.messages import Message
     from swarmabs_view import protocol
     from swarmabs_view.listener import Listener
     from swarmabs_view.protocol import Control, Health, Phase
-    from swarmabs_view.server import Session
 
 INTERVAL = 1.0 / 30.0
 """Time, s, between two looks at what has come."""
@@ -27,8 +24,8 @@ RATE_WINDOW = 2.0
 """Time, s, over which the step rate is taken."""
 SILENCE = 3.0
 """Time, s, without a new step after which the swarm counts as silent."""
-STATE_INTERVAL = 1.0
-"""Longest time, s, between two messages to a page."""
+MOST_POINTS = 4000
+"""Points of the curves that are kept, no more than a screen can show; when there are more, every second one goes."""
 
 
 class StepRate:
@@ -64,6 +61,41 @@ class StepRate:
             self._seen.popleft()
 
 
+class CurveBuffer:
+    """Keeps the points of curves that grow: those whose step is a multiple of a stride that doubles when needed.
+
+    Attributes
+    ----------
+    epoch : int
+        Changes whenever points that were there are gone.
+    """
+
+    def __init__(self, most: int = MOST_POINTS) -> None:
+        self._most = most
+        self._stride = 1
+        self._points: list[Instant] = []
+        self.epoch = 0
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def add(self, point: Instant) -> None:
+        """Take a point; one that is not later than the last is left out."""
+        if point.step % self._stride or (self._points and point.step <= self._points[-1].step):
+            return
+        self._points.append(point)
+        if len(self._points) > self._most:
+            self._stride *= 2
+            self._points = [kept for kept in self._points if kept.step % self._stride == 0]
+            self.epoch += 1
+
+    def since(self, epoch: int, count: int) -> Curves | None:
+        """Return what someone lacks who has this many points of an epoch; None if nothing."""
+        replace = epoch != self.epoch
+        missing = self._points if replace else self._points[count:]
+        return Curves.of(missing, replace=replace) if missing or replace else None
+
+
 class LiveView:
     """What is known of a running swarm, for all pages.
 
@@ -92,6 +124,8 @@ class LiveView:
         self.text = "waiting for the first step"
         self.facts = -1
         self.rate = StepRate()
+        self._drawn = (-1, -1)
+        self._frame: Frame | None = None
         self.learn(hello, state)
 
     def learn(self, hello: Hello, state: SwarmState) -> None:
@@ -101,7 +135,16 @@ class LiveView:
 
     def hello(self) -> Hello:
         """Return the first message for a page."""
-        return self._hello.model_copy(update={"robots": robots_of(self.state.robots)})
+        return self._hello.model_copy(update={"robots": [Robot.of(robot) for robot in self.state.robots]})
+
+    def frame(self, now: float) -> Frame | None:
+        """Return the step that is shown at a time (s), made once for all pages; None before the plane was heard."""
+        if self._drawn != (self.facts, self.state.version):
+            self._drawn = (self.facts, self.state.version)
+            shown = self.state.instant()
+            robots = [] if shown is None else self.state.shown_robots(shown.step)
+            self._frame = None if shown is None else Frame.of(shown, robots, self.rate.at(now))
+        return self._frame
 
     def add(self, message: Message) -> None:
         """Take a message of the swarm."""
@@ -132,7 +175,7 @@ class LiveView:
             await asyncio.sleep(INTERVAL)
 
 
-class LiveSession:
+class LiveSession(Session):
     """What one page has received of a running swarm, and what it still lacks.
 
     Parameters
@@ -144,24 +187,19 @@ class LiveSession:
     """
 
     def __init__(self, live: LiveView, after: Callable[[], Session | None] = lambda: None) -> None:
+        super().__init__()
         self._live = live
         self._make_after = after
         self._after: Session | None = None
         self._known = (-1, -1)
-        self._version = -1
         self._curves = (-1, 0)
         self._events = 0
-        self._sets: Sets | None = None
-        self._health: Health | None = None
-        self._state: tuple[str, str] | None = None
-        self._told = float("-inf")
 
     def hello(self) -> list[protocol.Message]:
         """Return what a page needs first."""
         live = self._live
-        self._known = (live.facts, len(live.state.robots))
-        self._version, self._curves, self._events, self._state = -1, (-1, 0), 0, None
-        self._sets = live.shading.first
+        self._known, self._curves, self._events = (live.facts, len(live.state.robots)), (-1, 0), 0
+        self._sent = {Sets: live.shading.first}
         return [live.hello(), Events(replace=True, events=[])]
 
     def poll(self, now: float) -> list[protocol.Message]:
@@ -172,41 +210,16 @@ class LiveSession:
                 return self._after.hello()
         if self._after is not None:
             return self._after.poll(now)
-        live, state = self._live, self._live.state
-        messages: list[protocol.Message] = []
-        if self._known != (live.facts, len(state.robots)):
-            messages += self.hello()
-        if state.version != self._version:
-            self._version = state.version
-            messages += [*self._new_curves(), *self._new_events(), *self._frame(now)]
-        messages += self._new_sets()
-        if live.health is not self._health and live.health is not None:
-            self._health = live.health
-            messages.append(live.health)
-        if (live.phase, live.text) != self._state or (not messages and now - self._told >= STATE_INTERVAL):
-            self._state = (live.phase, live.text)
-            messages.append(State(phase=live.phase, text=live.text))
-        if messages:
-            self._told = now
-        return messages
+        live = self._live
+        messages = self.hello() if self._known != (live.facts, len(live.state.robots)) else []
+        messages += [*self._new_curves(), *self._new_events()]
+        sets, state = live.shading.of(live.state.members()), State(phase=live.phase, text=live.text)
+        return [*messages, *self.new(now, live.frame(now), sets, live.health, state)]
 
     def control(self, request: Control) -> None:
         """Do what the page asks for; a running swarm cannot be played."""
         if self._after is not None:
             self._after.control(request)
-
-    def _frame(self, now: float) -> list[Frame]:
-        instant = self._live.state.instant()
-        if instant is None:
-            return []
-        return [frame_of(instant, self._live.state.shown_robots(instant.step), self._live.rate.at(now))]
-
-    def _new_sets(self) -> list[Sets]:
-        found = self._live.shading.of(self._live.state.members())
-        if found is None or found is self._sets:
-            return []
-        self._sets = found
-        return [found]
 
     def _new_curves(self) -> list[Curves]:
         buffer = self._live.curves
@@ -218,4 +231,4 @@ class LiveSession:
         state = self._live.state
         count = min(state.event_count - self._events, len(state.events))
         self._events = state.event_count
-        return [Events(replace=False, events=events_of(state.events[-count:]))] if count else []
+        return [Events(replace=False, events=[Event.of(one) for one in state.events[-count:]])] if count else []

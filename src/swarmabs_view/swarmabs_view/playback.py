@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,11 +9,11 @@ import numpy as np
 
 from swarmabs_bag.recorded_swarm import column_points, read_swarm
 from swarmabs_bag.swarm_state import MOST_EVENTS
-from swarmabs_view.facts import scenario_facts
-from swarmabs_view.frame import curves_of, events_of, frame_of
+from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.protocol import (
     Control,
     Curves,
+    Event,
     Events,
     Frame,
     Hello,
@@ -22,11 +21,11 @@ from swarmabs_view.protocol import (
     Pause,
     Play,
     Seek,
+    Session,
     Sets,
     Speed,
     State,
 )
-from swarmabs_view.shading import Shading
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
 
 COLUMNS = 1000
 """Columns of a picture of a curve; of each the first, lowest, highest and last point of every curve are sent."""
-STATE_INTERVAL = 1.0
-"""Longest time, s, between two messages to a page."""
 
 
 class Recording:
@@ -83,16 +80,16 @@ class Recording:
         if len(self) > 2 * COLUMNS:
             column = np.arange(len(self)) * COLUMNS // len(self)
             chosen = np.unique(np.concatenate([column_points(column, values) for values in columns]))
-        return curves_of([self.swarm.instant(row) for row in chosen.tolist()], replace=True)
+        return Curves.of([self.swarm.instant(row) for row in chosen.tolist()], replace=True)
 
     @cached_property
     def events(self) -> Events:
         """The latest events."""
-        return Events(replace=True, events=events_of(self.swarm.timed_events()[-MOST_EVENTS:]))
+        return Events(replace=True, events=[Event.of(one) for one in self.swarm.timed_events()[-MOST_EVENTS:]])
 
     def frame(self, row: int, step_rate: float | None = None) -> Frame:
         """Return what is to be seen at a row of the arrays."""
-        return frame_of(self.swarm.instant(row), self.swarm.shown_robots(row), step_rate)
+        return Frame.of(self.swarm.instant(row), self.swarm.shown_robots(row), step_rate)
 
     def row_at(self, step: int) -> int:
         """Return the row of a step, of one that is not there the row before it."""
@@ -114,8 +111,7 @@ def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
     return Recording(read_swarm(path, namespace=namespace))
 
 
-@dataclass(slots=True)
-class PlaybackSession:
+class PlaybackSession(Session):
     """What one page sees of a bag: pure, on any clock that does not jump.
 
     Parameters
@@ -124,35 +120,34 @@ class PlaybackSession:
         The bag.
     """
 
-    recording: Recording
-    _row: int = 0
-    _playing: bool = False
-    _speed: float = 1.0
-    _time: float = 0.0
-    _now: float | None = None
-    _shown: tuple[int, bool, float] | None = None
-    _sets: Sets | None = None
-    _told: float = float("-inf")
+    def __init__(self, recording: Recording) -> None:
+        super().__init__()
+        self.recording = recording
+        self._row = 0
+        self._playing = False
+        self._speed = 1.0
+        self._time = 0.0
+        self._now: float | None = None
+        self._drawn: tuple[int, Frame] | None = None
+        self._sent = {Sets: recording.shading.first}
 
     def hello(self) -> list[Message]:
         """Return what a page needs first."""
-        self._sets = self.recording.shading.first
         return [self.recording.hello, self.recording.curves, self.recording.events]
 
     def poll(self, now: float) -> list[Message]:
         """Return what is new at a time (s) of the clock."""
+        swarm = self.recording.swarm
+        told = swarm.reason in {None, swarm.status}
+        text = swarm.status if told else f"{swarm.status}: {swarm.reason}"
         if not len(self.recording):
-            return self._state(now)
+            return self.new(now, State(phase="recorded", text=text, playing=False, speed=self._speed))
         self._go_on(now)
-        shown = (self._row, self._playing, self._speed)
-        if shown == self._shown:
-            return [*self._new_sets(), *(self._state(now) if now - self._told >= STATE_INTERVAL else [])]
-        moved = self._shown is None or self._shown[0] != self._row
-        changed = self._shown is None or self._shown[1:] != shown[1:] or now - self._told >= STATE_INTERVAL
-        self._shown = shown
-        rate = self._speed / self.recording.swarm.scenario.period if self._playing else None
-        frames: list[Message] = [self.recording.frame(self._row, rate)] if moved else []
-        return [*frames, *self._new_sets(), *(self._state(now) if changed else [])]
+        if self._drawn is None or self._drawn[0] != self._row:
+            rate = self._speed / swarm.scenario.period if self._playing else None
+            self._drawn = (self._row, self.recording.frame(self._row, rate))
+        state = State(phase="recorded", text=text, playing=self._playing, speed=self._speed)
+        return self.new(now, self._drawn[1], self.recording.sets(self._row), state)
 
     def control(self, request: Control) -> None:
         """Do what the page asks for; what is over cannot be steered."""
@@ -181,17 +176,3 @@ class PlaybackSession:
         self._row = self.recording.row_at_time(self._time)
         if self._row == len(self.recording) - 1:
             self._playing = False
-
-    def _new_sets(self) -> list[Message]:
-        found = self.recording.sets(self._row)
-        if found is None or found is (self._sets or self.recording.shading.first):
-            return []
-        self._sets = found
-        return [found]
-
-    def _state(self, now: float) -> list[Message]:
-        self._told = now
-        swarm = self.recording.swarm
-        told = swarm.reason in {None, swarm.status}
-        text = swarm.status if told else f"{swarm.status}: {swarm.reason}"
-        return [State(phase="recorded", text=text, playing=self._playing, speed=self._speed)]

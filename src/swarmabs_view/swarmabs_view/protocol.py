@@ -6,12 +6,20 @@ number keeps every bit on its way: the page shows what stands in the bag.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import models_json_schema
 
-from swarmabs_bag.swarm_state import RobotStatus
+from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
+from swarmabs_core.messages import EventKind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from typing_extensions import Self
+
+    from swarmabs_bag.swarm_state import Instant, RobotIdentity, TimedEvent
 
 VERSION = 1
 """Of the messages; it is raised when one changes its meaning or goes. Messages and fields of the server may be added: a
@@ -21,6 +29,9 @@ Number: TypeAlias = float | None
 Phase: TypeAlias = Literal["waiting", "running", "silent", "ended", "recorded"]
 FASTEST = 1000.0
 """Highest speed of a playback, in parts of real time."""
+STATE_INTERVAL = 1.0
+"""Longest time, s, between two states of the source."""
+_KINDS = {kind.value: kind.name for kind in EventKind}
 
 
 class Part(BaseModel):
@@ -43,6 +54,11 @@ class Robot(Part):
     mass: Number = Field(description="kg")
     damping: Number = Field(description="N s/m")
     joins: bool = Field(default=False, description="whether it takes part only from when it joins")
+
+    @classmethod
+    def of(cls, robot: RobotIdentity) -> Self:
+        """Return what does not change of a robot."""
+        return cls(**{**robot._asdict(), "kind": robot.kind.name.lower()})
 
 
 class Plane(Part):
@@ -122,6 +138,14 @@ class Frame(Message):
     robots: RobotStates
     step_rate: Number = Field(description="steps per second of wall time")
 
+    @classmethod
+    def of(cls, instant: Instant, robots: Sequence[ShownRobot], step_rate: float | None) -> Self:
+        """Return a step of the swarm, with its robots in the order of the hello: by the same names, but its stamp."""
+        shared = {name: value for name, value in instant._asdict().items() if name in cls.model_fields}
+        shared |= {"abstract": instant.abstract._asdict(), "desired": instant.desired._asdict()}
+        states = {name: [getattr(robot, name) for robot in robots] for name in ShownRobot._fields}
+        return cls(**shared, robots=RobotStates(**states), step_rate=step_rate)
+
 
 class Sets(Message):
     """The sets of the hello anew, for whoever takes part now; sent when it changes."""
@@ -145,6 +169,20 @@ class Curves(Message):
     inertia: list[Number]
     desired_inertia: list[Number]
 
+    @classmethod
+    def of(cls, instants: Sequence[Instant], *, replace: bool) -> Self:
+        """Return steps as points of the curves."""
+        return cls(
+            replace=replace,
+            time=[instant.time for instant in instants],
+            angle=[instant.angle for instant in instants],
+            reference=[instant.reference for instant in instants],
+            torque=[instant.abstract.torque for instant in instants],
+            desired_torque=[instant.desired.torque for instant in instants],
+            inertia=[instant.abstract.inertia for instant in instants],
+            desired_inertia=[instant.desired.inertia for instant in instants],
+        )
+
 
 class Event(Part):
     """An event of the swarm."""
@@ -155,6 +193,14 @@ class Event(Part):
     kind: str
     value: Number
     detail: str
+
+    @classmethod
+    def of(cls, happened: TimedEvent) -> Self:
+        """Return an event as the page shows it."""
+        event, time = happened
+        kind = _KINDS.get(event.kind, str(event.kind))
+        value = finite(event.value)
+        return cls(step=event.step, time=time, agent=event.agent_id, kind=kind, value=value, detail=event.detail)
 
 
 class Events(Message):
@@ -276,6 +322,36 @@ CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminat
 
 FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Sets, Curves, Events, Health, State, Steering, Answer)
 FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Steer)
+
+
+class Session:
+    """What one page sees; of the messages that change by and by it gets each when it has not got it yet."""
+
+    def __init__(self) -> None:
+        self._sent: dict[type[Message], Message] = {}
+        self._told = float("-inf")
+
+    def hello(self) -> list[Message]:
+        """Return what a page needs first."""
+        raise NotImplementedError
+
+    def poll(self, now: float) -> list[Message]:
+        """Return what is new at a time (s) of the clock."""
+        raise NotImplementedError
+
+    def control(self, request: Control) -> None:
+        """Do what the page asks for."""
+        raise NotImplementedError
+
+    def new(self, now: float, *latest: Message | None) -> list[Message]:
+        """Return which of the latest messages, one of each type at most, the page lacks; the state every second."""
+        if now - self._told >= STATE_INTERVAL:
+            self._sent.pop(State, None)
+        found = [message for message in latest if message is not None and self._sent.get(type(message)) != message]
+        self._sent |= {type(message): message for message in found}
+        if any(isinstance(message, State) for message in found):
+            self._told = now
+        return found
 
 
 def json_schema() -> dict[str, object]:

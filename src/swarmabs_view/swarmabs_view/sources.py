@@ -1,6 +1,6 @@
 """What live pages show: a run, from before its start to its bag, or a swarm of which only its messages are known.
 
-As a program it serves the page of a run until standard input ends; `swarmabs_view.viewer_process` starts it.
+As a program it serves the page of a run until standard input ends; `swarmabs_view.viewers` starts it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
+
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import SwarmState
@@ -23,10 +25,9 @@ from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_environment import RunOverError, environment_of_run, goes_on, read_processes
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
-from swarmabs_view.health import ProcessWatch
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, open_recording
-from swarmabs_view.protocol import Hello, Seek
+from swarmabs_view.protocol import Health, Hello, Process, Seek
 from swarmabs_view.server import serve
 from swarmabs_view.steering_bridge import SteeredSession, SteeringBridge
 
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from swarmabs_view.playback import Recording
-    from swarmabs_view.server import Session
+    from swarmabs_view.protocol import Session
 
 NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 HEALTH_INTERVAL = 2.0
@@ -52,6 +53,42 @@ NICENESS = 5
 """Where cores are scarce, those who look wait for those who work."""
 SUMMARY_SECONDS = 10.0
 """Time, s, that a run whose orchestrator has ended may take to leave its summary."""
+
+
+class ProcessWatch:
+    """Watches processes by their ids.
+
+    Parameters
+    ----------
+    processes : mapping
+        Process ids by name. An id that another process has got meanwhile does not count as the one meant.
+    """
+
+    def __init__(self, processes: Mapping[str, int]) -> None:
+        self._pids = dict(processes)
+        self._watched: dict[str, psutil.Process] = {}
+        for name, pid in self._pids.items():
+            try:
+                watched = psutil.Process(pid)
+                watched.cpu_percent(None)  # the first call begins to count
+            except psutil.Error:
+                continue
+            self._watched[name] = watched
+
+    def look(self) -> Health:
+        """Return how they are doing, the processor time since the last look."""
+        return Health(processes=[self._one(name, pid) for name, pid in self._pids.items()])
+
+    def _one(self, name: str, pid: int) -> Process:
+        watched = self._watched.get(name)
+        try:
+            if watched is not None and watched.is_running():
+                with watched.oneshot():
+                    state, cpu, memory = watched.status(), watched.cpu_percent(None), watched.memory_info().rss
+                return Process(name=name, pid=pid, state=str(state), cpu=cpu, memory=memory)
+        except psutil.Error:
+            self._watched.pop(name, None)
+        return Process(name=name, pid=pid, state="gone", cpu=None, memory=None)
 
 
 class RunView:

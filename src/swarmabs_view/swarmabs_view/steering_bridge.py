@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 from swarmabs_run.steering.client import LONGEST_ANSWER
 from swarmabs_run.steering.place import SOCKET, short_path
 from swarmabs_run.steering.protocol import STATUS
-from swarmabs_view.protocol import Answer, Hello, Steer, Steering
+from swarmabs_view.protocol import Answer, Hello, Session, Steer, Steering
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_view.protocol import Control, Message
-    from swarmabs_view.server import Session
 
 LOOK_INTERVAL = 0.5
 """Time, s, between two looks at what holds."""
@@ -102,7 +101,7 @@ class SteeringBridge:
             return answer
 
 
-class SteeredSession:
+class SteeredSession(Session):
     """What one page sees of a run that can be steered.
 
     Parameters
@@ -114,24 +113,23 @@ class SteeredSession:
     """
 
     def __init__(self, session: Session, bridge: SteeringBridge) -> None:
+        super().__init__()
         self._session = session
         self._bridge = bridge
-        self._told: Steering | None = None
         self._waiting: set[asyncio.Task[Answer]] = set()
         self._answers: list[Message] = []
 
     def hello(self) -> list[Message]:
         """Return what a page needs first."""
-        self._told = self._bridge.status
-        return [*self._session.hello(), self._told]
+        self._sent = {Steering: self._bridge.status}
+        return [*self._session.hello(), self._bridge.status]
 
     def poll(self, now: float) -> list[Message]:
         """Return what is new at a time (s) of the clock."""
         messages = self._session.poll(now)
-        if self._told != self._bridge.status or any(isinstance(message, Hello) for message in messages):
-            self._told = self._bridge.status
-            messages.append(self._told)
-        messages += self._answers
+        if any(isinstance(message, Hello) for message in messages):
+            self._sent.clear()
+        messages += [*self.new(now, self._bridge.status), *self._answers]
         self._answers.clear()
         return messages
 

@@ -23,7 +23,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.publishers import NodeName
 from swarmabs_run.interruption import end_asked
 from swarmabs_run.summary import summarise, summary_table
-from swarmabs_view.display import shown_progress
+from swarmabs_view.terminal import shown_progress
 
 _POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
 _WITH_NODE = ("output", "overrides", "in_process", "expect_same")

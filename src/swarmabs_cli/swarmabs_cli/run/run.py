@@ -20,7 +20,7 @@ from swarmabs_run.orchestration import LockstepRun, RealtimeRun
 from swarmabs_run.orchestration.progress import Outcome
 from swarmabs_run.steering.pace import SLOWEST
 from swarmabs_view.ports import check_foxglove
-from swarmabs_view.viewer_process import PageViewer, markers_viewer
+from swarmabs_view.viewers import PageViewer, markers_viewer
 
 FOXGLOVE_PORT = 8765
 """The one that Foxglove offers by itself."""

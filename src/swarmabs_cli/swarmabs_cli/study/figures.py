@@ -20,7 +20,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration import LockstepRun
 from swarmabs_run.orchestration.progress import Outcome, Progress
 from swarmabs_run.simulated_run import simulate_run
-from swarmabs_view.display import shown_progress
+from swarmabs_view.terminal import shown_progress
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""The process that shows a run to RViz and Foxglove, as `swarmabs_view.viewer_process` starts it."""
+"""The process that shows a run to RViz and Foxglove, as `swarmabs_view.viewers` starts it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from swarmabs_run.orchestration.progress_file import OVER, read_progress
 from swarmabs_run.orchestration.run_environment import RunOverError, environment_of_run
 from swarmabs_run.parent_death import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
-from swarmabs_view.viewer_process import MARKERS_LOG
+from swarmabs_view.viewers import MARKERS_LOG
 
 with tracing_files_removed():
     from swarmabs_view.visualization import node

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from swarmabs_bag.swarm_state import Abstract, Instant
-from swarmabs_view.curves import CurveBuffer
+from swarmabs_view.live import CurveBuffer
 
 
 def point(step: int) -> Instant:

@@ -1,25 +1,34 @@
-"""The live panel of a run on a terminal: what is drawn into which space; it neither knows a clock nor prints."""
+"""How far a run is: a panel that is rewritten on a terminal, now and then a line elsewhere."""
 
 from __future__ import annotations
 
+import sys
+import time
+from contextlib import contextmanager
 from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
+import click
 from rich import box
-from rich.console import Group
+from rich.console import Console, Group
+from rich.live import Live
 from rich.panel import Panel
 from rich.text import Text
 
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
 
 if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+    from collections.abc import Callable, Iterator
+
+    from rich.console import ConsoleOptions, RenderResult
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.progress import Progress
 
+_TERMINAL_INTERVAL, _LINE_INTERVAL = 0.2, 5.0
+"""Time, s, between two panels, and between two lines."""
 LEAST_WIDTH, LEAST_HEIGHT = 50, 9
 """Smaller terminals get one line."""
 WIDEST = 100
@@ -41,14 +50,68 @@ _NOWHERE = (LETTERS["left"], LETTERS[None])
 _LABEL = 8
 
 
-class RunPanel:
-    """Draws a run; `one_line` is what there is to be said in little space.
+@contextmanager
+def shown_progress(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
+    """Show the progress of a run on standard error for the time of the block; the yielded function is told of it."""
+    if sys.stderr.isatty():
+        with _terminal(scenario) as show:
+            yield show
+    else:
+        yield _lines(scenario)
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario.
-    """
+
+def describe(progress: Progress, scenario: Scenario) -> str:
+    """Say in a line how far a run is."""
+    if progress.phase == "starting":
+        return f"{scenario.name}: starting, {progress.ready} of {progress.processes} processes ready"
+    parts = [f"{scenario.name}: step {progress.step} of {progress.steps}"]
+    if progress.phase == "closing":
+        parts.append("completing the bag")
+    elif progress.step_rate:
+        parts.append(f"{progress.step_rate:.0f} steps/s, {progress.step_rate * scenario.period:.1f} x real time")
+    if progress.angle is not None:
+        error = "" if progress.error is None else f", error {progress.error:+.4f} rad"
+        parts.append(f"angle {progress.angle:+.4f} rad{error}")
+    return "; ".join(parts)
+
+
+@contextmanager
+def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
+    console = Console(stderr=True, highlight=False)
+    if console.is_dumb_terminal:  # it cannot go back to what is written already
+        yield _lines(scenario)
+        return
+    panel = RunPanel(scenario)
+    shown = 0.0
+    # Drawn by the function that is told, not by a thread: the launcher is forked from here.
+    with Live(panel, console=console, auto_refresh=False, transient=True) as live:
+
+        def show(progress: Progress) -> None:
+            nonlocal shown
+            now = time.monotonic()
+            if now - shown >= _TERMINAL_INTERVAL:
+                shown = now
+                panel.take(progress, describe(progress, scenario))
+                live.refresh()
+
+        yield show
+
+
+def _lines(scenario: Scenario) -> Callable[[Progress], None]:
+    shown, phase = time.monotonic(), ""
+
+    def show(progress: Progress) -> None:
+        nonlocal shown, phase
+        now = time.monotonic()
+        if progress.phase != phase or now - shown >= _LINE_INTERVAL:
+            shown, phase = now, progress.phase
+            click.echo(describe(progress, scenario), err=True)
+
+    return show
+
+
+class RunPanel:
+    """Draws a run, in little space by one line; it neither knows a clock nor prints."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -80,7 +143,7 @@ class RunPanel:
             box=box.ASCII if options.ascii_only else box.ROUNDED,
         )
 
-    def _lines(self, progress: Progress, width: int, height: int, *, ascii_only: bool) -> list[RenderableType]:
+    def _lines(self, progress: Progress, width: int, height: int, *, ascii_only: bool) -> list[Text]:
         lines = [
             self._bar(progress, width, ascii_only=ascii_only),
             _line("angle", self._angle(progress)),
@@ -98,9 +161,7 @@ class RunPanel:
             lines += lanes[: max(room, 0)]
             room = height - len(lines)
             lines += events[-room:] if room > 0 else []
-        for text in lines:
-            text.no_wrap, text.overflow = True, "ellipsis"
-        return [*lines]
+        return lines
 
     def _bar(self, progress: Progress, width: int, *, ascii_only: bool) -> Text:
         part = progress.step / max(progress.steps, 1)
@@ -186,14 +247,7 @@ class RunPanel:
 
 
 def _line(label: str, content: Text) -> Text:
-    return Text(f"{label:<{_LABEL}}", style="bold").append_text(_plain(content))
-
-
-def _plain(content: Text) -> Text:
-    """Keep the bold face of the label off the content."""
-    plain = content.copy()
-    plain.stylize_before("not bold")
-    return plain
+    return Text.assemble((f"{label:<{_LABEL}}", "bold"), content, no_wrap=True, overflow="ellipsis")
 
 
 def _counts(seen: SwarmSummary) -> Text:
