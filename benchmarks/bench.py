@@ -25,7 +25,7 @@ from benchmarks.tables import Table, comparison, notes, tables
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from swarmabs_bag.provenance import versions
+from swarmabs_bag.attached import versions
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
 from swarmabs_cli import exit_code
 from swarmabs_cli.output import print_json

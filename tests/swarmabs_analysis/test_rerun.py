@@ -13,7 +13,7 @@ from tests.swarmabs_bag.sample_run import write_bag
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.rerun import recorded_run
 from swarmabs_analysis.verify import BagToVerify
-from swarmabs_bag.provenance import provenance
+from swarmabs_bag.attached import provenance
 from swarmabs_bag.reader import open_bag
 from swarmabs_cli import main
 from swarmabs_config import configure

@@ -27,11 +27,11 @@ from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_analysis.replay.playback import choose_topics
 from swarmabs_analysis.rerun import recorded_run
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.channels import bag_channel
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.scenarios import scenario_of
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, SwarmabsError

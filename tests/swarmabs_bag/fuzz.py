@@ -23,7 +23,7 @@ from tests.swarmabs_bag.forgery import forge
 from tests.swarmabs_bag.split_damage import FolderDamage, damage_folder
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import SwarmabsError

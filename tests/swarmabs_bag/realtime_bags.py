@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tests.swarmabs_core.realtime.bags import Stored, world
 from tests.virtual_fleet import EPOCH
 
+from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import realtime as configure
+from swarmabs_config.configure import members
 from swarmabs_core.messages import NEVER, AgentState, Basis, Message, SwarmEvent
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.record import Record
@@ -19,7 +22,7 @@ Change = Callable[[Stored], Iterable[Message]]
 
 
 def realtime_bag(
-    folder: Path, name: str = "quiet", *, since_1970: bool = False, change: Change | None = None, **options: Any
+    folder: Path, name: str = "quiet", *, since_1970: bool = False, change: Change | None = None, **differs: Any
 ) -> Path:
     """Write the bag of a world.
 
@@ -33,14 +36,15 @@ def realtime_bag(
         Whether steps count since 1970, as in a fleet whose file gives no epoch.
     change : callable, optional
         Changes what is recorded.
-    options
-        Of `RealtimeRecording`.
+    differs
+        What is different about its `RealtimeWorld`.
     """
     recorded = world(name)
     clock = configure.schedule(recorded.scenario, EPOCH)
     if since_1970:
         clock = Schedule(clock.period_ns)
-    recording = RealtimeRecording(recorded.scenario, folder, clock, **options)
+    simulated = replace(RealtimeWorld(clock, members(recorded.scenario), plane=True), **differs)
+    recording = RealtimeRecording(recorded.scenario, folder, simulated)
     for stored in recorded.bag:
         for message in (stored.message,) if change is None else change(stored):
             kept = later(message, EPOCH // clock.period_ns) if since_1970 else message

@@ -15,13 +15,13 @@ from tests.swarmabs_bag.damage import MAGIC, chunk, joined, record, sealed, spli
 from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_bag import index
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.examination import recorded_steps
 from swarmabs_bag.index import FileIndex
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.scenarios import scenario_of
 from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError

@@ -13,7 +13,7 @@ import pytest
 from mcap.opcode import Opcode
 from tests.swarmabs_bag.damage import joined, record, sealed, split
 
-from swarmabs_bag.memory import available_memory
+from swarmabs_bag.arrays import available_memory
 from swarmabs_bag.records import inner_records, uncompress
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -92,6 +92,6 @@ def test_limit_of_a_container_counts(
 ) -> None:
     for name, content in zip(("memory.max", "memory.current"), files, strict=False):
         (tmp_path / name).write_text(f"{content}\n", encoding="ascii")
-    monkeypatch.setattr("swarmabs_bag.memory._GROUP", tmp_path)
+    monkeypatch.setattr("swarmabs_bag.arrays._GROUP", tmp_path)
     found = available_memory()
     assert found == left if left is not None else found > 5000

@@ -23,9 +23,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import scan_index, tail
 from swarmabs_bag.info import bag_info
-from swarmabs_bag.places import find_bag
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
+from swarmabs_bag.run_folder import find_bag
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, TOPIC_OF, Message

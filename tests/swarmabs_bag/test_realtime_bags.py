@@ -115,7 +115,7 @@ def test_what_the_recorder_did_not_get_is_counted(tmp_path: Path) -> None:
 
 
 def test_what_was_measured_is_not_checked_and_that_is_said(tmp_path: Path) -> None:
-    found = verified(realtime_bag(tmp_path / "bag", simulated=(1, 2), simulated_plane=False))
+    found = verified(realtime_bag(tmp_path / "bag", robots=(1, 2), plane=False))
     assert found.ok
     assert any("the motion of robots 3, 4" in note for note in found.notes)
     assert any("the motion of the plane" in note for note in found.notes)

@@ -8,7 +8,8 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_core.realtime.bags import WORLDS, messages, world
 
-from swarmabs_bag.realtime_recording import MEMORY, RealtimeCollector, RealtimeFigures, conflict
+from swarmabs_bag.figures import RealtimeFigures
+from swarmabs_bag.realtime import MEMORY, RealtimeCollector, conflict
 from swarmabs_config import configure as lockstep
 from swarmabs_core.messages import (
     MAIN_TOPICS,

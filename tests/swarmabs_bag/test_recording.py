@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
 
-from swarmabs_bag.recording import Metrics, RecordedStep, RunCollector
+from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.recording import RecordedStep, RunCollector
 from swarmabs_config import configure
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
 from swarmabs_core.cdr import encode
@@ -211,14 +212,14 @@ def test_digest_does_not_depend_on_events_that_come_late() -> None:
 def test_metrics_against_numpy() -> None:
     scenario = builtin("arise_het_4", "duration=6")
     run, law = Run(scenario), configure.parent_controller(scenario)
-    metrics = Metrics(law.reference)
+    metrics = RunFigures(law.reference)
     for step in run.steps:
-        metrics.update(step)
+        metrics.add(step)
 
     time = 0.01 * np.arange(601)
     error = 0.7 * np.sin(0.0471238898038469 * time) - run.column(PlaneState, "angle")
     unsettled = np.flatnonzero(np.abs(error) >= 0.01)
-    summary = metrics.summary()
+    summary = metrics.figures()
     assert summary["settled_at"] == pytest.approx(time[unsettled[-1] + 1])
     assert summary["final_error"] == pytest.approx(error[-1], rel=1e-9)
     assert summary["rms_error"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
@@ -241,19 +242,19 @@ def test_metrics_against_numpy() -> None:
 def test_settled_is_the_first_time_after_which_the_error_stays_small(
     angles: list[float], settled_at: float | None
 ) -> None:
-    metrics = Metrics(lambda _: 0.0)
+    metrics = RunFigures(lambda _: 0.0)
     template = short_run().steps[0].records[-1]
     for step, angle in enumerate(angles):
         record = template._replace(message=PlaneState(step * 10_000_000, step, angle, 0.0))
-        metrics.update(RecordedStep(step, (record,)))
-    assert metrics.summary()["settled_at"] == settled_at
+        metrics.add(RecordedStep(step, (record,)))
+    assert metrics.figures()["settled_at"] == settled_at
 
 
 def test_figures_that_are_not_finite_are_null() -> None:
-    metrics = Metrics(lambda _: 0.0)
+    metrics = RunFigures(lambda _: 0.0)
     template = short_run().steps[0].records[-1]
-    metrics.update(RecordedStep(0, (template._replace(message=PlaneState(0, 0, float("nan"), 0.0)),)))
-    assert metrics.summary() == {
+    metrics.add(RecordedStep(0, (template._replace(message=PlaneState(0, 0, float("nan"), 0.0)),)))
+    assert metrics.figures() == {
         "settled_at": None,
         "final_error": None,
         "rms_error": None,
@@ -263,7 +264,7 @@ def test_figures_that_are_not_finite_are_null() -> None:
 
 
 def test_metrics_of_nothing_are_null() -> None:
-    assert Metrics(lambda _: 0.0).summary() == {
+    assert RunFigures(lambda _: 0.0).figures() == {
         "settled_at": None,
         "final_error": None,
         "rms_error": None,

@@ -28,7 +28,7 @@ from swarmabs_bag.output import RecordFile
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.records import encoded
 from swarmabs_bag.repair import RepairReport, repair_bag
-from swarmabs_bag.splitting import Split
+from swarmabs_bag.run_folder import Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_cli import main
 from swarmabs_core.cdr import encode

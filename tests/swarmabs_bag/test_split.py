@@ -15,13 +15,12 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.errors import BagWriteError, DamagedBagError, NotABagError
 from swarmabs_bag.info import bag_info
-from swarmabs_bag.places import find_bag
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.scenarios import scenario_of
-from swarmabs_bag.splitting import Split
+from swarmabs_bag.run_folder import Split, find_bag
 from swarmabs_bag.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, Message

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from tests.processes import ROOT
 
+from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_bag.scenarios import scenario_of
 from swarmabs_config.scenario import dump_scenario, load_scenario
 from swarmabs_config.scenarios import DEFAULT, builtin_scenarios, find_scenario
 from swarmabs_core.errors import InputError

@@ -7,7 +7,7 @@ from math import cos
 import pytest
 from tests.swarmabs_core.helpers import Run, builtin
 
-from swarmabs_bag.recording import Metrics
+from swarmabs_bag.figures import RunFigures
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
@@ -96,10 +96,10 @@ def test_pd_levels_the_plane_at_the_offset_and_the_figures_follow() -> None:
     run = simulate(scenario)
     friction = scenario.plane.friction[3] / 3.1623
     assert abs(run.angle[-2] - 0.1) < friction, "what friction holds, the law without an integral does not move"
-    metrics = Metrics(configure.reference(scenario))
+    metrics = RunFigures(configure.reference(scenario))
     for step in Run(scenario).steps:
-        metrics.update(step)
-    figures = metrics.summary()
+        metrics.add(step)
+    figures = metrics.figures()
     expected = [0.1 if 500 <= k < 2000 else 0.0 for k in range(2001)]
     errors = [want - angle for want, angle in zip(expected, run.angle.tolist(), strict=True)]
     assert figures["final_error"] == errors[-1] < -0.09

@@ -12,8 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_bag.splitting import Split
+from swarmabs_bag.run_folder import Split, new_run_folder
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.orchestration import LockstepRun, Progress
 

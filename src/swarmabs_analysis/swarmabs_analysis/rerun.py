@@ -9,9 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from swarmabs_analysis.comparison.steps import recorded_steps
-from swarmabs_bag.attached import attached_provenance, attached_scenario, was_steered
+from swarmabs_bag.attached import (
+    SCHEMA_VERSION,
+    attached_provenance,
+    attached_scenario,
+    plugin_versions,
+    versions,
+    was_steered,
+)
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.provenance import SCHEMA_VERSION, plugin_versions, versions
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recording import Digest
 from swarmabs_config import configure

@@ -10,13 +10,19 @@ from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.base import Ending
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_provenance, attached_scenario
+from swarmabs_bag.attached import (
+    PROVENANCE_FILE,
+    SCENARIO_FILE,
+    attached_provenance,
+    attached_scenario,
+    plugin_versions,
+    versions,
+)
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.provenance import plugin_versions, versions
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import DRIVER, realtime_world
-from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_bag.realtime import RECORDED, realtime_world
 from swarmabs_config import configure
+from swarmabs_config.graph import REALTIME
 from swarmabs_config.scenario.errors import show
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
@@ -31,7 +37,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
 
-DRIVERS = ("lockstep", "simulate", DRIVER)
+DRIVERS = ("lockstep", "simulate", REALTIME.value)
 """What moved the state machines of a bag that can be verified, as its provenance says."""
 NOT_VERIFIED = "events, and when within its step a robot was measured, do not follow from other messages"
 """What is never verified of a run in real time."""
@@ -142,7 +148,7 @@ class BagToVerify:
                 f"{self._bag.path} was recorded by driver {show(driver)}, and it is not known how its messages follow "
                 f"from each other; this version knows {', '.join(DRIVERS)}"
             )
-        self._realtime = realtime_world(self._bag) if driver == DRIVER else None
+        self._realtime = realtime_world(self._bag) if driver == REALTIME.value else None
 
     def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
         """Verify the bag; damage does not raise, it is part of the answer.

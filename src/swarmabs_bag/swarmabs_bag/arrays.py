@@ -1,24 +1,25 @@
-"""A recorded run as numpy arrays."""
+"""A recorded run as numpy arrays, and the digest of them."""
 
 from __future__ import annotations
 
+import os
+import resource
 import struct
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
+from swarmabs_bag.attached import is_realtime
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
-from swarmabs_bag.memory import available_memory
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.realtime import is_realtime
-from swarmabs_core.arrays import LAYOUT, RunArrays, Tables, run_arrays, table
+from swarmabs_bag.recording import digest_head
+from swarmabs_core.arrays import LAYOUT, PADDING, RunArrays, Tables, run_arrays, table
 from swarmabs_core.cdr import ENCAPSULATION, FRAME
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, Topic
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _SPARSE = 50_000_000
 """Most entries of an array (steps, agents) beyond four times the number of messages."""
@@ -27,6 +28,7 @@ _SPARSE = 50_000_000
 _MEMORY_FACTOR = 2.5
 """Memory that loading takes at its peak, in parts of the messages' size."""
 
+_GROUP = Path("/sys/fs/cgroup")
 _STEP = struct.Struct("<28xQ")
 
 
@@ -153,3 +155,50 @@ def _check_density(bag: BagReader, tables: Tables) -> None:
         raise DamagedBagError(
             f"{bag.path}: {len(states)} states of {agents} agents over {steps} steps: too sparse to load"
         )
+
+
+def digest_of(tables: Tables) -> str:
+    """Return the digest (docs/design.md, Digest) of a run whose messages are given in any order.
+
+    Padding counts as 0, whatever another recorder has left there: the digest is one of canonical payloads.
+    """
+    found = sha256()
+    topics = sorted(MAIN_TOPICS, key=lambda topic: topic.name)
+    steps = np.unique(np.concatenate([tables[topic]["step"] for topic in topics]))
+    parts = []
+    for topic in topics:
+        rows = tables[topic]
+        keys = (rows["agent_id"], rows["step"]) if topic is AGENT_STATE else (rows["step"],)
+        rows = rows[np.lexsort(keys)]  # a copy
+        for field in rows.dtype.names or ():
+            if field.startswith(PADDING):
+                rows[field] = np.void(rows.dtype[field].itemsize)
+        head = np.frombuffer(digest_head(topic, rows.dtype.itemsize), dtype=np.uint8)
+        texts = np.empty((len(rows), len(head) + rows.dtype.itemsize), dtype=np.uint8)
+        texts[:, : len(head)] = head
+        texts[:, len(head) :] = np.frombuffer(rows.tobytes(), dtype=np.uint8).reshape(texts[:, len(head) :].shape)
+        parts.append((texts, [*np.searchsorted(rows["step"], steps).tolist(), len(rows)]))
+    for number in range(len(steps)):
+        for texts, begins in parts:
+            found.update(texts[begins[number] : begins[number + 1]].tobytes())
+    return found.hexdigest()
+
+
+def available_memory() -> int:
+    """Return the bytes that this process may still take: of the machine, its control group and its limits."""
+    machine = int(psutil.virtual_memory().available)
+    return max(0, min(machine, _of_group(machine), _of_limit(machine)))
+
+
+def _of_group(otherwise: int) -> int:
+    """Return what is left of the limit of the control group, such as that of a container."""
+    try:
+        most, used = ((_GROUP / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))
+        return int(most) - int(used)
+    except (OSError, ValueError):  # ValueError: the text "max"
+        return otherwise
+
+
+def _of_limit(otherwise: int) -> int:
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return otherwise if limit == resource.RLIM_INFINITY else limit - psutil.Process(os.getpid()).memory_info().vms

@@ -1,21 +1,30 @@
-"""What a bag has attached about its run: the scenario and the provenance."""
+"""What is attached to a bag about its run: the scenario, and the provenance, which says with what it was made."""
 
 from __future__ import annotations
 
 import json
+import platform
+import sys
 from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_config.scenario import parse_scenario
+from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_config.graph import REALTIME
+from swarmabs_config.scenario import dump_scenario, parse_scenario
 from swarmabs_config.scenario.steered import as_planned
+from swarmabs_config.scenarios import find_scenario, names_bag
+from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.errors import InputError
+from swarmabs_core.fingerprint import libm_fingerprint
+from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import EVENTS, SwarmEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
 
 SCENARIO_FILE = "scenario.yaml"
@@ -24,8 +33,93 @@ SCENARIO_FILE = "scenario.yaml"
 PROVENANCE_FILE = "provenance.json"
 """Name of the attachment that says with what the run was made."""
 
-REALTIME = "realtime"
-"""What the provenance of a run in real time calls what moved its state machines."""
+SCHEMA_VERSION = 1
+"""Version of the provenance's fields; bags without one are of version 1 too (docs/compatibility.md)."""
+
+_DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a run's result may depend on; those not installed as distributions are left out."""
+    found = {"python": platform.python_version()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def plugin_versions(scenario: Scenario) -> dict[str, str]:
+    """Return the versions of the packages that bring the scenario's parent controller and swarm law."""
+    packages = (CONTROLLERS.package(scenario.controller.type), LAWS.package(scenario.swarm.law.type))
+    return dict(package for package in packages if package is not None)
+
+
+def provenance(
+    scenario: Scenario,
+    *,
+    driver: str,
+    replay: Mapping[str, object] | None = None,
+    realtime: Mapping[str, object] | None = None,
+    steered: bool = False,
+) -> dict[str, object]:
+    """Return the provenance of a run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was run.
+    driver : str
+        What moved the state machines: ``lockstep``, ``simulate`` or ``realtime``.
+    replay : mapping, optional
+        What of which bag was replayed, if it is no run of its own.
+    realtime : mapping, optional
+        How time became steps, and what was simulated, of a run in real time.
+    steered : bool
+        Whether the run could be steered: then its events say what was done to it, and its scenario does not.
+    """
+    own: dict[str, object] = {
+        "schema": SCHEMA_VERSION,
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "driver": driver,
+        "versions": versions() | plugin_versions(scenario),
+        "machine": platform.machine(),
+        "byte_order": sys.byteorder,
+        "libm_fingerprint": libm_fingerprint(),
+    }
+    if realtime is not None:
+        own["realtime"] = dict(realtime)
+    if steered:
+        own["steered"] = True
+    return own if replay is None else own | {"replay": dict(replay)}
+
+
+def attachments(scenario: Scenario, made: Mapping[str, object]) -> dict[str, bytes]:
+    """Return what is attached when a bag is opened: the scenario and its `provenance`."""
+    text = json.dumps(made, indent=2, sort_keys=True)
+    return {SCENARIO_FILE: dump_scenario(scenario).encode(), PROVENANCE_FILE: text.encode() + b"\n"}
+
+
+def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
+    """Load the scenario that a user has named.
+
+    Parameters
+    ----------
+    named : str
+        A built-in scenario, a YAML file, or a bag: a run's folder, its ``bag/`` or an ``.mcap`` file.
+    overrides : sequence of str
+        ``a.b=value`` each.
+
+    Raises
+    ------
+    InputError
+        If there is no such thing, or it is not valid.
+    """
+    if names_bag(named):
+        return attached_scenario(open_bag(Path(named), several=True), overrides)
+    return find_scenario(named, overrides)
 
 
 def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
@@ -67,12 +161,17 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
 
 def step_period(bag: BagReader) -> int | None:
     """Return the control period of a bag's run in lockstep, ns; None in real time, and where it is not known."""
-    if attached_provenance(bag).get("driver") == REALTIME:
+    if is_realtime(bag):
         return None
     try:
         return attached_scenario(bag, steered=False).step_ns
     except (InputError, DamagedBagError):
         return None
+
+
+def is_realtime(bag: BagReader) -> bool:
+    """Tell whether a bag says that it was recorded in real time."""
+    return bool(attached_provenance(bag).get("driver") == REALTIME.value)
 
 
 def was_steered(bag: BagReader) -> bool:

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from swarmabs_bag.attached import SCENARIO_FILE
+from swarmabs_bag.attached import SCENARIO_FILE, is_realtime
 from swarmabs_bag.channels import topic_records
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, scan_index
 from swarmabs_bag.metadata import METADATA_FILE, TopicRecord, custom_texts, load_yaml, topic_record
-from swarmabs_bag.places import SUFFIX, missing_files, split_files
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import is_realtime
 from swarmabs_bag.rebuild import OWN, Rebuilt
 from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
+from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
 from swarmabs_config import configure
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_config.scenario.text_file import read_text

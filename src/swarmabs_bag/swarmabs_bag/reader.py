@@ -15,7 +15,7 @@ from swarmabs_bag.channels import BagChannel, bag_channel, check_definitions, ch
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, add_messages
 from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
-from swarmabs_bag.places import SUFFIX, find_bag, missing_files, split_files
+from swarmabs_bag.run_folder import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.record import Record

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_bag.arrays import arrays_of, load_tables
-from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import is_realtime, law_begins
+from swarmabs_bag.realtime import law_begins
 from swarmabs_bag.swarm_state import (
     STATUS_NAMES,
     STATUSES,

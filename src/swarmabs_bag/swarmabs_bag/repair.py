@@ -23,8 +23,8 @@ from swarmabs_bag.metadata import (
     write_metadata,
 )
 from swarmabs_bag.output import RecordFile
-from swarmabs_bag.places import find_bag
 from swarmabs_bag.rebuild import Rebuilt
+from swarmabs_bag.run_folder import find_bag
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -26,8 +26,8 @@ from swarmabs_bag.metadata import (
 )
 from swarmabs_bag.output import RecordFile, Reserve
 from swarmabs_bag.records import RecordError
+from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.schemas import message_schema
-from swarmabs_bag.splitting import ONE_FILE, Split
 from swarmabs_config.graph import LOCKSTEP, OFFERED
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
+from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
-from swarmabs_bag.scenarios import scenario_of
 from swarmabs_config.scenarios import DEFAULT
 from swarmabs_run.orchestration.plan import plan
 

@@ -11,8 +11,7 @@ from rich.console import Console
 
 from swarmabs_analysis.rerun import RecordedRun, recorded_run
 from swarmabs_bag.errors import remedy
-from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.splitting import Split
+from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.elapsed import since_start, times
 from swarmabs_cli.interrupts import no_more_interrupts
 from swarmabs_cli.options import (

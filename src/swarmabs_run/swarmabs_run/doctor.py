@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import psutil
 
-from swarmabs_bag.provenance import versions
+from swarmabs_bag.attached import versions
 from swarmabs_config.ports import LARGEST_DOMAIN
 from swarmabs_config.scenario import load_scenario
 from swarmabs_config.scenarios import builtin_scenarios

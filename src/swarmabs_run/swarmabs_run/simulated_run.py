@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_core.errors import RunError
 from swarmabs_run.interruption import end_asked
 from swarmabs_run.orchestration.progress import Outcome, Progress

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.plugin_packages import BANG_BANG, SCALED, install
 
-from swarmabs_bag.provenance import provenance
+from swarmabs_bag.attached import provenance
 from swarmabs_config.configure import agent_configs, controller_settings, parent_controller
 from swarmabs_config.scenario import (
     CONTROLLER_CONFIGS,

@@ -10,12 +10,10 @@ from swarmabs_analysis.comparison.messages import MessageComparison, compare_ste
 from swarmabs_analysis.comparison.settings import SettingDifference, setting_differences
 from swarmabs_analysis.comparison.steps import recorded_steps
 from swarmabs_analysis.difference import plain
-from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.attached import attached_provenance, attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.figures import RealtimeFigures, RunFigures
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import is_realtime
-from swarmabs_bag.realtime_recording import RealtimeFigures
-from swarmabs_bag.recording import RunFigures
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS
@@ -26,8 +24,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_analysis.difference import Difference
+    from swarmabs_bag.figures import Reference
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.recording import RecordedStep, Reference
+    from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.record import Record
 

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.export.columns import TABLES, row_of
-from swarmabs_bag.arrays import arrays_since, load_tables
+from swarmabs_bag.arrays import arrays_since, available_memory, load_tables
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import BagTooLargeError
-from swarmabs_bag.memory import available_memory
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.errors import InputError, RunError

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.replay.in_process import silent_since
-from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.metadata import dump_yaml
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.realtime import is_realtime
 from swarmabs_bag.recording import Digest, RecordedStep, RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario

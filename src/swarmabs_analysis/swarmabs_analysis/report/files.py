@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.report.page import GENERATOR
 from swarmabs_analysis.report.pictures import PNG_MARK
-from swarmabs_bag.places import find_bag
+from swarmabs_bag.run_folder import find_bag
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:

@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
-from swarmabs_bag.arrays import arrays_of, load_tables
-from swarmabs_bag.attached import attached_provenance
-from swarmabs_bag.digest import digest_of
+from swarmabs_bag.arrays import arrays_of, digest_of, load_tables
+from swarmabs_bag.attached import attached_provenance, is_realtime
+from swarmabs_bag.figures import RunFigures
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import is_realtime, realtime_figures
+from swarmabs_bag.realtime import realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
-from swarmabs_bag.recording import Metrics, RecordedStep
 from swarmabs_config import configure
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, PlaneState
-from swarmabs_core.record import Record
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -153,19 +151,18 @@ def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
     )
 
 
-def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, float | int | str | None]:
+def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, Any]:
     """Return the figures of the run, by the same arithmetic as while it is recorded."""
-    metrics = Metrics(configure.reference(scenario))
+    found = RunFigures(configure.reference(scenario))
     states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.angle.tolist(), strict=True)
     for time, step, angle in states:
         if not np.isnan(angle):
-            state = PlaneState(round(time * 1e9), step, angle, 0.0)
-            metrics.update(RecordedStep(step, (Record(PLANE_STATE, 0, state, b""),)))
+            found.follow(step, round(time * 1e9) / 1e9, angle)
     positions = np.abs(arrays.agents.position)
     there = positions[arrays.agents.kind > 0]
-    reach = float(there.max()) if there.size else None
-    finite = reach if reach is not None and np.isfinite(reach) else None
-    return {**metrics.summary(), "max_abs_position": finite}
+    if there.size:
+        found.reach(float(there.max()))
+    return found.figures()
 
 
 def _summary(bag: Path, digest: object) -> tuple[Mapping[str, Any] | None, str]:

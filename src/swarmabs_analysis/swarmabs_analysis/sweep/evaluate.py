@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.recording import RunFigures
+from swarmabs_bag.figures import RunFigures
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.theory import setting

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeVar
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_bag.realtime_recording import MEMORY, conflict, part
+from swarmabs_bag.realtime import MEMORY, conflict, part
 from swarmabs_core.messages import (
     AGENT_STATE,
     DESIRED_ABSTRACT_STATE,

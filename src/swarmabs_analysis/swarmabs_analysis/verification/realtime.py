@@ -13,7 +13,7 @@ from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wron
 from swarmabs_analysis.verification.base import Ending, Verification
 from swarmabs_analysis.verification.history import WAIT, History, wrong_stamp
 from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
-from swarmabs_bag.realtime_recording import MEMORY
+from swarmabs_bag.realtime import MEMORY
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, Basis, DesiredAbstractState
 from swarmabs_core.record import Record

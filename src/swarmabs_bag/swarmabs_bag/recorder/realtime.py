@@ -11,14 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
+from swarmabs_bag.realtime import RealtimeWorld
+from swarmabs_bag.recorder.node import COMMON as OF_RECORDERS, GATHER_SECONDS, Reporter, scenario_of, split_of
 from swarmabs_bag.recorder.recording import RealtimeRecording
-from swarmabs_bag.recorder.reporting import (
-    GATHER_SECONDS,
-    PARAMETERS as OF_RECORDERS,
-    Reporter,
-    scenario_of,
-    split_of,
-)
 from swarmabs_config import configure
 from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER, endpoints
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
@@ -146,13 +141,14 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     if settings.integer("period_ns") != scenario.step_ns:
         raise InputError(f"parameter period_ns: the scenario's is {scenario.step_ns} ns")
     last = settings.last_step()
+    robots = sorted(set(configure.members(scenario)) - set(settings.integers("driven")))
+    world = RealtimeWorld(
+        schedule, tuple(robots), settings.flag("simulated_plane"), tuple(settings.integers("own_limits"))
+    )
     recording = RealtimeRecording(
         scenario,
         _folder(settings, scenario),
-        schedule,
-        own_limits=settings.integers("own_limits"),
-        simulated=set(configure.members(scenario)) - set(settings.integers("driven")),
-        simulated_plane=settings.flag("simulated_plane"),
+        world,
         last_step=last,
         namespace=settings.namespace,
         split=split_of(settings),

@@ -2,88 +2,66 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from swarmabs_bag.provenance import provenance_json
-from swarmabs_bag.realtime import DRIVER, RealtimeWorld
-from swarmabs_bag.realtime_recording import RECORDED, RealtimeCollector, RealtimeFigures
+from swarmabs_bag.attached import attachments, provenance
+from swarmabs_bag.figures import RealtimeFigures, RunFigures
+from swarmabs_bag.realtime import RECORDED, RealtimeCollector, RealtimeWorld
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
-from swarmabs_bag.recording import RunFigures
-from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
-from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
+    from swarmabs_bag.figures import Latest
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-    from swarmabs_bag.recording import Latest, Step
-    from swarmabs_config.graph import Qos
+    from swarmabs_bag.recording import Step
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
-    from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record
 
-
-class Figures(Protocol):
-    """What a run comes to, computed while it is recorded."""
-
-    @property
-    def latest(self) -> Latest | None:
-        """What the run looks like now."""
-        ...
-
-    @property
-    def newest(self) -> int:
-        """The newest step, -1 before the first."""
-        ...
-
-    def summary(self) -> dict[str, Any]:
-        """Return the figures under their names in ``summary.json``."""
-        ...
+F = TypeVar("F", RunFigures, RealtimeFigures)
 
 
-class _Recording:
-    """What recordings have in common, whatever gathers their messages: bag, figures, what people see."""
+class _Recording(Generic[F]):
+    """What recordings have in common, whatever gathers their messages: bag, figures, what people see.
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        folder: Path | None,
-        figures: Figures,
-        *,
-        topics: tuple[Topic, ...],
-        qos: Mapping[Topic, Qos],
-        namespace: str,
-        split: Split,
-        **origin: Any,
-    ) -> None:
-        self._of_run = figures
+    Parameters
+    ----------
+    scenario : Scenario
+        The resolved scenario; it is attached to the bag at once.
+    folder : Path, optional
+        Folder of the bag; none if only figures are wanted.
+    run : RunFigures or RealtimeFigures
+        The figures.
+    made : mapping
+        The provenance.
+    bag
+        Of `BagWriter`.
+    """
+
+    def __init__(self, scenario: Scenario, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
+        self._run: F = run
         self._tracker = SummaryTracker(configure.members(scenario), scenario.plane.length)
         self._writer: BagWriter | None = None
         if folder is not None:
-            attachments = {
-                "scenario.yaml": dump_scenario(scenario).encode(),
-                "provenance.json": provenance_json(scenario, **origin),
-            }
-            self._writer = BagWriter(
-                folder, topics=topics, namespace=namespace, qos=qos, split=split, attachments=attachments
-            )
+            self._writer = BagWriter(folder, attachments=attachments(scenario, made), **bag)
 
     @property
     def latest(self) -> Latest | None:
         """What the run looks like now, None until that is known."""
-        return self._of_run.latest
+        return self._run.latest
 
     @property
     def newest(self) -> int:
         """The newest step recorded, -1 if there is none."""
-        return self._of_run.newest
+        return self._run.newest
 
     def summary(self) -> SwarmSummary | None:
         """Return what people see of the robots now; it costs some time, so not for every message."""
@@ -108,30 +86,24 @@ class _Recording:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the run so far."""
-        return self._of_run.summary()
+        return self._run.summary()
 
 
-class Recording(_Recording):
+class Recording(_Recording[RunFigures]):
     """Takes the complete steps of a run in order.
 
     Parameters
     ----------
-    scenario : Scenario
-        The resolved scenario; it is attached to the bag at once.
-    folder : Path, optional
-        Folder of the bag; none if only figures are wanted.
+    scenario, folder
+        As of `_Recording`.
+    driver, replay, steered
+        As of `swarmabs_bag.attached.provenance`.
     namespace : str
         Namespace of the swarm, which the bag's topics have.
-    driver : str
-        What moves the run, for the provenance.
     split : Split
         When the bag goes on in a new file, by default never.
-    replay : mapping, optional
-        What of which bag is replayed, for the provenance.
     topics : tuple of Topic
         What the bag holds.
-    steered : bool
-        Whether the run may be steered, for the provenance.
 
     Raises
     ------
@@ -152,21 +124,14 @@ class Recording(_Recording):
         steered: bool = False,
     ) -> None:
         self._reference = configure.reference(scenario)
-        self._run = RunFigures(self._reference)
-        origin: dict[str, Any] = {"driver": driver, "replay": replay, "steered": steered}
+        made = provenance(scenario, driver=driver, replay=replay, steered=steered)
+        figures = RunFigures(self._reference)
         super().__init__(
-            scenario,
-            folder,
-            self._run,
-            topics=topics,
-            qos=OFFERED[LOCKSTEP],
-            namespace=namespace,
-            split=split,
-            **origin,
+            scenario, folder, figures, made, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )
 
     def add(self, step: Step) -> None:
-        """Record a step.
+        """Take the next step.
 
         Raises
         ------
@@ -184,7 +149,7 @@ class Recording(_Recording):
         self._reference.shift(step, offset)
 
 
-class RealtimeRecording(_Recording):
+class RealtimeRecording(_Recording[RealtimeFigures]):
     """Takes the messages of a run as they arrive.
 
     Log time is when a message was received, publish time the stamp of its header.
@@ -193,14 +158,8 @@ class RealtimeRecording(_Recording):
     ----------
     scenario, folder, namespace, split
         As of `Recording`.
-    schedule : Schedule
-        How time becomes steps.
-    simulated : iterable of int, optional
-        Robots whose bodies are simulated, by default all.
-    simulated_plane : bool
-        Whether the plane is simulated.
-    own_limits : iterable of int
-        Robots whose limits are not those of the scenario.
+    world : RealtimeWorld
+        How time becomes steps, and what is simulated.
     last_step : int, optional
         The last step that is recorded, if the nodes go on beyond.
     """
@@ -209,33 +168,20 @@ class RealtimeRecording(_Recording):
         self,
         scenario: Scenario,
         folder: Path | None,
-        schedule: Schedule,
+        world: RealtimeWorld,
         *,
-        simulated: Iterable[int] | None = None,
-        simulated_plane: bool = True,
-        own_limits: Iterable[int] = (),
         last_step: int | None = None,
         namespace: str = "/",
         split: Split = ONE_FILE,
     ) -> None:
-        members = configure.members(scenario)
-        self._collector = RealtimeCollector(members, schedule)
-        self._run = RealtimeFigures(configure.parent_controller(scenario).reference, schedule)
+        self._collector = RealtimeCollector(configure.members(scenario), world.schedule)
         self._received = 0
         self._heard = self._heard_before = 0
         self._last_step = last_step
-        robots = tuple(members if simulated is None else simulated)
-        world = RealtimeWorld(schedule, robots, simulated_plane, tuple(own_limits)).provenance()
-        origin: dict[str, Any] = {"driver": DRIVER, "realtime": world}
+        made = provenance(scenario, driver=REALTIME.value, realtime=world.provenance())
+        figures = RealtimeFigures(configure.parent_controller(scenario).reference, world.schedule)
         super().__init__(
-            scenario,
-            folder,
-            self._run,
-            topics=RECORDED,
-            qos=OFFERED[REALTIME],
-            namespace=namespace,
-            split=split,
-            **origin,
+            scenario, folder, figures, made, topics=RECORDED, qos=OFFERED[REALTIME], namespace=namespace, split=split
         )
 
     @property

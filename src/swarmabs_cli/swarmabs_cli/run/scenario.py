@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from swarmabs_bag.scenarios import scenario_of
+from swarmabs_bag.attached import scenario_of
 from swarmabs_cli.options import json_option, set_option
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario

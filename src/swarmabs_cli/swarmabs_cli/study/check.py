@@ -8,7 +8,7 @@ import click
 from rich.console import Console
 
 from swarmabs_analysis.theory_table import render
-from swarmabs_bag.scenarios import scenario_of
+from swarmabs_bag.attached import scenario_of
 from swarmabs_cli.options import duration_option, json_option, scenario_argument, set_option
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.theory import check_scenario

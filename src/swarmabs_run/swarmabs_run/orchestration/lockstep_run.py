@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from typing import TYPE_CHECKING
 
-from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config import configure
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_run.orchestration.plan import ProcessPlan, plan

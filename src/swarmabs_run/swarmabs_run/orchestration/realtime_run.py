@@ -6,7 +6,7 @@ import signal
 import time
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.splitting import ONE_FILE, Split
+from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config.graph import RECORDER
 from swarmabs_config.realtime import check_realtime
 from swarmabs_ros.status import epoch_records

@@ -11,7 +11,7 @@ from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_scena
 from swarmabs_bag.channels import check_definitions
 from swarmabs_bag.errors import DamagedBagError, NotABagError, UnknownTypeError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime_recording import RECORDED
+from swarmabs_bag.realtime import RECORDED
 from swarmabs_bag.run_folder import new_folder
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.swarm_state import SwarmState
