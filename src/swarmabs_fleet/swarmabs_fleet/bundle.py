@@ -15,12 +15,11 @@ from pydantic import BeforeValidator, PlainSerializer, ValidationError
 
 from swarmabs_bag.channels import READABLE
 from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
-from swarmabs_config.fleet.names import Account, Address, FolderPath, Interface
 from swarmabs_config.fleet.participants import ports
+from swarmabs_config.fleet.parts import Account, Address, FolderPath, Interface
 from swarmabs_config.graph import RECORDER
-from swarmabs_config.scenario.fields import AsTuple, Model
+from swarmabs_config.scenario.fields import AsTuple, Model, Name
 from swarmabs_config.scenario.text_file import read_text
-from swarmabs_config.scenario.texts import Name
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.node_files import node_files

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_config.fleet.names import path_of
 from swarmabs_config.fleet.participants import DISCOVERY
-from swarmabs_config.fleet.parts import MeasuredPlane
+from swarmabs_config.fleet.parts import MeasuredPlane, path_of
 from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, REALTIME, RECORDER, ROBOT, SERVICES, endpoints
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.realtime.instruments import TopicSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmabs_config.scenario import loader
-from swarmabs_config.scenario.versions import upgraded
+from swarmabs_config.scenario.loader import upgraded
 from swarmabs_config.scenario.yaml_tree import Plain
 
 

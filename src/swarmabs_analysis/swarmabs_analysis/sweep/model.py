@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from swarmabs_config.overrides import DottedPath
 from swarmabs_config.scenario.errors import describe, show
 from swarmabs_config.scenario.fields import (
     AsPair,
@@ -20,12 +19,13 @@ from swarmabs_config.scenario.fields import (
     Model,
     Number,
     Positive,
+    known_version,
     nearest,
     problem,
     raise_findings,
 )
 from swarmabs_config.scenario.model import FolderName
-from swarmabs_config.scenario.versions import known_version
+from swarmabs_config.scenarios import DottedPath
 from swarmabs_core.theory.state_feedback import ANGLE_MAX
 
 MOST_CASES = 1_000_000

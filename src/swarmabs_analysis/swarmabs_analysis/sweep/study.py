@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.sweep.model import Sweep
-from swarmabs_config.overrides import as_override, at_parameter, named_scenario
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import default_name, read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
-from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.scenarios import as_override, at_parameter, find_scenario, named_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.model import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
-from swarmabs_config.overrides import as_override, at_parameter, named_scenario
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
+from swarmabs_config.scenario.fields import LONGEST_FILE_NAME, schema_of
 from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
-from swarmabs_config.scenario.texts import LONGEST
-from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.scenarios import as_override, at_parameter, find_scenario, named_scenario
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -100,10 +99,7 @@ def json_schema() -> dict[str, object]:
 
     It covers names, types, units and ranges. What involves several fields at once is checked when a file is loaded.
     """
-    schema = Fleet.model_json_schema(by_alias=True, mode="validation")
-    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    schema["title"] = "swarmabs fleet"
-    return schema
+    return schema_of(Fleet, "swarmabs fleet")
 
 
 def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
@@ -128,8 +124,8 @@ def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
 
 
 def _default_name(stem: str) -> str:
-    name = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in stem)[:LONGEST]
-    return name if name[:1].isalnum() else f"fleet{name}"[:LONGEST]
+    name = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in stem)[:LONGEST_FILE_NAME]
+    return name if name[:1].isalnum() else f"fleet{name}"[:LONGEST_FILE_NAME]
 
 
 def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:

@@ -10,23 +10,30 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from swarmabs_config.fleet import checks
-from swarmabs_config.fleet.names import Namespace
 from swarmabs_config.fleet.parts import (
     LEVELS,
     Coordinators,
     Host,
     Installation,
+    Namespace,
     NetworkConfig,
     Security,
     Time,
     TunnelSecurity,
 )
 from swarmabs_config.fleet.robots import ROBOT_KINDS, Robot
-from swarmabs_config.overrides import DottedPath
 from swarmabs_config.scenario.errors import show
-from swarmabs_config.scenario.fields import AsTuple, Model, Positive, Tagged, problem, raise_findings
-from swarmabs_config.scenario.texts import Name
-from swarmabs_config.scenario.versions import known_version
+from swarmabs_config.scenario.fields import (
+    AsTuple,
+    Model,
+    Name,
+    Positive,
+    Tagged,
+    known_version,
+    problem,
+    raise_findings,
+)
+from swarmabs_config.scenarios import DottedPath
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)

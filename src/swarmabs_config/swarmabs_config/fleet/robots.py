@@ -8,12 +8,11 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 from pydantic import Field, JsonValue, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from swarmabs_config.fleet.names import PluginName, SettingName
+from swarmabs_config.fleet.parts import PluginName, SettingName
 from swarmabs_config.scenario.agents import AgentId, Damping, Mass, Position, Velocity
 from swarmabs_config.scenario.declared import like, model_of
 from swarmabs_config.scenario.errors import describe
-from swarmabs_config.scenario.fields import LARGEST, Model, Positive, Tagged, problem
-from swarmabs_config.scenario.texts import Name
+from swarmabs_config.scenario.fields import LARGEST, Model, Name, Positive, Tagged, problem
 from swarmabs_core.behaviours.agent import RobotConfig
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.instruments import TopicSettings

@@ -9,13 +9,19 @@ from swarmabs_core.trajectory import Constant, QuinticStep, Sine
 
 from .agents import AGENT_KINDS, Agent, DoubleIntegratorAgent, Generate, SingleIntegratorAgent
 from .checks import spread
-from .controllers import TRAJECTORY_CONFIGS, ControllerConfig, CsvTrajectory
+from .controllers import (
+    CONTROLLER_CONFIGS,
+    TRAJECTORY_CONFIGS,
+    AriseConfig,
+    ControllerConfig,
+    CsvTrajectory,
+    LqrConfig,
+    PdConfig,
+)
 from .dump import dump_scenario
 from .errors import ScenarioError
 from .loader import load_scenario, parse_scenario
-from .model import FAULT_KINDS, OBSERVERS, Scenario, Swarm
-from .plugins import CONTROLLER_CONFIGS, AriseConfig, LqrConfig, PdConfig
-from .schema import json_schema
+from .model import FAULT_KINDS, OBSERVERS, Scenario, Swarm, json_schema
 
 __all__ = [
     "AGENT_KINDS",

@@ -19,8 +19,7 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .fault_checks import faults, lasting_faults, offset_law, settings
-from .fields import SMALLEST, Finding, Location
-from .timing import NANOSECONDS
+from .fields import NANOSECONDS, SMALLEST, Finding, Location
 
 if TYPE_CHECKING:
     from swarmabs_core.manifold import Manifold

@@ -18,9 +18,18 @@ from swarmabs_core.declaration import LONGEST_TIME, Part, Setting, attribute_of,
 from swarmabs_core.parameters import Parameter, Scalar, SettingError
 
 from .errors import show
-from .fields import LARGEST, Finding, Model, WithoutNegativeZero, as_error, as_tuple, not_tiny, problem
-from .texts import TEXTS
-from .timing import WholeNanoseconds
+from .fields import (
+    LARGEST,
+    TEXTS,
+    Finding,
+    Model,
+    WholeNanoseconds,
+    WithoutNegativeZero,
+    as_error,
+    as_tuple,
+    not_tiny,
+    problem,
+)
 
 _LARGEST_INTEGER = 2**63 - 1
 ModelT = TypeVar("ModelT", bound=Model)

@@ -1,9 +1,11 @@
-"""What all scenario models are built of: the strict base model, bounded numbers, lists and tagged choices."""
+"""What the models of files are built of: the strict base model, numbers, times, texts, lists and tagged choices."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from difflib import get_close_matches
-from typing import Annotated, TypeAlias
+from fractions import Fraction
+from typing import Annotated, Any, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +21,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from swarmabs_core.declaration import tree_of
+from swarmabs_core.declaration import LONGEST_TIME, tree_of
 from swarmabs_core.registry import PluginError
 
 from .errors import describe, shorten, show
@@ -116,6 +118,12 @@ class Model(BaseModel):
         return {key: value for key, value in data.items() if key in known}
 
 
+def schema_of(model: type[Model], title: str) -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of the files that a model describes."""
+    schema = model.model_json_schema(by_alias=True, mode="validation")
+    return {**schema, "$schema": "https://json-schema.org/draft/2020-12/schema", "title": title}
+
+
 def not_tiny(value: float) -> float:
     """Refuse a positive number that is next to nothing."""
     if value < SMALLEST:
@@ -133,6 +141,96 @@ WithoutNegativeZero = AfterValidator(_without_negative_zero)
 Number: TypeAlias = Annotated[float, Field(ge=-LARGEST, le=LARGEST), WithoutNegativeZero]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=LARGEST), WithoutNegativeZero]
 Positive: TypeAlias = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(not_tiny)]
+
+
+NANOSECONDS = 10**9
+
+
+def to_nanoseconds(seconds: float) -> int:
+    """Return `seconds` (s) as an integer number of nanoseconds, exactly as its decimal text says.
+
+    Raises
+    ------
+    ValueError
+        If the decimal is not a whole number of nanoseconds.
+    """
+    exact = Fraction(repr(seconds)) * NANOSECONDS
+    if exact.denominator != 1:
+        raise ValueError(f"{seconds!r} s is not a whole number of nanoseconds")
+    return exact.numerator
+
+
+def nearest_step(at: float, step_ns: int) -> int:
+    """Return round(at/step): `at` in s, `step_ns` in ns, the ratio taken exactly, ties to the even step."""
+    return round(Fraction(repr(at)) * NANOSECONDS / step_ns)
+
+
+def _whole_nanoseconds(seconds: float) -> float:
+    try:
+        to_nanoseconds(seconds)
+    except ValueError as exc:
+        raise problem(str(exc), "give at most nine decimals, e.g. 0.01") from None
+    return seconds + 0.0
+
+
+WholeNanoseconds = AfterValidator(_whole_nanoseconds)
+Duration: TypeAlias = Annotated[float, Field(gt=0, le=LONGEST_TIME), WholeNanoseconds]
+"""A positive time in s that is a whole number of nanoseconds."""
+
+
+WORD = r"[A-Za-z_][A-Za-z0-9_]*"
+
+
+def matching(pattern: str, what: str, remedy: str, longest: int = 255) -> AfterValidator:
+    """Return a validator of texts that match a pattern as a whole; errors say `what` a text is not, and the remedy."""
+    expression = re.compile(pattern)
+
+    def check(text: str) -> str:
+        if not expression.fullmatch(text) or len(text) > longest:
+            raise problem(f"{show(text)} is no {what}", remedy)
+        return text
+
+    return AfterValidator(check)
+
+
+TopicName: TypeAlias = Annotated[
+    str, matching(rf"(/?{WORD}(/{WORD})*)?", "name of a topic", "write e.g. /odom; letters, digits, _ and /")
+]
+"""A topic, or nothing for one below the node's own name."""
+FrameName: TypeAlias = Annotated[
+    str, matching(r"[A-Za-z0-9_./-]*", "name of a frame or joint", "use letters, digits, '_', '.', '-' and '/'")
+]
+
+LONGEST_FILE_NAME = 32
+"""Of names of fleets and hosts, which become parts of names of units and folders."""
+Name: TypeAlias = Annotated[
+    str,
+    matching(
+        r"[A-Za-z0-9][A-Za-z0-9_-]*",
+        "name for folders and units",
+        f"use 1 to {LONGEST_FILE_NAME} letters, digits, - and _, first a letter or a digit",
+        LONGEST_FILE_NAME,
+    ),
+]
+"""A fleet or a host."""
+
+TEXTS: dict[str, Any] = {"name": Name, "topic": TopicName, "frame": FrameName}
+"""Type of a setting by what its text names."""
+
+SCHEMA_VERSION = 1
+"""The newest version of the files; how older ones are read: `loader.upgraded`."""
+
+
+def known_version(value: object) -> object:
+    """Refuse, as a field's validator, every version but the newest."""
+    if type(value) is int and value > SCHEMA_VERSION:
+        raise problem(
+            f"{describe(value)} is a newer version than this one reads ({SCHEMA_VERSION})",
+            "update swarmabs",
+        )
+    if type(value) is not int or value != SCHEMA_VERSION:
+        raise problem(f"expected {SCHEMA_VERSION}, found {describe(value)}", f"write 'schema: {SCHEMA_VERSION}'")
+    return value
 
 
 def as_tuple(length: int | None) -> Callable[[object], object]:

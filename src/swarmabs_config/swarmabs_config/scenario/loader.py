@@ -5,9 +5,9 @@ Other files in YAML that are checked as strictly, such as sweeps, are read with 
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -18,11 +18,16 @@ from .model import LONGEST_NAME, Scenario
 from .overrides import apply_overrides
 from .reference_file import with_rows
 from .text_file import read_text
-from .versions import upgraded
 from .yaml_tree import Node, Plain, dotted, read_tree
 
 _NUMERIC = re.compile(r"\s*[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\s*")
 _START = "begin with 'schema: 1'"
+
+Upgrade: TypeAlias = Callable[[dict[str, Plain]], dict[str, Plain]]
+"""Makes the content of a scenario of the next version from that of one version, all but ``schema``."""
+
+UPGRADES: tuple[Upgrade, ...] = ()
+"""The first leads from schema 1 to schema 2, and so on; there is one version so far."""
 
 AnyModel = TypeVar("AnyModel", bound=Model)
 
@@ -123,6 +128,26 @@ def validated(model: type[AnyModel], data: Plain, root: Node) -> AnyModel:
         return model.model_validate(data)
     except ValidationError as exc:
         raise _first_error(exc, root) from exc
+
+
+def upgraded(data: dict[str, Plain], upgrades: Sequence[Upgrade] = UPGRADES) -> dict[str, Plain]:
+    """Return a scenario's content as one of the newest version.
+
+    What has no version, or one that is not known, comes back as it is: the check of the fields refuses it.
+
+    Parameters
+    ----------
+    data : dict
+        The content of a scenario file.
+    upgrades : sequence of callable
+        One for each version but the newest.
+    """
+    version = data.get("schema")
+    if type(version) is not int or not 1 <= version <= len(upgrades):
+        return data
+    for upgrade in upgrades[version - 1 :]:
+        data = upgrade(data)
+    return {**data, "schema": 1 + len(upgrades)}
 
 
 def default_name(stem: str) -> str:

@@ -18,19 +18,31 @@ from swarmabs_core.swarm_law import SwarmGains
 
 from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
-from .controllers import DEFAULT_CONTROLLER, ControllerConfig
+from .controllers import (
+    CONTROLLER_CONFIGS,
+    DEFAULT_CONTROLLER,
+    DEFAULT_LAW,
+    LAW_CONFIGS,
+    ControllerConfig,
+    LawConfig,
+    PaperLaw,
+    PdConfig,
+)
 from .declared import Declared, Like, declared_field, like, model_of
 from .errors import describe
 from .fields import (
+    NANOSECONDS,
     AsTuple,
+    Duration,
     Model,
     Tagged,
+    known_version,
+    nearest_step,
     problem,
     raise_findings,
+    schema_of,
+    to_nanoseconds,
 )
-from .plugins import CONTROLLER_CONFIGS, DEFAULT_LAW, LAW_CONFIGS, LawConfig, PaperLaw, PdConfig
-from .timing import NANOSECONDS, Duration, nearest_step, to_nanoseconds
-from .versions import known_version
 
 LONGEST_NAME = 60
 
@@ -207,3 +219,12 @@ class Scenario(Model):
     def warnings(self) -> tuple[str, ...]:
         """Return what is legal but likely to go wrong, one line each."""
         return checks.warnings(self)
+
+
+def json_schema() -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of a scenario file, with the registered controllers and trajectories.
+
+    It covers names, types, units and ranges. What involves several fields at once is not in it: that is
+    checked when a scenario is loaded.
+    """
+    return schema_of(Scenario, "swarmabs scenario")

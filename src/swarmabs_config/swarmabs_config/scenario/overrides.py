@@ -3,11 +3,10 @@
 import json
 from collections.abc import Mapping, Sequence
 
-from .controllers import DEFAULT_CONTROLLER, DEFAULT_TRAJECTORY
+from .controllers import DEFAULT_CONTROLLER, DEFAULT_LAW, DEFAULT_TRAJECTORY
 from .errors import describe, shorten
 from .fields import Location
 from .model import DEFAULT_OBSERVER, Scenario
-from .plugins import DEFAULT_LAW
 from .yaml_tree import Entry, Mark, Node, read_tree
 
 _LONGEST_SHOWN = 100
