@@ -11,7 +11,7 @@ from abstraction_observer.realtime import PARAMETERS
 from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
-from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.realtime.validation import Bounds
 
 
 def test_every_parameter_reaches_the_configuration() -> None:

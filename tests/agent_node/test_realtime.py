@@ -12,7 +12,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.swarm_law import SwarmGains
 

@@ -24,15 +24,15 @@ def made(**values: str | float) -> tuple[RealtimeSpec, RealtimeController]:
 def test_it_answers_the_plane_and_takes_an_operators_commands() -> None:
     spec, controller = made()
     assert spec.wakes == (PLANE_STATE,)
-    assert controller.mode is Mode.RUN
+    assert controller._mode is Mode.RUN
     spec.services["swarm/stop"](PERIOD)
-    assert controller.mode is Mode.STOP
+    assert controller._mode is Mode.STOP
     spec.services["swarm/reset"](2 * PERIOD)
-    assert controller.mode is Mode.RESET
+    assert controller._mode is Mode.RESET
 
 
 def test_a_fleet_begins_in_a_stop() -> None:
-    assert made(start_mode="stop")[1].mode is Mode.STOP
+    assert made(start_mode="stop")[1]._mode is Mode.STOP
 
 
 def test_the_age_limit_of_the_plane_and_the_tolerance_of_clocks_are_the_parameters() -> None:

@@ -9,7 +9,7 @@ from swarmabs_core.friction import Friction
 from swarmabs_core.plant import STEEPEST, Disturbance, Plane
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
-from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.sensing import PlaneSensor
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import MutableMapping
+from collections import UserDict
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -11,11 +11,11 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AgentState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
 
-class MemoryFile(MutableMapping[int, AgentState]):
+class MemoryFile(UserDict[int, AgentState]):
     """Last states of silent robots by id, kept in a file that is replaced as a whole with each change.
 
     Parameters
@@ -32,9 +32,9 @@ class MemoryFile(MutableMapping[int, AgentState]):
     """
 
     def __init__(self, path: Path, on_problem: Callable[[str], None]) -> None:
+        super().__init__()
         self._path = path
         self._on_problem = on_problem
-        self._states: dict[int, AgentState] = {}
         try:
             text = path.read_text(encoding="utf-8")
         except FileNotFoundError:
@@ -44,33 +44,24 @@ class MemoryFile(MutableMapping[int, AgentState]):
         try:
             for item in json.loads(text)["silent"]:
                 state = _state(item)
-                self._states[state.agent_id] = state
+                self.data[state.agent_id] = state
         except (ValueError, TypeError, KeyError) as error:
             raise InputError(
                 f"parameter memory: {path} holds no states of robots ({error}); remove it, or give another file"
             ) from error
 
-    def __getitem__(self, agent_id: int) -> AgentState:
-        return self._states[agent_id]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._states)
-
-    def __len__(self) -> int:
-        return len(self._states)
-
     def __setitem__(self, agent_id: int, state: AgentState) -> None:
-        self._states[agent_id] = state
+        super().__setitem__(agent_id, state)
         self._write()
 
     def __delitem__(self, agent_id: int) -> None:
-        del self._states[agent_id]
+        super().__delitem__(agent_id)
         self._write()
 
     def _write(self) -> None:
         """Replace the file."""
         new = self._path.with_name(f"{self._path.name}.new")
-        silent = [state._asdict() for _, state in sorted(self._states.items())]
+        silent = [state._asdict() for _, state in sorted(self.data.items())]
         try:
             new.write_text(json.dumps({"silent": silent}) + "\n", encoding="utf-8")
             new.replace(self._path)

@@ -13,7 +13,7 @@ from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
 from swarmabs_core.realtime.base import PLANE_PHASE, Health, Level, Realtime, Schedule, StepCounter
 from swarmabs_core.realtime.instruments import PlaneInstrument
-from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.realtime.validation import Refusals
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.readings import (
     Imu,

@@ -14,7 +14,7 @@ from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import RealtimeControllerConfig
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
-from swarmabs_core.realtime.plausibility import Bounds
+from swarmabs_core.realtime.validation import Bounds
 
 if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario

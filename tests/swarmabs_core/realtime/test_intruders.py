@@ -20,9 +20,9 @@ from tests.swarmabs_core.realtime.nodes import (
 
 from swarmabs_config import realtime as configure
 from swarmabs_core.messages import DesiredAbstractState, EventKind, PlaneState, SwarmEvent
-from swarmabs_core.realtime.heard import Heard
 from swarmabs_core.realtime.observer import Role
 from swarmabs_core.realtime.plane import RealtimePlane
+from swarmabs_core.realtime.validation import Heard
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message

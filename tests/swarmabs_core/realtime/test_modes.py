@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from tests.swarmabs_core.realtime.nodes import Body, at, broadcasts, kinds, robot, tell
 
 from swarmabs_core.messages import EventKind, Mode
-from swarmabs_core.realtime.modes import ModeLatch
+from swarmabs_core.realtime.broadcasts import ModeLatch
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message

@@ -41,7 +41,7 @@ from swarmabs_core.realtime.agent import HELD, RealtimeAgent
 from swarmabs_core.realtime.base import Level, StepCounter
 from swarmabs_core.realtime.observer import RealtimeObserver, Role
 from swarmabs_core.realtime.plane import RealtimePlane
-from swarmabs_core.realtime.refusals import QUIET_NS, Refusals
+from swarmabs_core.realtime.validation import QUIET_NS, Refusals
 
 
 def test_a_state_tells_the_command_that_led_to_it() -> None:
@@ -281,10 +281,10 @@ def test_a_swarm_that_waits_for_a_reset_is_told_so_without_a_plane() -> None:
     modes = {desired(node.tick(at(step + 0.75))).mode for step in range(5, 103)}
     assert modes == {Mode.RESET}
     node.tick(at(104.75))
-    assert node.mode is Mode.RUN
-    assert node.first_step is None
+    assert node._mode is Mode.RUN
+    assert node._first_step is None
     assert desired(node.hear(PlaneState(0, 105, 0.1, 0.0), at(105.5))).mode == Mode.RUN
-    assert node.first_step == 105
+    assert node._first_step == 105
 
 
 def test_only_one_desired_state_of_a_mode_is_published_per_step() -> None:

@@ -11,7 +11,7 @@ from tests.swarmabs_core.realtime.nodes import CLOCK, at, controller, kinds, obs
 from swarmabs_config import realtime as configure
 from swarmabs_core.messages import NEVER, AbstractState, AgentState, EventKind, PlaneState, Status, SwarmEvent
 from swarmabs_core.realtime.observer import RealtimeObserver, Role
-from swarmabs_core.realtime.plausibility import FASTEST_TURN, Bounds
+from swarmabs_core.realtime.validation import FASTEST_TURN, Bounds
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message

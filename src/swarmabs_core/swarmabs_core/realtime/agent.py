@@ -16,8 +16,7 @@ from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.drive_registry import DRIVES, SIMULATED
 from swarmabs_core.realtime.drives import Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
-from swarmabs_core.realtime.plausibility import Bounds
-from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.realtime.validation import Bounds, Refusals
 from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, RobotController
 
 if TYPE_CHECKING:
@@ -180,8 +179,7 @@ class RealtimeAgent:
             ("position, m", "none" if m is None else f"{m.position:.4f}"),
             ("velocity, m/s", "none" if m is None else f"{m.velocity:.4f}"),
             ("command", f"{self._command:.4f}"),
-            ("refused", str(self._refusals.total)),
-            ("last refusal", self._refusals.latest),
+            *self._refusals.values(),
             *(self._drive.report() if isinstance(self._drive, Reporting) else ()),
         )
         if self._farewells is not None:

@@ -14,32 +14,63 @@ from swarmabs_core.messages import (
     Mode,
     Topic,
 )
-from swarmabs_core.realtime.heard import Heard
-from swarmabs_core.realtime.modes import ModeLatch
+from swarmabs_core.realtime.validation import Heard
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from swarmabs_core.realtime.base import Schedule
-    from swarmabs_core.realtime.plausibility import Bounds
+    from swarmabs_core.realtime.validation import Bounds
 
 MOST_GUARD = 0.5
 """Time by which a RESET must at most be newer than the last STOP, s: half of that for which RESET is said."""
 MOST_CHANGES = 2
 """Steps within the age limit in which a parent controller may change its mode; more often, there are two of them."""
+_LONG_AGO = -(2**62)
+
+
+class ModeLatch:
+    """Whether the swarm is stopped: what STOP closes and RESET opens.
+
+    It is the same for the same messages, in whatever order and however often they arrive: only the newest step of each
+    counts. A RESET wins only if it is more than `guard` steps newer than the newest STOP: whoever says RESET from as
+    far in the future as is allowed does not overrule one who goes on to say STOP. A controller whose operator resets
+    says no STOP any more, and RESET for long enough to come beyond the guard.
+
+    Attributes
+    ----------
+    reset_step : int
+        Newest step of a RESET.
+    """
+
+    def __init__(self, guard: int) -> None:
+        self._guard = guard
+        self._stop_step: int | None = None
+        self.reset_step = _LONG_AGO
+
+    @property
+    def stopped(self) -> bool:
+        """Whether STOP was heard and no RESET that opens it."""
+        return self._stop_step is not None and self.reset_step - self._stop_step <= self._guard
+
+    def stop(self, step: int) -> None:
+        """Take a STOP of a step."""
+        self._stop_step = step if self._stop_step is None else max(self._stop_step, step)
+
+    def reset(self, step: int) -> None:
+        """Take a RESET of a step, which must have been found good."""
+        self.reset_step = max(self.reset_step, step)
+
+    def forget(self, step: int) -> None:
+        """Forget the steps since they were counted by another clock; who is stopped, is so as of now."""
+        self._stop_step = step if self.stopped else None
+        self.reset_step = _LONG_AGO
 
 
 class BroadcastInbox:
     """Takes broadcasts in any order and keeps the newest complete set of those that can be vouched for.
 
-    Parameters
-    ----------
-    schedule : Schedule
-        How time becomes steps.
-    age_limit, clock_tolerance : float
-        From which age on a broadcast is outdated, and by how much it may be from the future, s.
-    bounds : Bounds
-        What a broadcast may say.
+    From the age limit (s) on a broadcast is outdated, and by the tolerance (s) it may be from the future.
 
     Attributes
     ----------

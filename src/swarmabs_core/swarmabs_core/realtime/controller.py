@@ -25,9 +25,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule
-from swarmabs_core.realtime.heard import Heard
-from swarmabs_core.realtime.plausibility import Bounds
-from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.realtime.validation import Bounds, Heard, Refusals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,16 +100,6 @@ class RealtimeController:
         self._first_step: int | None = None
         self._law_step = -1
 
-    @property
-    def mode(self) -> Mode:
-        """What is asked of the swarm."""
-        return self._mode
-
-    @property
-    def first_step(self) -> int | None:
-        """Step at which the law's time began, None if it has not."""
-        return self._first_step
-
     def hear(self, message: Message, now: int) -> Messages:
         """Take a state of the plane or of the swarm; answer the desired abstract state of the step."""
         if isinstance(message, AbstractState):
@@ -167,8 +155,7 @@ class RealtimeController:
             ("desired torque, N m", "none" if asked is None else f"{asked.torque:.4f}"),
             ("desired inertia, kg m^2", "none" if asked is None else f"{asked.inertia:.5f}"),
             ("angle, rad", "none" if plane is None else f"{plane.angle:.4f}"),
-            ("refused", str(self._refusals.total)),
-            ("last refusal", self._refusals.latest),
+            *self._refusals.values(),
         )
         if self._mode is not Mode.RUN:
             return Health(Level.WARN, f"{self._mode.name}: {self._why}", values)

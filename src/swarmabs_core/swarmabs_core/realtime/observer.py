@@ -25,9 +25,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import FEWEST, Health, Level, Realtime, Schedule, StepCounter
-from swarmabs_core.realtime.heard import TWO_STATES, Heard
-from swarmabs_core.realtime.plausibility import Bounds
-from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -160,7 +158,7 @@ class RealtimeObserver:
         self._memory: MutableMapping[int, AgentState] = {} if memory is None else memory
         self._sums = RealtimeSums(config)
         self._age = config.schedule.steps(config.state_age_limit)
-        self._heard: Heard[int] = Heard(self._age, config.schedule.ahead(config.clock_tolerance))
+        self._heard = HeardStates(self._age, config.schedule.ahead(config.clock_tolerance))
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
         self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
         # The steps that the states were of, also of those that are taken to be from long ago.
@@ -211,7 +209,7 @@ class RealtimeObserver:
         count = {role: sum(r is role for r in self.roles.values()) for role in Role}
         ids = {role: [i for i, r in self.roles.items() if r is role][:20] for role in Role}
         values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
-        values = (*values, ("refused", str(self._refusals.total)), ("last refusal", self._refusals.latest))
+        values = (*values, *self._refusals.values())
         if not self._started:
             heard = self._known()
             return Health(Level.WARN, f"waits for robots: {heard} heard, {self._needed} needed", values)
@@ -226,14 +224,7 @@ class RealtimeObserver:
             return "not a robot's state"
         if message.agent_id not in self.roles:
             return f"robot {message.agent_id} is not a member of this swarm"
-        who = f"robot {message.agent_id}"
-        if self._heard.from_future(message, step):
-            return f"{who}: a state from the future; the clocks differ, or it is of another swarm"
-        problem = self._bounds.problem(message) or self._overweight(message)
-        if not problem:
-            self._heard.add(message.agent_id, message, step)
-            problem = TWO_STATES if self._heard.doubts(message.agent_id, step) else ""
-        return f"{who}: {problem}" if problem else ""
+        return self._heard.problem(message, step, self._bounds.problem(message) or self._overweight(message))
 
     def _overweight(self, state: AgentState) -> str:
         """Return that there is not so much mass left beside that of the other robots on the plane."""

@@ -32,9 +32,7 @@ from swarmabs_core.plant import (
     swarm_load,
 )
 from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
-from swarmabs_core.realtime.heard import TWO_STATES, Heard
-from swarmabs_core.realtime.plausibility import Bounds
-from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
 from swarmabs_core.sensing import measured_plane
 
 if TYPE_CHECKING:
@@ -154,7 +152,7 @@ class RealtimePlane:
         self._newest: dict[int, AgentState] = {}
         self._before: dict[int, AgentState] = {}
         ahead = config.schedule.ahead(config.clock_tolerance)
-        self._heard: Heard[int] = Heard(config.schedule.steps(DOUBT), ahead)
+        self._heard = HeardStates(config.schedule.steps(DOUBT), ahead)
         self._members = frozenset(config.members)
         self._released: int | None = None
         self._counter = StepCounter(config.schedule)
@@ -166,14 +164,9 @@ class RealtimePlane:
         step = self._config.schedule.step(now)
         if not isinstance(message, AgentState) or message.agent_id not in self._members:
             return self._refusals.add("not a state of a robot of this swarm", step, now)
-        problem = self._bounds.problem(message)
-        if self._heard.from_future(message, step):
-            problem = "a state from the future; the clocks differ, or it is of another swarm"
-        elif not problem:
-            self._heard.add(message.agent_id, message, step)
-            problem = TWO_STATES if self._heard.doubts(message.agent_id, step) else ""
+        problem = self._heard.problem(message, step, self._bounds.problem(message))
         if problem:
-            return self._refusals.add(f"robot {message.agent_id}: {problem}", step, now)
+            return self._refusals.add(problem, step, now)
         known = self._newest.get(message.agent_id)
         if known is not None and message.step <= known.step:
             return ()
@@ -213,8 +206,7 @@ class RealtimePlane:
             ("angle, rad", f"{self._angle:.4f}"),
             ("angular velocity, rad/s", f"{self._angular_velocity:.4f}"),
             ("robots on it", str(len(self._robots()))),
-            ("refused", str(self._refusals.total)),
-            ("last refusal", self._refusals.latest),
+            *self._refusals.values(),
         )
         if self._released is None:
             return Health(Level.WARN, "held until a robot follows the broadcasts", values)

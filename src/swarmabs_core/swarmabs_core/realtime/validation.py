@@ -1,0 +1,247 @@
+"""Which messages a node in real time believes: numbers that are possible, none from the future, no contradictions.
+
+In lockstep a node gathers all messages of a step (`swarmabs_core.behaviours.base.Gathering`). Here it takes the newest,
+so it has to notice by itself when two senders claim one place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from swarmabs_core.declaration import setting
+from swarmabs_core.messages import (
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    DesiredAbstractState,
+    EventKind,
+    Kind,
+    Message,
+    Messages,
+    Mode,
+    PlaneState,
+    Status,
+    SwarmEvent,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+Place = TypeVar("Place")
+"""What tells messages of a step apart that do not exclude each other; hashable."""
+
+QUIET_NS = 10_000_000_000
+"""Time between two reports of the same reason, ns: an intruder must not flood the events."""
+MOST_REASONS = 100
+"""Reasons that are told apart; of more, only the number is kept."""
+SLACK = 1.05
+"""By how much a bound may be exceeded: a measured position is never exact."""
+_ROUNDING = 1e-6
+LEAST_DAMPING_TIME = 1e-3
+"""Shortest time constant of a robot's own damping that is credible, in periods."""
+FASTEST_TURN = 100.0
+"""Largest credible angular velocity of the plane, rad/s: from one end stop to the other within three periods."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What is known beforehand of a swarm and its plane; the period (s) is the shortest time to cross the plane in."""
+
+    gravity: float
+    plane_length: float
+    swarm_mass: float = setting(
+        inf, "mass of all robots that ever take part, kg, which bounds what is believed", above=0.0, unset=0.0
+    )
+    period: float = 0.001
+
+    @property
+    def reach(self) -> float:
+        """Largest credible distance of a robot from the axis, m."""
+        return 0.5 * self.plane_length * SLACK
+
+    @property
+    def fastest(self) -> float:
+        """Largest credible speed of a robot, m/s."""
+        return self.plane_length / self.period * SLACK
+
+    def exceeds(self, mass: float) -> bool:
+        """Tell whether a mass (kg) is more than that of the whole swarm."""
+        return mass > self.swarm_mass * (1.0 + _ROUNDING)
+
+    def problem(self, message: Message) -> str:
+        """Return why a message cannot be true; empty if it can."""
+        if not all(isfinite(value) for value in message if isinstance(value, float)):
+            return "not all of its numbers are finite"
+        if isinstance(message, AbstractState):
+            return self._abstract(message)
+        if isinstance(message, AuxiliaryState):
+            return self._sums(message)
+        if isinstance(message, DesiredAbstractState):
+            return "" if message.mode in tuple(Mode) else f"there is no mode {message.mode}"
+        if isinstance(message, AgentState):
+            return self._robot(message)
+        if isinstance(message, PlaneState):
+            return self._plane(message)
+        return ""
+
+    def _plane(self, state: PlaneState) -> str:
+        if abs(state.angle) > 3.2:
+            return f"an angle of {state.angle:.4g} rad"
+        if abs(state.angular_velocity) > FASTEST_TURN:
+            return f"an angular velocity of {state.angular_velocity:.4g} rad/s, at most {FASTEST_TURN:g} is credible"
+        return ""
+
+    def _abstract(self, state: AbstractState) -> str:
+        mass, arm = self.swarm_mass * (1.0 + 2.0 * _ROUNDING), self.reach
+        weight = self.gravity * mass
+        if abs(state.torque) > weight * arm:
+            return f"a torque of {state.torque:.4g} N m, more than the swarm can exert"
+        if not 0.0 <= state.inertia <= mass * arm * arm:
+            return f"an inertia of {state.inertia:.4g} kg m^2, which the swarm cannot have"
+        rate, inertia_rate = abs(state.torque_rate), abs(state.inertia_rate)
+        if rate > weight * self.fastest or inertia_rate > 2.0 * mass * arm * self.fastest:
+            return f"rates of {state.torque_rate:.4g} N m/s and {state.inertia_rate:.4g} kg m^2/s: robots too fast"
+        return ""
+
+    def _sums(self, sums: AuxiliaryState) -> str:
+        arm = self.reach
+        if sums.s0 < 0.0 or sums.s2 < 0.0 or sums.s3 < 0.0 or sums.d0 < 0.0 or sums.d2 < 0.0 or sums.q < 0.0:
+            return "a sum of squares is negative"
+        if sums.s0 > self.swarm_mass * self.swarm_mass * SLACK:
+            return f"S0 = {sums.s0:.4g} kg^2, more than the swarm's mass allows"
+        if abs(sums.s1) > sums.s0 * arm or sums.s2 > sums.s0 * arm * arm:
+            return "S1 or S2 puts robots off the plane"
+        product = sums.s0 * sums.s2
+        if abs(sums.s3 - (product - sums.s1 * sums.s1)) > _ROUNDING * product:
+            return "S3 is not S0 S2 - S1^2"
+        return ""
+
+    def _robot(self, state: AgentState) -> str:
+        if state.kind not in tuple(Kind) or state.status not in tuple(Status):
+            return f"there is no kind {state.kind} or no status {state.status}"
+        if not state.mass > 0.0 or state.damping < 0.0:
+            return f"a mass of {state.mass:.4g} kg and a damping of {state.damping:.4g} N s/m"
+        if abs(state.position) > self.reach:
+            return f"a position of {state.position:.4g} m, which is off the plane"
+        if self.exceeds(state.mass):
+            return f"a mass of {state.mass:.4g} kg, more than the swarm's {self.swarm_mass:.4g} kg"
+        if abs(state.velocity) > self.fastest:
+            return f"a velocity of {state.velocity:.4g} m/s, at most {self.fastest:.4g} is credible"
+        if state.damping * self.period * LEAST_DAMPING_TIME > state.mass:
+            return f"a damping of {state.damping:.4g} N s/m, too much for a mass of {state.mass:.4g} kg"
+        return ""
+
+
+class Heard(Generic[Place]):
+    """The first message of each step and place, for as long as another one may come there, and where two differed.
+
+    Nodes believe the newest message. What is from the future is the newest until its step has come, so it is not enough
+    to compare with the newest: whoever is always ahead would never be compared with those whom he has overtaken.
+    Messages are kept of so many steps older (`age`) and newer (`ahead`) than now.
+    """
+
+    def __init__(self, age: int, ahead: int) -> None:
+        self._age = age
+        self._ahead = ahead
+        self._steps: dict[int, dict[Place, Message]] = {}
+        self._contradicted: dict[Place, int] = {}
+
+    def from_future(self, message: Message, step: int) -> bool:
+        """Tell whether a message is newer than clocks that agree allow in a step."""
+        return message.step > step + self._ahead
+
+    def add(self, place: Place, message: Message, step: int) -> bool:
+        """Keep a message that is the first in its place; tell whether it differs from the first.
+
+        One of a step that is not kept differs from nothing; `step` is the one that it is now.
+        """
+        if not step - self._age <= message.step <= step + self._ahead:
+            return False
+        if message.step not in self._steps:
+            kept = range(step - self._age, step + self._ahead + 1)
+            self._steps = {k: heard for k, heard in self._steps.items() if k in kept}
+        differs = self._steps.setdefault(message.step, {}).setdefault(place, message) != message
+        if differs:
+            self.doubt(place, step)
+        return differs
+
+    def doubt(self, place: Place, step: int) -> None:
+        """Believe nothing of a place from a step on, until the messages of that step are outdated."""
+        self._contradicted[place] = step
+
+    def doubts(self, place: Place, step: int) -> bool:
+        """Tell whether nothing of a place is to be believed: two differed, and nobody knows who was first."""
+        since = self._contradicted.get(place)
+        return since is not None and step - since <= self._age
+
+    def doubts_any(self, step: int) -> bool:
+        """Tell whether nothing of some place is to be believed."""
+        return any(self.doubts(place, step) for place in self._contradicted)
+
+    def of(self, step: int) -> Mapping[Place, Message]:
+        """Return what was heard of a step, by its place, in the order in which it came."""
+        return self._steps.get(step, {})
+
+    def steps(self) -> Collection[Mapping[Place, Message]]:
+        """Return what was heard of each step that is kept."""
+        return self._steps.values()
+
+    def forget(self) -> None:
+        """Forget everything."""
+        self._steps.clear()
+        self._contradicted.clear()
+
+
+class HeardStates(Heard[int]):
+    """The robots' states."""
+
+    def problem(self, state: AgentState, step: int, impossible: str) -> str:
+        """Return why a state is not believed, be it that it is impossible; empty if it is."""
+        problem = impossible
+        if self.from_future(state, step):
+            problem = "a state from the future; the clocks differ, or it is of another swarm"
+        elif not impossible:
+            self.add(state.agent_id, state, step)
+            problem = "two different states of a step" if self.doubts(state.agent_id, step) else ""
+        return f"robot {state.agent_id}: {problem}" if problem else ""
+
+
+class Refusals:
+    """Counts what a node, of a robot or of none (0), has refused.
+
+    Each reason is reported once, and again when it has not occurred for a while.
+
+    Attributes
+    ----------
+    total : int
+        Messages refused so far.
+    latest : str
+        The latest reason.
+    """
+
+    def __init__(self, agent_id: int = 0) -> None:
+        self._agent_id = agent_id
+        self._reported: dict[str, int] = {}
+        self._since: dict[str, int] = {}
+        self.total = 0
+        self.latest = ""
+
+    def add(self, reason: str, step: int, now: int) -> Messages:
+        """Note a refusal and return the event, if it is to be reported; `reason` has few variants."""
+        self.total += 1
+        self.latest = reason
+        if reason not in self._reported and len(self._reported) >= MOST_REASONS:
+            return ()
+        count = self._since.get(reason, 0) + 1
+        last = self._reported.get(reason)
+        if last is not None and now - last < QUIET_NS:
+            self._since[reason] = count
+            return ()
+        self._reported[reason], self._since[reason] = now, 0
+        return (SwarmEvent(now, max(0, step), self._agent_id, EventKind.REFUSED, float(count), reason),)
+
+    def values(self) -> tuple[tuple[str, str], ...]:
+        """Return the figures of a state of health."""
+        return ("refused", str(self.total)), ("last refusal", self.latest)
