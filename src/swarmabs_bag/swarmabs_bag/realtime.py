@@ -22,7 +22,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.refusals import Refusals
+from swarmabs_core.realtime.validation import Refusals
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
