@@ -13,8 +13,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from swarmabs_analysis.figures.mapping_example import draw_mapping_example
-from swarmabs_analysis.figures.position_mapping import draw_position_mapping
+from swarmabs_analysis.figures.abstract_space import draw_mapping_example, draw_position_mapping
 from swarmabs_analysis.figures.style import styled
 
 Floats = NDArray[np.float64]

@@ -17,6 +17,17 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 Floats: TypeAlias = NDArray[np.float64]
 
 
+def box_positions(masses: Sequence[float], length: float, count: int, seed: int) -> Floats:
+    """Return `count` positions (m) of all robots, uniform on the plane: one row for each, one column per robot."""
+    return np.random.default_rng(seed).uniform(-length / 2, length / 2, (count, len(masses)))
+
+
+def abstract_states(positions: Floats, masses: Sequence[float], gravity: float) -> tuple[Floats, Floats]:
+    """Return torques (N m) and inertias (kg m^2) of positions (m), which have one row for each state."""
+    weights = np.asarray(masses)
+    return gravity * (positions * weights).sum(axis=1), (positions**2 * weights).sum(axis=1)
+
+
 def preimage_positions(
     torque: float, inertia: float, masses: Sequence[float], gravity: float, count: int, seed: int
 ) -> Floats:

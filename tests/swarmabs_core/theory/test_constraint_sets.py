@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize
-from tests.swarmabs_core.theory.preimages import preimage_positions
+from tests.swarmabs_core.theory.preimages import abstract_states, box_positions, preimage_positions
 
-from swarmabs_analysis.figures.constraint_samples import abstract_states, box_positions
 from swarmabs_core.theory.constraint_sets import Bracket, ConstraintSets, StateClass, box_edges
 
 G = 9.81
@@ -83,7 +82,7 @@ def optimised(objective: np.ndarray, torque: float, masses: tuple[float, ...], s
 def test_largest_inertia_is_that_of_the_best_vertex(masses: list[float], fraction: float) -> None:
     torque = fraction * G * sum(masses) / 2
     found = ConstraintSets(masses, 1.0, G).largest_inertia(torque)
-    assert found.exact
+    assert found.lower == found.upper
     assert found.lower == pytest.approx(enumerated_largest_inertia(torque * (1 - 1e-15), masses, 1.0), rel=1e-10)
 
 
@@ -137,7 +136,7 @@ def test_bracket_of_many_robots_holds_the_largest_inertia(count: int, width: flo
         assert found.lower <= exact * (1 + 1e-14) and exact * (1 - 1e-14) <= found.upper, moment
         assert found.lower >= exact - width * total
         if total - moment <= 2 * weights[13]:
-            assert found.exact
+            assert found.lower == found.upper
 
 
 def test_any_number_of_equal_robots_is_exact() -> None:
@@ -271,7 +270,7 @@ def test_classes_of_the_four_robots_from_below_to_above() -> None:
 def test_undecided_only_in_the_bracket() -> None:
     weights = np.random.default_rng(1).uniform(0.25, 0.75, 200).tolist()
     bound = ConstraintSets(weights, 1.0, G).largest_inertia(3.0)
-    assert not bound.exact
+    assert bound.lower < bound.upper
     for inertia, expected in (
         (bound.lower, StateClass.PARTIAL),
         ((bound.lower + bound.upper) / 2, StateClass.UNDECIDED),
@@ -318,7 +317,7 @@ def test_the_papers_manifold_leaves_a_a_long_before_its_end() -> None:
         elif torque >= 2.4:
             assert outside.any()
     # It does stay in A_A or A_P: up to 5.777, on which vertices enumerated on a grid agree.
-    assert reach.reachable.exact
+    assert reach.reachable.lower == reach.reachable.upper
     assert reach.reachable.lower == pytest.approx(5.777, abs=5e-4)
     below = [
         0.0125 * torque**2 + 0.025 <= enumerated_largest_inertia(torque, list(PAPER), 1.0)
@@ -339,7 +338,7 @@ def test_reach_separates_the_classes(masses: list[float], curvature: float, offs
         return ConstraintSets(masses, 1.0, G).classify(torque, curvature * torque * torque + offset)
 
     reachable = {StateClass.ADMISSIBLE, StateClass.PARTIAL}
-    assert reach.reachable.exact
+    assert reach.reachable.lower == reach.reachable.upper
     for limit, classes in ((reach.admissible, {StateClass.ADMISSIBLE}), (reach.reachable.lower, reachable)):
         if limit == -math.inf:
             assert at(0.0) not in classes

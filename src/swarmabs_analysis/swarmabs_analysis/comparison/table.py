@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.console import Group
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
 
-from swarmabs_analysis.responsive_table import FittingTable
 from swarmabs_config.scenario.errors import printable, shorten
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
     from swarmabs_analysis.comparison.bags import BagSummary, Comparison
     from swarmabs_analysis.comparison.messages import TopicComparison
@@ -31,6 +32,28 @@ _FIGURES = {
     "max_abs_position": "max |position|, m",
     "messages": "messages",
 }
+_UNLIMITED = 1000
+
+
+class FittingTable(Table):
+    """A table that is never squeezed: where it does not fit, a line of words per row, which may break between words.
+
+    Columns that are not justified to the right name the row; the others have its numbers.
+    """
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw the table, or the lines in its place."""
+        needed = Measurement.get(console, options.update(max_width=_UNLIMITED), self).maximum
+        if needed <= options.max_width:
+            yield from super().__rich_console__(console, options)
+            return
+        names = [column for column in self.columns if column.justify != "right"]
+        numbers = [column for column in self.columns if column.justify == "right"]
+        rows = list(zip(*(column.cells for column in (*names, *numbers)), strict=True))
+        for row in rows:
+            values = zip(numbers, row[len(names) :], strict=True)
+            told = ", ".join(f"{column.header} {value}" for column, value in values if value)
+            yield Text(" ".join(map(str, row[: len(names)])) + (f": {told}" if told else ""), overflow="fold")
 
 
 def render(comparison: Comparison) -> RenderableType:

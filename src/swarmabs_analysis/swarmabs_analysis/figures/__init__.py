@@ -5,11 +5,9 @@ A figure is named by its label in the paper's source.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_analysis.figures.mapping_example import draw_mapping_example
-from swarmabs_analysis.figures.position_mapping import draw_position_mapping
+from swarmabs_analysis.figures.abstract_space import draw_mapping_example, draw_position_mapping
 from swarmabs_analysis.figures.responses import draw_large_swarms, draw_three_swarms
 from swarmabs_analysis.figures.style import rendered, styled
 
@@ -22,8 +20,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.figures.style import Format
 
 
-@dataclass(frozen=True, slots=True)
-class PaperFigure:
+class PaperFigure(NamedTuple):
     """A figure: the scenarios whose runs it shows, and the function that draws these runs in that order."""
 
     scenarios: tuple[str, ...]
@@ -41,16 +38,12 @@ FIGURES: Mapping[str, PaperFigure] = {
 
 
 def draw_files(name: str, sources: Mapping[str, Source], formats: Sequence[Format]) -> dict[str, bytes]:
-    """Draw a figure and return its files by name.
+    """Draw one of `FIGURES` and return its files by name.
 
     Parameters
     ----------
-    name : str
-        One of `FIGURES`.
     sources : mapping
         The bags of its scenarios by the names of these, and maybe others.
-    formats : sequence of str
-        ``png``, ``svg``.
 
     Raises
     ------

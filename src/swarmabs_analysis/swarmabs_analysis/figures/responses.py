@@ -29,25 +29,21 @@ STRETCHED = 5.0
 """The first seconds of a run, in which most happens, get half of the time axis."""
 KINDS = {Kind.SINGLE_INTEGRATOR: ("SI", ORANGE), Kind.DOUBLE_INTEGRATOR: ("DI", BLUE)}
 SWARMS = ("single integrators", "double integrators", "heterogeneous")
+_POSITION = "position p, m"
 _MILLI = 1e3
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _MARGIN = 1.08
 
 
 def draw_three_swarms(runs: Sequence[RecordedRun]) -> Figure:
-    """Draw three runs, a row each: the plane, the positions of the robots, the error of the abstract state.
-
-    Parameters
-    ----------
-    runs : sequence of RecordedRun
-        The runs with single integrators, with double integrators and with both.
-    """
+    """Draw the runs of `SWARMS`, a row each: plane, positions of the robots, error of the abstract state."""
     figure = _figure(4.4)
     panels = figure.subplots(len(runs), 3, sharex=True, squeeze=False)
     left, middle, right = panels.T
     parents = [parent_state(axes, run) for axes, run in zip(left, runs, strict=True)]
     for axes, run in zip(middle, runs, strict=True):
-        positions(axes, run)
+        each_robot(axes, run, run.arrays.agents.position, "p")
+        axes.set_ylabel(_POSITION, labelpad=2.0)
     errors = [abstract_error(axes, run) for axes, run in zip(right, runs, strict=True)]
     same_limits(parents)
     same_limits(errors)
@@ -68,19 +64,14 @@ def draw_three_swarms(runs: Sequence[RecordedRun]) -> Figure:
 
 
 def draw_large_swarms(runs: Sequence[RecordedRun]) -> Figure:
-    """Draw two runs of large swarms side by side: the plane (a, c) and the positions of the robots (b, d).
-
-    Parameters
-    ----------
-    runs : sequence of RecordedRun
-        The run of the smaller swarm and that of the larger.
-    """
+    """Draw two runs side by side, the smaller swarm first: the plane (a, c) and the positions of the robots (b, d)."""
     figure = _figure(2.1)
     panels = figure.subplots(1, 2 * len(runs), squeeze=False)[0]
     parents = [parent_state(axes, run) for axes, run in zip(panels[::2], runs, strict=True)]
     same_limits(parents)
     for pair, axes, run, letters in zip(parents, panels[1::2], runs, ("ab", "cd"), strict=True):
-        positions_by_kind(axes, run)
+        robots_by_kind(axes, run, run.arrays.agents.position)
+        axes.set_ylabel(_POSITION, labelpad=2.0)
         count = len(run.arrays.agents.ids)
         above(pair[0], f"{letters[0]}) {count} robots", _named(*pair))
         above(axes, f"{letters[1]}) {count} robots", kinds(run))
@@ -101,18 +92,6 @@ def parent_state(axes: Axes, run: RecordedRun) -> Pair:
     other.plot(time, run.arrays.angular_velocity, color=VERMILION, linestyle=DASHED, label="ω")
     _label_pair(axes, other, "θ, rad", "ω, rad/s")
     return axes, other
-
-
-def positions(axes: Axes, run: RecordedRun) -> None:
-    """Draw the positions of a few robots."""
-    each_robot(axes, run, run.arrays.agents.position, "p")
-    _label_positions(axes)
-
-
-def positions_by_kind(axes: Axes, run: RecordedRun) -> None:
-    """Draw the positions of many robots in the colours of their kinds."""
-    robots_by_kind(axes, run, run.arrays.agents.position)
-    _label_positions(axes)
 
 
 def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> None:
@@ -213,7 +192,3 @@ def _label_pair(axes: Axes, other: Axes, left: str, right: str) -> None:
     for one in (axes, other):
         one.yaxis.set_major_locator(MaxNLocator(6, steps=(1, 2, 2.5, 5, 10), min_n_ticks=4))
     axes.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.5)
-
-
-def _label_positions(axes: Axes) -> None:
-    axes.set_ylabel("position p, m", labelpad=2.0)

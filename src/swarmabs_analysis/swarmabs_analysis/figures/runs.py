@@ -64,14 +64,8 @@ def find_runs(
 ) -> dict[str, Source]:
     """Return the bags of the needed scenarios by the names of these.
 
-    Parameters
-    ----------
-    paths : iterable of Path
-        Runs' folders, bags' folders, MCAP files, and folders of such.
-    needed : collection of str
-        Names of scenarios.
-    pass_over : callable, optional
-        Told why a bag that stands among others is left out, such as that its run ended early.
+    A path is that of a run's folder, a bag's folder, an MCAP file, or a folder of such. `pass_over` is told why a bag
+    that is among others is left out, such as that its run ended early.
 
     Raises
     ------
@@ -120,16 +114,7 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
 
 
 def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
-    """Run a scenario and keep its results in a folder, which appears whole or not at all.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What to run.
-    folder : Path
-        Where the folder of the run is made, under the scenario's name.
-    execute : callable
-        Carries the run out, such as `swarmabs_run.simulated_run.simulate_run`.
+    """Run a scenario and keep its results in a folder of its name below `folder`, which appears whole or not at all.
 
     Raises
     ------
@@ -144,12 +129,8 @@ def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
         outcome = execute(resolved, made)
         if outcome.status != "ok":
             raise RunError(f"{resolved.name}: {outcome.reason}")
-        summary = summarise(
-            resolved,
-            outcome,
-            Times(time.monotonic() - begun, startup=outcome.start_seconds),
-        )
-        made.write_summary(summary)
+        times = Times(time.monotonic() - begun, startup=outcome.start_seconds)
+        made.write_summary(summarise(resolved, outcome, times))
         made.path.rename(target)
     return Source(find_bag(target), resolved)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import matplotlib.style
@@ -32,43 +33,14 @@ SOLID, DASHED, DOTTED = "-", (0, (4, 1.5)), (0, (1, 1.5))
 ROBOTS = ((ORANGE, SOLID), (SKY, (0, (6, 1.2))), (GREEN, (0, (3, 1.2))), (PURPLE, (0, (1, 1))))
 """Colour and dashes of the first, second, third and fourth robot."""
 
-_SETTINGS = {
-    "figure.dpi": 300,
-    "savefig.dpi": 300,
-    "savefig.facecolor": "white",
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "axes.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 2.0,
-    "legend.handletextpad": 0.4,
-    "legend.columnspacing": 0.8,
-    "lines.linewidth": 1.1,
-    "grid.linewidth": 0.5,
-    "grid.color": "#dddddd",
-    # Text stays text, and the same figure gives the same bytes.
-    "svg.fonttype": "none",
-    "svg.hashsalt": "swarmabs",
-}
+_SHEET = Path(__file__).with_name("paper.mplstyle")
 _METADATA: dict[Format, dict[str, None]] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
 @contextmanager
 def styled(more: Mapping[str, float] | None = None) -> Iterator[None]:
-    """Draw in the figures' style for the time of the block, whatever the user's matplotlibrc says.
-
-    Settings in `more` take the place of the style's.
-    """
-    with matplotlib.style.context(["default", _SETTINGS | dict(more or {})]):
+    """Draw in the figures' style and with `more` settings in the block, whatever the user's matplotlibrc says."""
+    with matplotlib.style.context(["default", _SHEET, dict(more or {})]):
         yield
 
 

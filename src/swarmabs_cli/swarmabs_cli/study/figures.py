@@ -11,6 +11,7 @@ import click
 from swarmabs_analysis.figures import FIGURES, draw_files
 from swarmabs_analysis.figures.runs import Execute, find_made, find_runs, make_run, missing_text
 from swarmabs_analysis.figures.style import FORMATS, Format
+from swarmabs_analysis.report.files import write_file
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_cli.options import json_option
 from swarmabs_cli.output import print_json
@@ -86,7 +87,9 @@ def figures(
         for name in chosen:
             click.echo(f"drawing {name}", err=True)
             files |= draw_files(name, sources, formats or FORMATS)
-        written = [_write_whole(output / name, content) for name, content in files.items()]
+        written = [output / name for name in files]
+        for path in written:
+            write_file(path, files[path.name])
     except OSError as error:
         raise RunError(f"{output}: {error.strerror or error}; free space or choose another folder with -o") from error
     if as_json:
@@ -117,13 +120,3 @@ def _make_folder(folder: Path) -> None:
             raise InputError(f"{folder} cannot be written; choose another folder with -o")
     except OSError as error:
         raise InputError(f"{folder} cannot be made: {error.strerror}; choose another folder with -o") from error
-
-
-def _write_whole(path: Path, content: bytes) -> Path:
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_bytes(content)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-    return path

@@ -59,11 +59,6 @@ class Bracket(NamedTuple):
     lower: float
     upper: float
 
-    @property
-    def exact(self) -> bool:
-        """Whether the bounds are equal."""
-        return self.lower == self.upper
-
 
 class Edge(NamedTuple):
     """An edge of the box: one robot moves across the plane while all others stand at its ends.
@@ -71,10 +66,8 @@ class Edge(NamedTuple):
     Over x from -1 to 1 it gives T = h (rest + mass x) and J = h^2 (M - mass (1 - x^2)).
     """
 
-    mass: float
-    """Of the robot that moves, kg."""
-    rest: float
-    """Sum of the other masses, kg, negative for those at the negative end."""
+    mass: float  # of the robot that moves, kg
+    rest: float  # sum of the other masses, kg, negative for those at the negative end
 
 
 class ManifoldReach(NamedTuple):
@@ -83,41 +76,22 @@ class ManifoldReach(NamedTuple):
     -inf where it is outside at tau = 0 already, inf where it never leaves.
     """
 
-    admissible: float
-    """It lies in A_A."""
-    reachable: Bracket
-    """It lies in A_A or A_P; exact for up to 13 different masses."""
-    nonempty: float
-    """There are positions, on the plane or off it."""
+    admissible: float  # in A_A
+    reachable: Bracket  # in A_A or A_P; exact for up to 13 different masses
+    nonempty: float  # where there are positions, on the plane or off it
 
 
 @dataclass(frozen=True, slots=True)
 class ConstraintSets:
-    """The constraint sets of robots on a plane.
+    """The constraint sets of robots on a plane; abstract states are tau_s in N m and Js in kg m^2."""
 
-    Parameters
-    ----------
-    masses : sequence of float
-        The robots' masses, kg; most sets need at least two robots.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
-    """
-
-    masses: Sequence[float]
-    length: float
-    gravity: float
+    masses: Sequence[float]  # kg; most sets need at least two robots
+    length: float  # of the plane, m
+    gravity: float  # m/s^2
 
     @property
     def total(self) -> float:
-        """The mass of all robots, kg.
-
-        Raises
-        ------
-        ValueError
-            If there are fewer than two.
-        """
+        """The mass of all robots, kg, of which there must be two or more: others are a ValueError."""
         if len(self.masses) < 2:
             raise ValueError(f"the constraint sets need at least two robots, got {len(self.masses)}")
         return fsum(self.masses)
@@ -132,11 +106,6 @@ class ConstraintSets:
 
         With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
         attained; it is infinite where the preimage is empty.
-
-        Parameters
-        ----------
-        torque, inertia : float
-            The abstract state: tau_s in N m, Js in kg m^2.
         """
         total = fsum(self.masses)
         moment = torque / self.gravity
@@ -151,14 +120,9 @@ class ConstraintSets:
         return moment * moment / fsum(self.masses)
 
     def largest_admissible_inertia(self, torque: float) -> float:
-        """Return J_A (kg m^2), the upper boundary of A_A, at a torque.
+        """Return J_A (kg m^2), the upper boundary of A_A, at a torque (N m); -inf where no such state lies in A_A.
 
-        It is where `largest_position` equals L/2; -inf where no state with this torque lies in A_A.
-
-        Parameters
-        ----------
-        torque : float
-            N m.
+        There `largest_position` equals L/2.
         """
         total = self.total
         left = self.length / 2 - abs(torque) / (self.gravity * total)
@@ -167,15 +131,10 @@ class ConstraintSets:
         return self.smallest_inertia(torque) + max(left, 0.0) ** 2 / (1 / min(self.masses) - 1 / total)
 
     def largest_inertia(self, torque: float) -> Bracket:
-        """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque.
+        """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque (N m).
 
         It is exact for up to 21 different masses, for any number of equal ones, and for torques so large that hardly a
         robot can stand on the other side. Both bounds are -inf where no positions on the plane have this torque.
-
-        Parameters
-        ----------
-        torque : float
-            N m.
         """
         half, total = self.length / 2, self.total
         wanted = abs(torque) / (self.gravity * half)
@@ -200,15 +159,7 @@ class ConstraintSets:
         return Bracket(lower, lower if exact else half * half * total)
 
     def classify(self, torque: float, inertia: float) -> StateClass:
-        """Return the class of an abstract state: A_A, A_P, A_U, or empty.
-
-        UNDECIDED occurs only where `largest_inertia` is not exact.
-
-        Parameters
-        ----------
-        torque, inertia : float
-            The abstract state: tau_s in N m, Js in kg m^2.
-        """
+        """Return the class of an abstract state; UNDECIDED occurs only where `largest_inertia` is not exact."""
         slack = _ROUNDING * self.length * self.length * self.total / 4
         if inertia < self.smallest_inertia(torque) - slack:
             return StateClass.EMPTY
@@ -224,12 +175,7 @@ class ConstraintSets:
     def manifold_reach(self, curvature: float, offset: float) -> ManifoldReach:
         """Return how far along a manifold J = curvature tau^2 + offset its states stay in A_A, and in A_A or A_P.
 
-        Parameters
-        ----------
-        curvature : float
-            kg m^2/(N m)^2, not negative.
-        offset : float
-            kg m^2, positive.
+        The curvature (kg m^2/(N m)^2) is not negative, the offset (kg m^2) positive.
         """
         half, total = self.length / 2, self.total
         # All over s = T/h, in kg, with inertias divided by h^2.

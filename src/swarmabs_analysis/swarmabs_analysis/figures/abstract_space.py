@@ -1,4 +1,7 @@
-"""The preimage of one abstract state of three robots, cut out of an ellipsoid by a plane: fig. mappingEx."""
+"""The geometry of the abstraction: fig. mappingEx, the preimage of one abstract state, and fig. posMapping.
+
+The latter has the abstract space of the paper's four robots and the sets within.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +16,51 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from swarmabs_analysis.figures.style import BLACK, COLUMN, SKY, VERMILION, YELLOW
+from swarmabs_analysis.figures.style import (
+    BLACK,
+    BLUE,
+    COLUMN,
+    DASHED,
+    GREEN,
+    GREY,
+    PURPLE,
+    SKY,
+    SOLID,
+    VERMILION,
+    YELLOW,
+)
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass, box_edges
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from mpl_toolkits.mplot3d import Axes3D
     from numpy.typing import NDArray
 
+    from swarmabs_core.manifold import Manifold
+
     Floats = NDArray[np.float64]
 
+EXAMPLE = ((2.0, 3.0, 3.0), 10.0, 1.0, 9.81)
+"""Masses (kg) of three robots, torque (N m), inertia (kg m^2) and gravity (m/s^2) of fig. mappingEx."""
 _VIEW = (24.0, -14.0)
 """Elevation and azimuth of the eye, degrees."""
 _LIGHT = np.array([0.3, -0.6, 0.75])
 _EXTENT = 1.08
 """Half of the plane's side over the sphere's radius, where the ellipsoid is a sphere."""
+
+SCENARIO = "pd_het_4"
+"""Whose robots, plane and manifold are shown; the other runs of four robots have the same."""
+SPREADS = (0.5, 1.0, 1.5)
+"""Widths, over that of the plane, within which the random positions are drawn; only the last leaves the plane."""
+SAMPLES = 500
+"""Random positions for each width."""
+LOOKS = {
+    StateClass.ADMISSIBLE: (BLUE, "o", 2.5),
+    StateClass.PARTIAL: (VERMILION, "x", 5.0),
+    StateClass.UNREACHABLE: (GREY, "+", 6.0),
+}
+_FINE = 400
 
 
 class Preimage(NamedTuple):
@@ -35,14 +70,10 @@ class Preimage(NamedTuple):
     the distance T/sqrt(M) along the normal sqrt(m_i/M), for T = tau/g and M = sum m.
     """
 
-    scale: Floats
-    """sqrt(m_i), (3,), sqrt(kg)."""
-    radius: float
-    """Of the sphere, sqrt(kg) m."""
-    distance: float
-    """Of the plane from the origin, sqrt(kg) m."""
-    axes: Floats
-    """Two directions in the plane and its normal, (3, 3), a row each."""
+    scale: Floats  # sqrt(m_i), (3,), sqrt(kg)
+    radius: float  # of the sphere, sqrt(kg) m
+    distance: float  # of the plane from the origin, sqrt(kg) m
+    axes: Floats  # two directions in the plane and its normal, (3, 3), a row each
 
     @property
     def circle(self) -> float:
@@ -72,24 +103,10 @@ def ellipse(example: Preimage, count: int = 241) -> Floats:
     return example.positions(example.circle * np.cos(turn), example.circle * np.sin(turn), example.distance)
 
 
-def draw_mapping_example(
-    masses: tuple[float, float, float] = (2.0, 3.0, 3.0),
-    torque: float = 10.0,
-    inertia: float = 1.0,
-    gravity: float = 9.81,
-) -> Figure:
-    """Draw plane, ellipsoid and preimage; by default with the paper's numbers.
-
-    Parameters
-    ----------
-    masses : tuple of float
-        Of the three robots, kg.
-    torque, inertia : float
-        The abstract state, N m and kg m^2.
-    gravity : float
-        m/s^2.
-    """
-    example = preimage(masses, torque, inertia, gravity)
+def draw_mapping_example() -> Figure:
+    """Draw plane, ellipsoid and preimage with the paper's numbers."""
+    _, torque, inertia, _ = EXAMPLE
+    example = preimage(*EXAMPLE)
     figure = Figure(figsize=(COLUMN, 3.3))
     axes: Axes3D = figure.add_axes((0.0, 0.04, 0.94, 0.98), projection="3d", computed_zorder=False)
     axes.view_init(*_VIEW)
@@ -157,3 +174,98 @@ def _shaded(facets: Floats, colour: str, opacity: float) -> Floats:
     normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
     bright = 0.7 + 0.3 * np.abs((normals * _LIGHT).sum(axis=1))
     return np.column_stack([bright[:, None] * np.array(to_rgb(colour)), np.full(len(facets), opacity)])
+
+
+def draw_position_mapping() -> Figure:
+    """Draw how the box of positions maps into the abstract space, and where the manifold leaves A_A."""
+    scenario = find_scenario(SCENARIO)
+    swarm = ConstraintSets(
+        tuple(agent.mass for agent in scenario.agents), scenario.plane.length, scenario.plane.gravity
+    )
+    figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
+    axes = figure.add_subplot()
+    _samples(axes, swarm)
+    _box(axes, swarm)
+    _boundaries(axes, swarm)
+    _manifold(axes, swarm, scenario.manifold)
+    corner = sum(swarm.masses) * swarm.length**2 / 4.0
+    axes.set(
+        xlabel="torque τₛ, N m",
+        ylabel="inertia Jₛ, kg m²",
+        xlim=(-1.06 * swarm.largest_torque, 1.06 * swarm.largest_torque),
+        ylim=(0.0, 1.15 * corner),
+    )
+    figure.legend(loc="outside upper center", ncols=2, markerscale=1.4)
+    return figure
+
+
+def random_states(swarm: ConstraintSets) -> tuple[Floats, Floats]:
+    """Return torques (N m) and inertias (kg m^2) of random positions, uniform within each width."""
+    masses, count = np.asarray(swarm.masses), (SAMPLES, len(swarm.masses))
+    ends = [spread * swarm.length / 2 for spread in SPREADS]
+    drawn = [np.random.default_rng(seed).uniform(-end, end, count) for seed, end in enumerate(ends)]
+    positions = np.concatenate(drawn)
+    return swarm.gravity * (positions * masses).sum(axis=1), (positions**2 * masses).sum(axis=1)
+
+
+def _samples(axes: Axes, swarm: ConstraintSets) -> None:
+    torque, inertia = random_states(swarm)
+    classes = np.array([swarm.classify(*state) for state in zip(torque.tolist(), inertia.tolist(), strict=True)])
+    for kind, (colour, marker, size) in LOOKS.items():
+        chosen = classes == kind
+        axes.scatter(
+            torque[chosen],
+            inertia[chosen],
+            s=size,
+            marker=marker,
+            color=colour,
+            linewidths=0.5 if marker != "o" else 0.0,
+            label=f"random state in {kind.value}",
+        )
+
+
+def _box(axes: Axes, swarm: ConstraintSets) -> None:
+    half, total = swarm.length / 2.0, sum(swarm.masses)
+    x = np.linspace(-1.0, 1.0, 61)
+    ends = []
+    for number, edge in enumerate(box_edges(swarm.masses)):
+        torque = swarm.gravity * half * (edge.rest + edge.mass * x)
+        inertia = half**2 * (total - edge.mass * (1.0 - x * x))
+        axes.plot(torque, inertia, color=PURPLE, linewidth=0.6, label="" if number else "edge of the hypercube")
+        ends += [(torque[0], inertia[0]), (torque[-1], inertia[-1])]
+    axes.plot(
+        *np.unique(np.round(ends, 12), axis=0).T,
+        linestyle="none",
+        marker="s",
+        markersize=3.0,
+        color=PURPLE,
+        markeredgecolor=BLACK,
+        markeredgewidth=0.4,
+        label="vertex of the hypercube",
+    )
+
+
+def _boundaries(axes: Axes, swarm: ConstraintSets) -> None:
+    torque = np.linspace(-swarm.largest_torque, swarm.largest_torque, _FINE + 1)
+    least = [swarm.smallest_inertia(t) for t in torque.tolist()]
+    inner = [swarm.largest_admissible_inertia(t) for t in torque.tolist()]
+    axes.plot(torque, least, color=SKY, linestyle=SOLID, linewidth=1.8, label="lower bound")
+    axes.plot(torque, inner, color=BLACK, linestyle=DASHED, linewidth=1.0, label="upper boundary of A_A")
+
+
+def _manifold(axes: Axes, swarm: ConstraintSets, manifold: Manifold) -> None:
+    torque = np.linspace(-manifold.torque_max, manifold.torque_max, _FINE + 1)
+    inertia = [manifold.inertia(t) for t in torque.tolist()]
+    axes.plot(torque, inertia, color=GREEN, linewidth=2.2, label="manifold A_c")
+    reach = swarm.manifold_reach(manifold.curvature, manifold.offset)
+    leaves = reach.admissible
+    axes.plot(
+        [-leaves, leaves],
+        [manifold.inertia(leaves)] * 2,
+        linestyle="none",
+        marker="D",
+        markersize=4.5,
+        color="white",
+        markeredgecolor=BLACK,
+        label=f"A_c leaves A_A: |τ| = {leaves:.3f} N m",
+    )
