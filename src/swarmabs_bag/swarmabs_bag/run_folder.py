@@ -79,14 +79,29 @@ class RunFolder:
 
     def write_summary(self, summary: Mapping[str, object]) -> None:
         """Write ``summary.json``, whole or not at all."""
-        part = self.summary.with_suffix(".json.part")
-        try:
-            part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-            part.replace(self.summary)
-        except OSError:
-            with suppress(OSError):
-                part.unlink()
-            raise
+        write_whole(self.summary, (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
+
+
+def write_whole(path: Path, content: bytes, *, mode: int = 0o666, sync: bool = False) -> None:
+    """Write a file, whole or not at all; with `sync` also if power fails.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; what was there before is kept.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(content)
+            if sync:
+                file.flush()
+                os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink()
 
 
 def new_run_folder(path: Path) -> RunFolder:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import os
 import stat
-from contextlib import suppress
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
@@ -24,6 +23,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key, p
 from cryptography.x509 import Certificate, load_pem_x509_certificate
 from cryptography.x509.oid import NameOID
 
+from swarmabs_bag.run_folder import write_whole
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.fleet.parts import Sros2Security
 from swarmabs_core.errors import InputError, RunError
@@ -96,19 +96,10 @@ class Keys:
             If it cannot be written.
         """
         path = self.folder / name
-        part = path.with_name(f".{path.name}.part")
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            part.unlink(missing_ok=True)
-            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
+            write_whole(path, content, mode=0o600, sync=True)
         except OSError as error:
-            with suppress(OSError):
-                part.unlink()
             raise RunError(f"{path}: {error.strerror}; free space, then deploy again") from error
 
     def read(self, name: str) -> bytes | None:

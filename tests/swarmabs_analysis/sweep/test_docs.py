@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
-from swarmabs_analysis.sweep.model import RESULTS, Distribution, Range, Sweep
-from swarmabs_analysis.sweep.study import load_sweep
+from swarmabs_analysis.sweep.study import RESULTS, Distribution, Range, Sweep, load_sweep
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "sweep.md").read_text()

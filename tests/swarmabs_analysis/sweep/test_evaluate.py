@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmabs_analysis.sweep import evaluate as module
-from swarmabs_analysis.sweep.evaluate import LONGEST_REASON, evaluate, lost
+from swarmabs_analysis.sweep.evaluate import LONGEST_REASON, Task, evaluate, lost
 from swarmabs_bag.recording import Digest
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
@@ -19,7 +19,7 @@ TEXT = builtin_scenarios()["pd_het_4"].read_text()
 
 
 def row(*overrides: str) -> Any:
-    line = evaluate(TEXT, 5, overrides, 0.2)
+    line = evaluate(Task(TEXT, 5, overrides, 0.2))
     assert "\n" not in line
     return json.loads(line)
 

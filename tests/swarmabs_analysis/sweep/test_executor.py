@@ -11,8 +11,8 @@ import psutil
 import pytest
 from tests.swarmabs_analysis.sweep.helpers import workers
 
-from swarmabs_analysis.sweep.evaluate import evaluate
-from swarmabs_analysis.sweep.executor import ATTEMPTS, Common, LocalExecutor, Task
+from swarmabs_analysis.sweep.evaluate import Task, evaluate
+from swarmabs_analysis.sweep.executor import ATTEMPTS, LocalExecutor
 from swarmabs_analysis.sweep.study import Study
 from swarmabs_core.errors import RunError
 
@@ -38,14 +38,13 @@ def nothing() -> None:
 
 
 def test_rows_are_those_of_the_cases_whoever_computes_them(executor: LocalExecutor, study: Study) -> None:
-    tasks = [Task(case.index, case.overrides()) for case in study.cases()]
-    common = Common(study.scenario, 0.2)
-    rows = executor.compute(common, iter(tasks), nothing)
+    tasks = [study.task(index) for index in range(study.sweep.count)]
+    rows = executor.compute(iter(tasks), nothing)
     found = [next(rows)]
     loopback = {connection.laddr.ip for connection in psutil.net_connections("tcp") if connection.pid == os.getpid()}
     assert loopback == {"127.0.0.1"}
     found = sorted([*found, *rows], key=lambda line: json.loads(line)["case"])
-    assert found == [evaluate(study.scenario, task.index, task.overrides, 0.2) for task in tasks]
+    assert found == [evaluate(task) for task in tasks]
 
 
 def test_as_many_processes_as_there_are_cores() -> None:
@@ -53,8 +52,8 @@ def test_as_many_processes_as_there_are_cores() -> None:
 
 
 def test_case_of_a_killed_worker_is_computed_again(executor: LocalExecutor, study: Study) -> None:
-    tasks = [Task(case.index, case.overrides()) for case in study.cases()]
-    rows = executor.compute(Common(study.scenario, 0.2), iter(tasks), nothing)
+    tasks = [study.task(index) for index in range(study.sweep.count)]
+    rows = executor.compute(iter(tasks), nothing)
     found = [next(rows)]
     killed = workers(os.getpid())
     for worker in killed:
@@ -74,8 +73,11 @@ def test_case_that_kills_its_workers_is_given_up_and_no_other(executor: LocalExe
                 killed.add(worker.pid)
                 worker.kill()
 
-    tasks = [Task(0, ENDLESS), *(Task(number, ("duration=0.1",)) for number in (1, 2, 3))]
-    found = [json.loads(line) for line in executor.compute(Common(study.scenario, 0.2), iter(tasks), kill)]
+    tasks = [
+        Task(study.scenario, 0, ENDLESS, 0.2),
+        *(Task(study.scenario, number, ("duration=0.1",), 0.2) for number in (1, 2, 3)),
+    ]
+    found = [json.loads(line) for line in executor.compute(iter(tasks), kill)]
     assert len(killed) == ATTEMPTS
     assert [row["case"] for row in found if row["status"] == "failed"] == [0]
     assert found[-1]["reason"] == "3 worker processes died of it"
@@ -87,11 +89,11 @@ def test_worker_that_cannot_start_ends_the_sweep(
 ) -> None:
     monkeypatch.setenv("PYTHONHOME", "/nowhere")
     with pytest.raises(RunError, match=r"worker processes do not start: .*; try fewer with --jobs"):
-        list(executor.compute(Common(study.scenario, 0.2), iter([Task(0, ())]), nothing))
+        list(executor.compute(iter([study.task(0)]), nothing))
 
 
 def test_closing_ends_what_is_computed(executor: LocalExecutor, study: Study) -> None:
-    tasks = iter([Task(0, ENDLESS), Task(1, ("duration=0.1",))])
-    next(executor.compute(Common(study.scenario, 0.2), tasks, nothing))
+    tasks = iter([Task(study.scenario, 0, ENDLESS, 0.2), Task(study.scenario, 1, ("duration=0.1",), 0.2)])
+    next(executor.compute(tasks, nothing))
     executor.close()
     assert not workers(os.getpid())

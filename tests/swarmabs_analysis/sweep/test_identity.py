@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_analysis.sweep import identity as module
-from swarmabs_analysis.sweep.identity import Identity, identity, stranger
+from swarmabs_analysis.sweep import executor as module
+from swarmabs_analysis.sweep.executor import Identity, identity, stranger
 
 MINE = Identity("0.1.0", "aaaa", "cccc")
 

@@ -17,10 +17,9 @@ import pytest
 from numpy.typing import NDArray
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES, evaluate
-from swarmabs_analysis.sweep.model import Sweep
 from swarmabs_analysis.sweep.picture import LOOKS, MARKERS, pictures
-from swarmabs_analysis.sweep.study import Study, load_sweep
-from swarmabs_analysis.sweep.table import parquet
+from swarmabs_analysis.sweep.run import parquet
+from swarmabs_analysis.sweep.study import Study, Sweep, load_sweep
 
 HEAD = "schema: 1\nscenario: pd_het_4\nset: {duration: 0.05}\n"
 
@@ -32,9 +31,7 @@ def loaded(folder: Path, text: str) -> Study:
 
 
 def computed(study: Study) -> dict[int, dict[str, Any]]:
-    return {
-        case.index: json.loads(evaluate(study.scenario, case.index, case.overrides(), 0.2)) for case in study.cases()
-    }
+    return {case.index: json.loads(evaluate(study.task(case.index))) for case in study.cases()}
 
 
 def pretended(study: Study) -> dict[int, dict[str, Any]]:

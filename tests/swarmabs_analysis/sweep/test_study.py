@@ -8,8 +8,7 @@ from statistics import mean, stdev
 
 import pytest
 
-from swarmabs_analysis.sweep.model import RESULTS, Range
-from swarmabs_analysis.sweep.study import Study, load_sweep
+from swarmabs_analysis.sweep.study import RESULTS, Range, Study, load_sweep
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
 

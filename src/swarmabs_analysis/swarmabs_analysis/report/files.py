@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.report.page import GENERATOR
 from swarmabs_analysis.report.pictures import PNG_MARK
-from swarmabs_bag.run_folder import find_bag
+from swarmabs_bag.run_folder import find_bag, write_whole
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -61,15 +61,10 @@ def write_file(path: Path, content: bytes) -> bool:
     RunError
         If it cannot be written; what was there before is kept.
     """
-    part = path.with_name(f"{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replaced = path.exists()
-        try:
-            part.write_bytes(content)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        write_whole(path, content)
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}; free space or choose another folder with -o") from error
     return replaced

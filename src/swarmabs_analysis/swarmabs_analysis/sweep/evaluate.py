@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.figures import RunFigures
 from swarmabs_config import configure
@@ -14,8 +14,6 @@ from swarmabs_core.theory.state_feedback import estimate
 from swarmabs_run.simulation import simulated_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from swarmabs_config.scenario import Scenario
 
 OUTCOMES = ("settled", "unsettled", "off_plane", "failed", "refused")
@@ -23,35 +21,41 @@ OUTCOMES = ("settled", "unsettled", "off_plane", "failed", "refused")
 LONGEST_REASON = 300
 
 
-def evaluate(text: str, index: int, overrides: Sequence[str], angle_max: float) -> str:
-    """Run one case.
+class Task(NamedTuple):
+    """A case as a worker gets it, plain texts and numbers.
 
     Parameters
     ----------
-    text : str
+    scenario : str
         The scenario in YAML.
-    index : int
+    case : int
         Number of the case.
-    overrides : sequence of str
+    overrides : tuple of str
         Overrides ``a.b=v`` of the scenario.
     angle_max : float
         Bound of the angle for the estimates of the region of attraction, rad.
-
-    Returns
-    -------
-    str
-        The row of the case: ``case``, ``status`` (ok, failed, refused), ``reason``, ``outcome``, ``digest`` and the
-        results, in JSON without line breaks. A case that fails has the figures up to there; one that is refused
-        because its scenario is invalid has none.
     """
-    row: dict[str, Any] = {"case": index, "status": "ok", "reason": None}
+
+    scenario: str
+    case: int
+    overrides: tuple[str, ...]
+    angle_max: float
+
+
+def evaluate(task: Task) -> str:
+    """Run one case and return its row in JSON without line breaks.
+
+    The row holds ``case``, ``status`` (ok, failed, refused), ``reason``, ``outcome``, ``digest`` and the results. A
+    case that fails has the figures up to there; one that is refused because its scenario is invalid has none.
+    """
+    row: dict[str, Any] = {"case": task.case, "status": "ok", "reason": None}
     try:
-        scenario = parse_scenario(text, overrides=overrides)
+        scenario = parse_scenario(task.scenario, overrides=task.overrides)
     except InputError as error:
         row.update(status="refused", reason=str(error), outcome="refused")
     else:
         row.update(_run(scenario))
-        row.update(_estimates(scenario, angle_max))
+        row.update(_estimates(scenario, task.angle_max))
     if row["reason"] is not None:
         row["reason"] = row["reason"][:LONGEST_REASON]
     return json.dumps(row, allow_nan=False)
@@ -64,7 +68,7 @@ def lost(index: int, reason: str) -> str:
 
 def _run(scenario: Scenario) -> dict[str, Any]:
     """Simulate, and return figures, status and outcome."""
-    status, reason = "ok", None
+    reason = None
     run = RunFigures(configure.reference(scenario))
     max_abs_angle: float | None = None
     try:
@@ -73,12 +77,12 @@ def _run(scenario: Scenario) -> dict[str, Any]:
             if run.latest is not None:
                 max_abs_angle = max(max_abs_angle or 0.0, abs(run.latest.angle))
     except RunError as error:
-        status, reason = "failed", str(error)
-    except Exception as error:  # noqa: BLE001 - a bug that one case shows shall not cost the others
-        status, reason = "failed", f"{type(error).__name__}: {error}"
+        reason = str(error)
+    except Exception as error:  # noqa: BLE001 - a bug that one case shows must not cost the others
+        reason = f"{type(error).__name__}: {error}"
     figures = run.figures()
     reached = figures["max_abs_position"]
-    if status != "ok":
+    if reason is not None:
         outcome = "failed"
     elif reached is None or reached > 0.5 * scenario.plane.length:
         outcome = "off_plane"
@@ -88,7 +92,7 @@ def _run(scenario: Scenario) -> dict[str, Any]:
         **figures,
         "max_abs_angle": max_abs_angle,
         "digest": run.summary()["digest"],
-        "status": status,
+        "status": "ok" if reason is None else "failed",
         "reason": reason,
         "outcome": outcome,
     }

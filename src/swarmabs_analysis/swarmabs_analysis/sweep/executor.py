@@ -14,7 +14,9 @@ import shutil
 import tempfile
 from asyncio import CancelledError, TimeoutError as LateError  # of its own until Python 3.10
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,12 +26,18 @@ from distributed.client import FutureCancelledError
 from distributed.scheduler import KilledWorker
 from distributed.security import Security
 
+import swarmabs_bag
+import swarmabs_config
+import swarmabs_core
+import swarmabs_run
 from swarmabs_analysis.sweep.evaluate import evaluate, lost
-from swarmabs_analysis.sweep.identity import Identity, identity, stranger
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.fingerprint import libm_fingerprint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
+
+    from swarmabs_analysis.sweep.evaluate import Task
 
 ATTEMPTS = 3
 """How many workers may die while they compute a case before it counts as failed."""
@@ -45,20 +53,9 @@ _PER_THREAD, _AT_LEAST = 4, 64
 _NO_PAGES: dict[str, list[str]] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
 """Settings of Dask by which scheduler and workers show nothing of themselves by HTTP."""
 
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """What a worker gets: number of the case and its overrides of the scenario, plain texts."""
-
-    index: int
-    overrides: tuple[str, ...]
-
-
-class Common(NamedTuple):
-    """What is the same for all cases: the scenario's text, and the bound of the angle for the estimates, rad."""
-
-    scenario: str
-    angle_max: float
+_PACKAGES = (swarmabs_core, swarmabs_config, swarmabs_bag, swarmabs_run)
+_SOURCES = {package.__name__: Path(package.__path__[0]) for package in _PACKAGES} | {"sweep": Path(__file__).parent}
+"""What a case's results depend on: mathematics, scenarios, simulation, figures, and how cases are evaluated."""
 
 
 class Executor:
@@ -72,15 +69,16 @@ class Executor:
         Workers whose mathematical library gives other bits than the one here: digests differ there.
     """
 
-    description: str
-
-    def __init__(self) -> None:
+    def __init__(self, description: str) -> None:
+        self.description = description
         self.differing: list[str] = []
+        self._most_pending = 0
+        """How many tasks may be handed over and not be finished."""
         self._open = ExitStack()
         for name in ("distributed", "distributed.client"):  # what matters is said by this class, in one line
             logging.getLogger(name).setLevel(logging.CRITICAL)
 
-    def compute(self, common: Common, tasks: Iterator[Task], idle: Callable[[], None]) -> Iterator[str]:
+    def compute(self, tasks: Iterator[Task], idle: Callable[[], None]) -> Iterator[str]:
         """Yield the row of each task as `evaluate` makes it; `idle` is called now and then while nothing is ready.
 
         Raises
@@ -90,12 +88,11 @@ class Executor:
         """
         client = self._client()
         finished: SimpleQueue[Future[str]] = SimpleQueue()
-        pending: dict[Future[str], Task] = {}
+        pending: dict[Future[str], int] = {}
         while True:
-            while len(pending) < self._most_pending() and (task := next(tasks, None)) is not None:
-                arguments = (common.scenario, task.index, task.overrides, common.angle_max)
-                future = client.submit(evaluate, *arguments, pure=False)
-                pending[future] = task
+            while len(pending) < self._most_pending and (task := next(tasks, None)) is not None:
+                future = client.submit(evaluate, task, pure=False)
+                pending[future] = task.case
                 future.add_done_callback(finished.put)
             if not pending:
                 return
@@ -118,20 +115,16 @@ class Executor:
         """Return what hands tasks to the workers, which are started if they are not there yet."""
         raise NotImplementedError
 
-    def _most_pending(self) -> int:
-        """Return how many tasks may be handed over and not be finished."""
-        raise NotImplementedError
-
     def _look_after(self) -> None:
         """Notice how the workers are."""
 
-    def _row(self, future: Future[str], task: Task) -> str:
-        """Return a task's row; a worker that has died was replaced by others already."""
+    def _row(self, future: Future[str], index: int) -> str:
+        """Return a case's row; a worker that has died was replaced by others already."""
         error: Any = future.exception()
         if isinstance(error, KilledWorker):
-            return lost(task.index, f"{error.allowed_failures + 1} worker processes died of it")
+            return lost(index, f"{error.allowed_failures + 1} worker processes died of it")
         if error is not None:
-            raise RunError(f"{self.description} cannot compute case {task.index}: {error}") from error
+            raise RunError(f"{self.description} cannot compute case {index}: {error}") from error
         return future.result()
 
     @contextmanager
@@ -144,12 +137,7 @@ class Executor:
 
 
 class LocalExecutor(Executor):
-    """Computes tasks in processes on this machine; one that dies is replaced.
-
-    Parameters
-    ----------
-    jobs : int, optional
-        Number of processes; as many as there are cores for this process by default.
+    """Computes tasks in processes on this machine, by default as many as there are cores; one that dies is replaced.
 
     Raises
     ------
@@ -158,9 +146,9 @@ class LocalExecutor(Executor):
     """
 
     def __init__(self, jobs: int | None = None) -> None:
-        super().__init__()
-        self._jobs = jobs or len(os.sched_getaffinity(0))
-        self.description = f"{self._jobs} processes here"
+        jobs = jobs or len(os.sched_getaffinity(0))
+        super().__init__(f"{jobs} processes here")
+        self._most_pending = jobs  # one per process: what a process has when it dies is what it has died of
         try:
             self._security = Security.temporary()
         except ImportError as error:
@@ -172,7 +160,7 @@ class LocalExecutor(Executor):
         try:
             with dask.config.set({**_NO_PAGES, "temporary-directory": folder}):
                 cluster = LocalCluster(
-                    n_workers=self._jobs,
+                    n_workers=self._most_pending,
                     threads_per_worker=1,
                     host="127.0.0.1",
                     security=self._security,
@@ -188,18 +176,9 @@ class LocalExecutor(Executor):
         client: Client = self._open.enter_context(Client(cluster, security=self._security, set_as_default=False))
         return client
 
-    def _most_pending(self) -> int:
-        """Return one per process: what a process has when it dies is what it has died of."""
-        return self._jobs
-
 
 class SchedulerExecutor(Executor):
-    """Computes tasks on the workers of a Dask scheduler.
-
-    Parameters
-    ----------
-    address : str
-        Such as ``tcp://192.168.1.2:8786``.
+    """Computes tasks on the workers of the Dask scheduler at an address such as ``tcp://192.168.1.2:8786``.
 
     Raises
     ------
@@ -208,8 +187,7 @@ class SchedulerExecutor(Executor):
     """
 
     def __init__(self, address: str) -> None:
-        super().__init__()
-        self.description = f"Dask workers at {address}"
+        super().__init__(f"Dask workers at {address}")
         try:
             self._connected = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -242,10 +220,40 @@ class SchedulerExecutor(Executor):
     def _client(self) -> Client:
         return self._connected
 
-    def _most_pending(self) -> int:
-        return max(_AT_LEAST, _PER_THREAD * self._threads)
-
     def _look_after(self) -> None:
         """Count the workers' threads as they are now: workers come and go."""
         workers = self._connected.scheduler_info(n_workers=-1)["workers"]
-        self._threads: int = sum(worker["nthreads"] for worker in workers.values())
+        self._most_pending = max(_AT_LEAST, _PER_THREAD * sum(worker["nthreads"] for worker in workers.values()))
+
+
+class Identity(NamedTuple):
+    """What a process computes with: version, a short hash of the sources, and that of the mathematical library."""
+
+    version: str
+    sources: str
+    libm: str
+
+
+def identity() -> Identity:
+    """Return what this process computes with."""
+    try:
+        installed = version("swarmabs_core")
+    except PackageNotFoundError:
+        installed = "not installed"
+    total = sha256()
+    for name, folder in _SOURCES.items():
+        for path in sorted(folder.rglob("*.py")):
+            content = path.read_bytes()
+            total.update(f"{name}/{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
+    return Identity(installed, total.hexdigest()[:16], libm_fingerprint())
+
+
+def stranger(mine: Identity, workers: Mapping[str, Identity]) -> str | None:
+    """Say which of the workers, given by name, has another swarmabs than this process; None if none has."""
+    for name, theirs in sorted(workers.items()):
+        if theirs[:2] != mine[:2]:
+            return (
+                f"worker {name} has swarmabs {theirs.version}, sources {theirs.sources}, and this is {mine.version},"
+                f" sources {mine.sources}"
+            )
+    return None

@@ -6,15 +6,15 @@ cut off by the next start. ``results.parquet`` and ``summary.json`` appear whole
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import json
 import os
 import time
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.sweep.study import SCENARIO_FILE, Study
-from swarmabs_bag.run_folder import new_run_folder, next_run_folder
+from swarmabs_bag.run_folder import new_run_folder, next_run_folder, write_whole
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -33,24 +33,12 @@ class SweepFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.results, self.summary = path / "results.parquet", path / "summary.json"
+        self.journal = path / "cases.jsonl"
+        """The finished cases of a sweep that is not complete."""
         self._rows: dict[int, dict[str, Any]] = {}
         self._journal = -1
         self._synced = time.monotonic()
-
-    @property
-    def results(self) -> Path:
-        """The table of all cases."""
-        return self.path / "results.parquet"
-
-    @property
-    def summary(self) -> Path:
-        """What the sweep came to."""
-        return self.path / "summary.json"
-
-    @property
-    def journal(self) -> Path:
-        """The finished cases of a sweep that is not complete."""
-        return self.path / "cases.jsonl"
 
     @property
     def rows(self) -> Mapping[int, dict[str, Any]]:
@@ -130,16 +118,9 @@ class SweepFolder:
 
     def write_whole(self, path: Path, content: bytes) -> None:
         """Write a file of the folder, whole or not at all."""
-        part = path.with_name(f"{path.name}.part")
         try:
-            with part.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
+            write_whole(path, content, sync=True)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink()
             raise RunError(f"{path}: {error.strerror}; free space, then go on with --resume") from error
 
     def _close(self) -> None:
@@ -161,7 +142,7 @@ def make_folder(study: Study, path: Path | None, parent: Path) -> SweepFolder:
     made = new_run_folder(path) if path is not None else next_run_folder(parent, study.sweep.name)
     folder = SweepFolder(made.path)
     # The sweep's own file comes last: without it there is nothing to resume.
-    for name, text in ((SCENARIO_FILE, study.scenario), (SWEEP_FILE, study.sweep_text)):
+    for name, text in _files(study):
         folder.write_whole(folder.path / name, text.encode())
     return folder
 
@@ -174,13 +155,16 @@ def find_folder(study: Study, path: Path) -> SweepFolder:
     InputError
         If it is the folder of another sweep.
     """
-    for name, text in ((SCENARIO_FILE, study.scenario), (SWEEP_FILE, study.sweep_text)):
+    for name, text in _files(study):
         try:
             found = (path / name).read_bytes()
         except OSError as error:
             raise InputError(f"{path / name} cannot be read: {error.strerror}; start anew in another folder") from error
         if found != text.encode():
-            line = _first_difference(found.decode(errors="replace"), text)
+            pairs = zip_longest(
+                found.decode(errors="replace").splitlines(keepends=True), text.splitlines(keepends=True)
+            )
+            line = next((number for number, (one, other) in enumerate(pairs, 1) if one != other), 1)
             raise InputError(
                 f"{path} holds another sweep: {name} differs from line {line} on; "
                 "go on with the files it was begun with, or start anew in another folder"
@@ -188,11 +172,9 @@ def find_folder(study: Study, path: Path) -> SweepFolder:
     return SweepFolder(path)
 
 
-def _first_difference(found: str, expected: str) -> int:
-    """Return the first line, counted from 1, in which two texts differ."""
-    lines = zip(found.splitlines(), expected.splitlines(), strict=False)
-    same = next((number for number, (one, other) in enumerate(lines) if one != other), None)
-    return 1 + (min(len(found.splitlines()), len(expected.splitlines())) if same is None else same)
+def _files(study: Study) -> tuple[tuple[str, str], ...]:
+    """Return the names and texts of the files that say what the sweep is."""
+    return (SCENARIO_FILE, study.scenario), (SWEEP_FILE, study.sweep_text)
 
 
 def _write_all(descriptor: int, content: bytes) -> None:

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import io
 import json
 import time
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
-from swarmabs_analysis.sweep.executor import Common, Task
 from swarmabs_analysis.sweep.picture import pictures
-from swarmabs_analysis.sweep.table import parquet
 from swarmabs_core.errors import RunError
 from swarmabs_run.interruption import terminable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
     from swarmabs_analysis.sweep.executor import Executor
     from swarmabs_analysis.sweep.folder import SweepFolder
     from swarmabs_analysis.sweep.study import Study
+
+
+_KINDS = {
+    **dict.fromkeys(("case", "seed", "messages"), pa.int64()),
+    **dict.fromkeys(("status", "outcome", "reason", "digest"), pa.string()),
+    **dict.fromkeys(("in_printed_estimate", "in_corrected_estimate"), pa.bool_()),
+}
+"""Types of columns that do not hold floating-point numbers."""
 
 
 @dataclass
@@ -35,24 +45,10 @@ class SweepProgress:
 def run_sweep(
     study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[SweepProgress], None]
 ) -> dict[str, Any]:
-    """Compute the cases that are not finished yet, and write table, pictures and summary.
+    """Compute the cases that are not finished yet, write table, pictures and summary, and return the summary.
 
-    Parameters
-    ----------
-    study : Study
-        The sweep.
-    folder : SweepFolder
-        Its folder, taken.
-    executor : Executor
-        What computes the cases.
-    on_progress : callable
-        Told how far the sweep is, after each case and now and then.
-
-    Returns
-    -------
-    dict
-        The content of ``summary.json``; its ``status`` is ok, failed or interrupted. In the latter cases what is
-        finished is kept, and another start goes on from there.
+    Its ``status`` is ok, failed or interrupted; in the latter cases what is finished is kept, and another start goes on
+    from there. The folder is taken; `on_progress` is told how far the sweep is, after each case and now and then.
     """
     begun = time.monotonic()
     before = len(folder.rows)
@@ -99,9 +95,8 @@ def _compute(
     on_progress(progress)
     if progress.done == progress.cases:
         return
-    tasks = (Task(case.index, case.overrides()) for case in study.cases() if case.index not in folder.rows)
-    common = Common(study.scenario, study.sweep.attraction.angle_max)
-    for line in executor.compute(common, tasks, lambda: on_progress(progress)):
+    tasks = (study.task(index) for index in range(study.sweep.count) if index not in folder.rows)
+    for line in executor.compute(tasks, lambda: on_progress(progress)):
         row = folder.add(line)
         progress.done += 1
         progress.outcomes[row["outcome"]] += 1
@@ -110,3 +105,38 @@ def _compute(
 
 def _outcomes(folder: SweepFolder) -> Counter[str]:
     return Counter(row["outcome"] for row in folder.rows.values())
+
+
+def parquet(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> bytes:
+    """Return ``results.parquet``: one row per case, in order of the cases, of which all are finished.
+
+    Columns are ``case``, the parameters by their paths, the results, ``status``, ``outcome``, ``reason``, ``seed`` and
+    ``digest``. A parameter whose values are not all numbers, or not all texts, is written as JSON. The file's metadata
+    hold the sweep and its scenario. Equal sweeps give equal bytes.
+    """
+    cases = list(study.cases())
+    found = [{**rows[case.index], "case": case.index, "seed": case.seed} for case in cases]
+
+    def column(name: str) -> Any:
+        return pa.array([row.get(name) for row in found], _KINDS.get(name, pa.float64()))
+
+    columns = {"case": column("case")}
+    columns |= {path: _parameter([case.values[path] for case in cases]) for path in study.sweep.parameters}
+    names = (*study.sweep.results, "status", "outcome", "reason", "seed", "digest")
+    columns |= {name: column(name) for name in names}
+    described = {"swarmabs.sweep": study.sweep_text, "swarmabs.scenario": study.scenario}
+    file = io.BytesIO()
+    pq.write_table(pa.table(columns).replace_schema_metadata(described), file, compression="zstd")
+    return file.getvalue()
+
+
+def _parameter(values: Sequence[Any]) -> Any:
+    """Return the column of a parameter in the simplest type that holds all its values."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds == {int} and all(abs(value) < 2**63 for value in values if value is not None):
+        return pa.array(values, pa.int64())
+    if kinds and kinds <= {int, float}:
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    if kinds in ({bool}, {str}):
+        return pa.array(values)
+    return pa.array([json.dumps(value) for value in values], pa.string())
