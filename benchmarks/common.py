@@ -20,7 +20,9 @@ from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import RunError
 from swarmabs_run.interruption import terminable
-from swarmabs_run.orchestration import LockstepRun, Outcome, Progress
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.orchestration.plan import Arrange
+from swarmabs_run.run import Outcome, Progress, RunOptions
 
 BASE = "arise_het_200"
 STEP = 0.01
@@ -203,8 +205,16 @@ class RunResult:
     memory: Memory | None = None
 
 
-def measure_run(robots: int, steps: int, warm_up: float, *, look_at_memory: bool = False, **options: Any) -> RunResult:
-    """Run a swarm for so many steps as ``swarm run`` does, with these options of `LockstepRun`.
+def measure_run(
+    robots: int,
+    steps: int,
+    warm_up: float,
+    *,
+    look_at_memory: bool = False,
+    arrange: Arrange = tuple,
+    **options: Any,
+) -> RunResult:
+    """Run a swarm for so many steps as ``swarm run`` does, with these `RunOptions`.
 
     Raises
     ------
@@ -217,7 +227,7 @@ def measure_run(robots: int, steps: int, warm_up: float, *, look_at_memory: bool
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
         made = new_run_folder(Path(folder) / "run")
         begun = time.monotonic()
-        outcome = LockstepRun(swarm_of(robots, steps), made, on_progress=watch, **options).run()
+        outcome = LockstepRun(swarm_of(robots, steps), made, RunOptions(on_progress=watch, **options), arrange).run()
         ended = time.monotonic()
     start, stepping = checked(outcome)
     return RunResult(watch.rate(steps, stepping), start, ended - begun - start - stepping, watch.load(), watch.memory)

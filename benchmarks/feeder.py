@@ -11,7 +11,8 @@ from swarmabs_config.scenario import load_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, RECORDING_PROGRESS, RecordingProgress
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import Settings, run_node
 from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:

@@ -19,9 +19,7 @@ from benchmarks.processes import Load, crew_of, load_between, sample
 from swarmabs_config.graph import COORDINATORS
 from swarmabs_config.ports import domains_spanned
 from swarmabs_core.errors import RunError
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain, dds_environment, profile_xml
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:

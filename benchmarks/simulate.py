@@ -16,6 +16,7 @@ from benchmarks.continuous import METHOD, RTOL, solve
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_run.run import RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_run.simulation import simulate
 
@@ -95,7 +96,7 @@ def measure_against_solver(seconds: float) -> SolverResult:
 
 def _stepping_seconds(scenario: Scenario, *, record: bool) -> float:
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
-        _, stepping = checked(simulate_run(scenario, new_run_folder(Path(folder) / "run"), record=record))
+        _, stepping = checked(simulate_run(scenario, new_run_folder(Path(folder) / "run"), RunOptions(record=record)))
     return stepping
 
 

@@ -22,9 +22,7 @@ from swarmabs_config.ports import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.law_registry import LAWS
 from swarmabs_core.realtime.drive_registry import DRIVES
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 
 # Property tests draw the same examples every time, and take the time they need on a busy machine.
 settings.register_profile("swarmabs", deadline=None, derandomize=True, print_blob=True)

@@ -21,7 +21,7 @@ from processes import CascadeRun
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.run_folder import RunFolder, new_run_folder, next_run_folder
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 from swarmabs_run.summary import Times, summarise
 
 if TYPE_CHECKING:

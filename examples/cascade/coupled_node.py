@@ -15,7 +15,7 @@ from swarmabs_config.graph import CONTROLLER, LOCKSTEP, ROBOT, Endpoints, Option
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.runner import NodeSpec
+from swarmabs_ros.lockstep import NodeSpec
 
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings

@@ -16,10 +16,8 @@ from swarmabs_config.graph import CONTROLLER, PLANE, RECORDER
 from swarmabs_config.ports import domains_spanned
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.network import claimed_domain, dds_environment, profile_xml
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.orchestration.supervision import how_it_ended
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -52,7 +50,7 @@ def processes(cascade: CascadeScenario, folders: Mapping[str, RunFolder]) -> lis
     found: list[LayerProcess] = []
     for namespace, scenario in cascade.layers.items():
         folder = folders[namespace]
-        for process in plan(scenario, scenario_file=folder.scenario, bag=folder.bag, logs=folder.logs):
+        for process in plan(scenario, folder):
             coupled = _coupled(cascade, folders, namespace, process)
             unique = replace(coupled, name=f"{namespace.strip('/')}.{process.name}", participant=len(found))
             found.append(LayerProcess(namespace, unique, coupled.arguments(namespace), process.name))

@@ -11,9 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 
 
 class NodesByHand:

@@ -14,7 +14,7 @@ from tests.docs.pages import ROOT, read, rows, section
 from tests.processes import programs
 
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.run_folder import RunFolder, new_run_folder
 from swarmabs_config.scenario import load_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
@@ -85,7 +85,7 @@ def test_nodes_are_those_of_a_run(launch_file: Any, tmp_path: Path) -> None:
     out = tmp_path / "run"
     nodes = of_kind(actions(launch_file, out=str(out)), "Node")
     scenario = load_scenario(out / "scenario.yaml")
-    planned = plan(scenario, scenario_file=out / "scenario.yaml", bag=out / "bag", logs=out / "logs")
+    planned = plan(scenario, RunFolder(out))
     assert [node.named["arguments"] for node in nodes] == [process.arguments("/") for process in planned]
     started = {(node.named["package"], node.named["executable"]) for node in nodes}
     assert started == {
@@ -144,7 +144,7 @@ def test_planned_nodes_record_the_run_without_an_orchestrator(by_hand: NodesByHa
     folder = new_run_folder(tmp_path / "run")
     scenario = find_scenario("pd_het_4", ["duration=1.0"]).resolved()
     folder.fill(scenario)
-    planned = plan(scenario, scenario_file=folder.scenario, bag=folder.bag, logs=folder.logs)
+    planned = plan(scenario, folder)
     for process in planned:
         by_hand.start(process.module, *process.arguments("/"), name=process.name)
     assert by_hand.processes["recorder"].wait(timeout=60) == 0

@@ -13,7 +13,7 @@ from swarmabs_bag.recorder.recording import Recording
 from swarmabs_config.scenarios import builtin_scenarios, find_scenario
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import TOPICS
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 from swarmabs_run.summary import Times, summarise
 
 if TYPE_CHECKING:

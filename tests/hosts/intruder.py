@@ -39,8 +39,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, Discovery, network_profile_xml
+from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, dds_environment, network_profile_xml
 
 _PACE = 0.004
 MASSES = (0.4, 0.4)

@@ -15,7 +15,7 @@ import pytest
 from swarmabs_cli import main
 from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario, parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
-from swarmabs_run.orchestration.run_environment import write_network
+from swarmabs_run.orchestration.run_files import write_network
 
 KEYS = {
     *("scenario", "steps", "duration", "wall_time", "real_time_factor", "agents", "settled_at", "final_error"),

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from swarmabs_cli.elapsed import SETUP, setup_seconds, since_start, times
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 
 
 @pytest.mark.parametrize(("told", "seconds"), [("{own}:85.25", 85.25), ("{parent}:85.25", 0.0), ("", 0.0), (None, 0.0)])

@@ -18,7 +18,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_fleet.check import check
 from swarmabs_fleet.host_check import Reader, read_chrony, read_pmc, read_timedatectl
 from swarmabs_run.doctor import Finding
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 
 
 def bad(findings: list[Finding]) -> list[str]:

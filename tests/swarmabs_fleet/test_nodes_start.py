@@ -9,7 +9,7 @@ from tests.swarmabs_fleet.bundle_processes import ended, running
 from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_config.fleet.loader import load_fleet
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 
 
 @pytest.mark.system

@@ -16,7 +16,7 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_cli import main
 from swarmabs_config.fleet.loader import load_fleet
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 
 PATIENCE = 60.0
 THIRD = "  - {id: 3, host: base, kind: single_integrator, mass: 0.3, drive: {type: simulated, position: -0.2}}\n"

@@ -18,7 +18,7 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited, ex
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_fleet.bundle import host_bundle
 from swarmabs_fleet.host_plan import HostPlan
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 

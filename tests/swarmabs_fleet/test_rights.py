@@ -21,7 +21,7 @@ from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Target
 from swarmabs_fleet.parameters import parameter_file
 from swarmabs_fleet.permissions import Rights, host_rights, node_rights
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 
 DISCOVERY_INFO = "ros_discovery_info"
 """Used by each process for itself, so that it is no node's."""

@@ -9,9 +9,9 @@ import rclpy
 
 from swarmabs_core.parameters import Parameter, Value, resolve
 from swarmabs_ros.parameters import declare, given_values, table_of
-from swarmabs_ros.program import SwarmNode
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings
+from swarmabs_ros.start import SwarmNode
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from swarmabs_core.realtime.base import Health, Level
-from swarmabs_ros.diagnostics import diagnostic_array
+from swarmabs_ros.managed import diagnostic_array
 
 
 def test_health_becomes_one_status() -> None:

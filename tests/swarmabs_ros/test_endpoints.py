@@ -22,7 +22,7 @@ from swarmabs_ros.endpoints import (
     receiver,
     ros_type,
 )
-from swarmabs_ros.program import SwarmNode
+from swarmabs_ros.start import SwarmNode
 
 pytestmark = pytest.mark.usefixtures("ros")
 

@@ -12,8 +12,7 @@ from tests.swarmabs_ros.fakes import ANSWERS, Clock, Follower, Inbox, Outbox, Re
 from swarmabs_core.errors import MalformedMessageError, RunError
 from swarmabs_core.messages import PLANE_STATE, Message, Messages
 from swarmabs_ros import lockstep
-from swarmabs_ros.lockstep import Lockstep
-from swarmabs_ros.repeat import WINDOW
+from swarmabs_ros.lockstep import WINDOW, Lockstep, NodeSpec
 
 
 @dataclass
@@ -25,13 +24,13 @@ class Bench:
     reports: Reports
     published: list[tuple[float, Message]]
 
-    def run(self, behaviour: Follower, until: float, **options: Any) -> Lockstep:
+    def run(self, behaviour: Follower, until: float, *, stall_timeout: float = 5.0, **spec: Any) -> Lockstep:
         loop = Lockstep(
-            behaviour,
+            NodeSpec(behaviour, **spec),
             self.inbox,
             {ANSWERS: cast("Any", Outbox(self.clock, ANSWERS, self.published))},
             cast("Any", self.reports),
-            **{"stall_timeout": 5.0, **options},
+            stall_timeout=stall_timeout,
         )
         self.clock.end, self.clock.on_end = until, loop.stop
         loop.run()

@@ -14,7 +14,7 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Message, Messages, Topic
 from swarmabs_core.realtime.base import Health, Level, Schedule
-from swarmabs_ros.realtime import Engine, RealtimeLoop, timing_report
+from swarmabs_ros.realtime import Engine, RealtimeLoop
 from swarmabs_ros.timing import Reading, StepClock
 
 EPOCH = 1_000_000_000_000
@@ -235,7 +235,7 @@ def test_health_has_the_figures_and_warns_of_what_was_missed_since_the_last_time
     assert [health.level for health in seen] == [Level.WARN, Level.OK]
     assert seen[0].text == "fine; 6 periods missed"
     assert dict(seen[1].values)["periods missed"] == "6"
-    report = timing_report(run.clock)
+    report = run.clock.report()
     assert report["missed"] == 6
     assert report["longest_us"] == (at(6.5)) // 1000
     assert sum(report["lateness_us"].values()) == report["steps"] == 12 - 6  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, strategies as st
 
-from swarmabs_ros.repeat import FIRST, LONGEST, WINDOW, Repeater
+from swarmabs_ros.lockstep import FIRST, LONGEST, WINDOW, Repeater
 
 
 def silence(repeater: Repeater, now: float, count: int) -> list[tuple[float, int]]:

@@ -12,14 +12,14 @@ import threading
 import pytest
 
 from swarmabs_core.errors import InputError
-from swarmabs_ros import scheduling
+from swarmabs_ros.realtime_runner import lock_memory, schedule_threads
 
-LOCKS = "from swarmabs_ros.scheduling import lock_memory; lock_memory(); print(open('/proc/self/status').read())"
+LOCKS = "from swarmabs_ros.realtime_runner import lock_memory; lock_memory(); print(open('/proc/self/status').read())"
 
 
 def test_nothing_is_asked_for_unless_it_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("nobody wants that"))
-    scheduling.schedule_threads("other", 50)
+    schedule_threads("other", 50)
 
 
 @pytest.mark.parametrize(("name", "policy"), [("fifo", os.SCHED_FIFO), ("rr", os.SCHED_RR)])
@@ -43,7 +43,7 @@ def test_all_threads_get_the_class_and_this_one_comes_first(
     ids = [other.native_id for other in others]
     gone += [ids[0] or 0]
     try:
-        scheduling.schedule_threads(name, 42)
+        schedule_threads(name, 42)
     finally:
         ending.set()
         for other in others:
@@ -59,7 +59,7 @@ def test_a_refused_class_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with pytest.raises(InputError, match=r"parameter scheduling: .*fifo priority 42.*LimitRTPRIO=42.*'other'"):
-        scheduling.schedule_threads("fifo", 42)
+        schedule_threads("fifo", 42)
 
 
 def test_refused_locking_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +71,7 @@ def test_refused_locking_is_named_with_the_way_out(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Libc)
     with pytest.raises(InputError, match=r"parameter lock_memory: .*Cannot allocate memory.*LimitMEMLOCK=infinity"):
-        scheduling.lock_memory()
+        lock_memory()
 
 
 def test_locked_memory_is_locked() -> None:

@@ -17,8 +17,15 @@ from tests.processes import until
 from swarmabs_cli import main
 from swarmabs_core.errors import InputError
 from swarmabs_fleet.operate import target
-from swarmabs_run.orchestration.progress_file import INTERVAL, ProgressFile, Told, read_progress
-from swarmabs_run.orchestration.run_environment import RunOverError, environment_of_run, start_of
+from swarmabs_run.orchestration.run_files import (
+    PROGRESS_INTERVAL,
+    ProgressFile,
+    RunOverError,
+    Told,
+    environment_of_run,
+    read_progress,
+    start_of,
+)
 from swarmabs_run.processes import RunProcesses, newest_run
 
 SWARM = [sys.executable, "-m", "swarmabs_cli"]
@@ -41,9 +48,9 @@ def test_progress_is_written_now_and_then(tmp_path: Path) -> None:
     file.tell("running", 0, 100, 10.1)  # the phase is another one
     file.tell("running", 30, 100, 10.2)
     assert read_progress(tmp_path) == Told("running", 0, 100, None, 10.1)
-    file.tell("running", 50, 100, 10.1 + INTERVAL)
+    file.tell("running", 50, 100, 10.1 + PROGRESS_INTERVAL)
     told = read_progress(tmp_path)
-    assert told is not None and told.step_rate == pytest.approx(50 / INTERVAL)
+    assert told is not None and told.step_rate == pytest.approx(50 / PROGRESS_INTERVAL)
     file.over()
     told = read_progress(tmp_path)
     assert told is not None and told[:4] == ("over", 50, 100, None)

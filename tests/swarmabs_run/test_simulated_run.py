@@ -13,14 +13,14 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_run.orchestration.progress import Progress
+from swarmabs_run.run import Progress, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
 
 def test_it_tells_how_it_goes_and_what_it_came_to(tmp_path: Path) -> None:
     told: list[Progress] = []
     scenario = find_scenario("pd_het_4", ["duration=1"]).resolved()
-    outcome = simulate_run(scenario, new_run_folder(tmp_path / "run"), on_progress=told.append)
+    outcome = simulate_run(scenario, new_run_folder(tmp_path / "run"), RunOptions(on_progress=told.append))
     assert (outcome.status, outcome.reason) == ("ok", None)
     assert outcome.figures["messages"] == 101 * 8
     assert outcome.stepping_seconds
@@ -31,11 +31,11 @@ def test_it_tells_how_it_goes_and_what_it_came_to(tmp_path: Path) -> None:
 
 def test_without_a_bag_the_digest_is_the_same(tmp_path: Path) -> None:
     scenario = find_scenario("arise_si_4", ["duration=0.5"]).resolved()
-    digests = {
-        record: simulate_run(scenario, new_run_folder(tmp_path / str(record)), record=record).figures["digest"]
+    recorded, other = (
+        simulate_run(scenario, new_run_folder(tmp_path / str(record)), RunOptions(record=record))
         for record in (True, False)
-    }
-    assert digests[True] == digests[False]
+    )
+    assert recorded.figures["digest"] == other.figures["digest"]
     assert (tmp_path / "True" / "bag").is_dir()
     assert not (tmp_path / "False" / "bag").exists()
 

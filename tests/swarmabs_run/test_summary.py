@@ -12,7 +12,7 @@ from rich.console import Console
 
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 from swarmabs_run.summary import Times, summarise, summary_table
 
 FIGURES = {

@@ -23,8 +23,7 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.messages import TOPIC_OF, EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_ros.endpoints import advertise
-from swarmabs_ros.program import SwarmNode
-from swarmabs_ros.start import initialise
+from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_view.facts import Shading, regions
 from swarmabs_view.listener import Listener
 from swarmabs_view.live import RATE_WINDOW, SILENCE, LiveSession, LiveView, StepRate
@@ -329,7 +328,7 @@ def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_no
 
 
 def test_processes_file_is_whole_or_not_there(tmp_path: Path) -> None:
-    from swarmabs_run.orchestration.run_environment import read_processes, write_processes  # noqa: PLC0415
+    from swarmabs_run.orchestration.run_files import read_processes, write_processes  # noqa: PLC0415
 
     (tmp_path / "logs").mkdir()
     assert read_processes(tmp_path) is None

@@ -11,7 +11,7 @@ from rich.console import Console
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_run.orchestration.progress import Progress
+from swarmabs_run.run import Progress
 from swarmabs_view.terminal import RunPanel
 
 SCENARIO = find_scenario("pd_het_4", ["duration=10"]).resolved()

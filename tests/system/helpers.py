@@ -10,7 +10,7 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -23,8 +23,9 @@ from tests.processes import marked_processes, until
 from swarmabs_bag.recording import Digest
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_run.orchestration import LockstepRun, Outcome, Progress
-from swarmabs_run.orchestration.plan import ProcessPlan
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.orchestration.plan import Arrange
+from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulation import Simulation
 
 MAIN_TOPICS = (
@@ -145,16 +146,12 @@ def lockstep(
     folder: Path,
     scenario: str = "pd_het_4",
     *overrides: str,
-    arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
-    on_progress: Callable[[Progress], None] | None = None,
-    agents_per_process: int = 1,
-    packed: bool = False,
+    arrange: Arrange = tuple,
+    **options: Any,
 ) -> Outcome:
-    """Run a scenario as processes."""
+    """Run a scenario as processes, with these `RunOptions`."""
     loaded = find_scenario(scenario, overrides).resolved()
-    made = new_run_folder(folder)
-    options: dict[str, Any] = {"arrange": arrange, "on_progress": on_progress}
-    return LockstepRun(loaded, made, agents_per_process=agents_per_process, packed=packed, **options).run()
+    return LockstepRun(loaded, new_run_folder(folder), RunOptions(**options), arrange).run()
 
 
 @cache

@@ -14,7 +14,8 @@ from pathlib import Path
 
 from swarmabs_bag.run_folder import Split, new_run_folder
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_run.orchestration import LockstepRun, Progress
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.run import Progress, RunOptions
 
 
 def main() -> int:
@@ -26,8 +27,8 @@ def main() -> int:
         if progress.phase == "running" and progress.angle is not None:  # something is recorded
             os.write(log, f"{time.monotonic():.6f} {progress.step}\n".encode())
 
-    split = Split(nanoseconds=20 * 10**9)
-    outcome = LockstepRun(scenario, new_run_folder(Path(folder)), on_progress=say, split=split).run()
+    options = RunOptions(on_progress=say, split=Split(nanoseconds=20 * 10**9))
+    outcome = LockstepRun(scenario, new_run_folder(Path(folder)), options).run()
     return 0 if outcome.status == "ok" else 1
 
 

@@ -17,9 +17,7 @@ from tests.processes import SEARCH_PATH, until
 from tests.system.helpers import LONGEST
 
 from swarmabs_ros.status import REPORT_FD
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 
 PATIENCE = 40.0
 """Time, s, within which something must happen that takes far less on a machine that is not busy."""

@@ -10,7 +10,7 @@ import pytest
 from tests.processes import marked_processes
 from tests.system.helpers import COORDINATORS, lockstep, seconds
 
-from swarmabs_run.orchestration import Progress
+from swarmabs_run.run import Progress
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(900)]
 

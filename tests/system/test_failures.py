@@ -162,7 +162,7 @@ def test_simulate_on_a_disk_that_fills_up_ends_the_same_way(small_disk: Path) ->
 def test_no_domain_is_left(folder: Path) -> None:
     """Whoever is refused a domain has started nothing."""
     script = (
-        "import sys; import swarmabs_run.orchestration.domain as d; d._claim = lambda _: [];"
+        "import sys; import swarmabs_run.orchestration.network as d; d._claim = lambda _: [];"
         "from swarmabs_cli import main; sys.exit(main(sys.argv[1:]))"
     )
     done = subprocess.run(

@@ -12,7 +12,7 @@ import psutil
 import pytest
 from tests.system.helpers import COORDINATORS, named_processes, started_swarm, swarm, until_stepping
 
-from swarmabs_run.orchestration.run_environment import environment_of_run
+from swarmabs_run.orchestration.run_files import environment_of_run
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 

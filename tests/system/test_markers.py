@@ -24,8 +24,7 @@ from websockets.typing import Subprotocol
 
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_cli import main
-from swarmabs_run.orchestration.progress_file import read_progress
-from swarmabs_run.orchestration.run_environment import environment_of_run
+from swarmabs_run.orchestration.run_files import environment_of_run, read_progress
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 SWARM = [sys.executable, "-m", "swarmabs_cli"]

@@ -19,7 +19,7 @@ from tests.system.helpers import (
 
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_run.orchestration import Progress
+from swarmabs_run.run import Progress
 
 pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(600)]
 

@@ -30,7 +30,7 @@ from tests.system.helpers import (
 
 from swarmabs_core.cdr import decode
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_run.orchestration.run_environment import environment_of_run, read_processes
+from swarmabs_run.orchestration.run_files import environment_of_run, read_processes
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 

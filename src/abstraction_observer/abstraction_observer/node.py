@@ -9,7 +9,8 @@ from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import Messages
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.runner import STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 ON_STALL = Parameter("on_stall", "fail", "what becomes of a robot that does not answer", choices=("fail", "drop"))

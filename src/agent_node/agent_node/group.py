@@ -12,7 +12,8 @@ from swarmabs_core.behaviours import AgentGroup
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.parameters import Parameter
-from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (

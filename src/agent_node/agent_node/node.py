@@ -6,7 +6,8 @@ import sys
 
 from swarmabs_config.graph import ROBOT
 from swarmabs_core.behaviours import Agent, AgentConfig
-from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (AgentConfig, PACKED, STEERED)

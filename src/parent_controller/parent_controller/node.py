@@ -8,7 +8,8 @@ from swarmabs_config.graph import CONTROLLER
 from swarmabs_core.behaviours import Controller, ControllerConfig, Steered
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError
-from swarmabs_ros.runner import PACKED, STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (ControllerConfig, PACKED, STEERED)

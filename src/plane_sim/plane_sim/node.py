@@ -6,7 +6,8 @@ import sys
 
 from swarmabs_config.graph import PLANE
 from swarmabs_core.behaviours import Plane, PlaneConfig, Steered
-from swarmabs_ros.runner import STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (PlaneConfig, STEERED)

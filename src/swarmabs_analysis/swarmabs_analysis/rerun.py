@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.progress import Outcome
+    from swarmabs_run.run import Outcome
 
 _REPEATABLE = ("lockstep", "simulate")
 _REMEDY = "run the scenario.yaml of its folder instead, as a run of its own"

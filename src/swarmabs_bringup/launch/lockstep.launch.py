@@ -47,7 +47,7 @@ def actions(context: Any) -> list[Any]:
     folder = new_run_folder(Path(asked["out"])) if asked["out"] else next_run_folder(Path("runs"), scenario.name)
     folder.fill(scenario)
     nodes = []
-    for process in plan(scenario, scenario_file=folder.scenario, bag=folder.bag, logs=folder.logs):
+    for process in plan(scenario, folder):
         package, name = executable(process)
         nodes.append(
             Node(

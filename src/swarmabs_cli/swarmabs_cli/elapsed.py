@@ -6,7 +6,7 @@ import os
 import time
 from pathlib import Path
 
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 from swarmabs_run.summary import Times
 
 SETUP = "SWARMABS_SETUP"

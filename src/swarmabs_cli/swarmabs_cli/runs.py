@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import click
 from rich.console import Console
@@ -28,25 +27,12 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.summary import summarise, summary_table
 from swarmabs_view.terminal import shown_progress
 
-
-class Execute(Protocol):
-    """Carries a run out, such as `swarmabs_run.simulated_run.simulate_run`."""
-
-    def __call__(
-        self,
-        scenario: Scenario,
-        folder: RunFolder,
-        *,
-        record: bool,
-        split: Split,
-        on_progress: Callable[[Progress], None],
-    ) -> Outcome:
-        """Run a scenario and leave its results in a folder."""
-        ...
+Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
+"""Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
 
 
 def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
@@ -124,7 +110,7 @@ def carry_out(
         loading = since_start()
         with shown_progress(loaded) as show:
             split = Split(max_bag_size, max_bag_duration * 10**9)
-            outcome = execute(loaded, folder, record=not no_bag, split=split, on_progress=show)
+            outcome = execute(loaded, folder, RunOptions(record=not no_bag, split=split, on_progress=show))
             no_more_interrupts()
         summary = summarise(
             loaded,

@@ -11,8 +11,8 @@ from rclpy.node import Node
 
 from swarmabs_core.errors import InputError
 from swarmabs_ros.start import check_profiles, initialise
-from swarmabs_ros.systemd import notify
-from swarmabs_run.orchestration.dds_profile import REALTIME_LEASE
+from swarmabs_ros.status import notify
+from swarmabs_run.orchestration.network import REALTIME_LEASE
 
 LIFE_SIGN = 1.0
 """Time, s, between two signs of life for systemd."""

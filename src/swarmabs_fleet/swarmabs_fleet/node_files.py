@@ -14,8 +14,7 @@ from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, DRIV
 from swarmabs_config.fleet.robots import PluginDrive
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER
 from swarmabs_config.ports import metatraffic_port
-from swarmabs_run.orchestration.dds_environment import PARTICIPANT_VARIABLE, dds_environment
-from swarmabs_run.orchestration.dds_profile import Discovery, network_profile_xml
+from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE, Discovery, dds_environment, network_profile_xml
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -29,8 +29,8 @@ from swarmabs_core.realtime.base import Level
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.node_files import profile, tool_environment
 from swarmabs_ros.endpoints import advertise
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.run_environment import environment_of_run, goes_on, is_realtime
+from swarmabs_run.orchestration.network import dds_environment
+from swarmabs_run.orchestration.run_files import environment_of_run, goes_on, is_realtime
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:

@@ -1,20 +1,24 @@
-"""The loop that drives a node behaviour in lockstep over DDS."""
+"""The loop that drives a node behaviour in lockstep over DDS, and repeats its messages where nothing comes.
+
+No quality of service is trusted, so whoever waits too long sends its last messages again.
+"""
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPIC_OF
-from swarmabs_ros.repeat import FIRST, WINDOW, Repeater
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from rclpy.publisher import Publisher
 
+    from swarmabs_config.graph import Endpoints
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_ros.endpoints import Receiver
@@ -22,6 +26,107 @@ if TYPE_CHECKING:
 
 SLICE = 0.1
 """Longest time, s, for which a node does not look whether it shall stop."""
+FIRST = 0.05
+"""Shortest wait before a repetition, s."""
+LONGEST = 1.0
+"""Longest wait between repetitions, s."""
+WINDOW = 128
+"""Most steps that are repeated: more than a run may be ahead of its recorder."""
+
+INTERRUPTED = "interrupted"
+"""What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSpec:
+    """What a node is made of.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+        Its state machine.
+    endpoints : Endpoints, optional
+        What it publishes and reads, if that does not follow from the graph and its parameters.
+    on_stall : callable, optional
+        What the behaviour answers to a stall, such as dropping robots. It is asked as long as the stall lasts, once
+        it has been waited for the same for the time that counts as a stall.
+    on_exit : callable, optional
+        What to do at the end, whatever it is; the argument says what went wrong, if something did, or `INTERRUPTED`.
+    lingers : bool
+        Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
+    gather : float
+        Time, s, for which messages may gather before they are handled, for a node that nobody waits for.
+    on_idle : callable, optional
+        What to do whenever nothing more has arrived, every `SLICE` s at the latest.
+    hear : callable, optional
+        Takes a message by topic and bytes, for a node that needs these too; by default the behaviour takes the message.
+    """
+
+    behaviour: Behaviour
+    endpoints: Endpoints | None = None
+    on_stall: Callable[[], Messages] | None = None
+    on_exit: Callable[[str | None], None] = field(default=lambda _: None)
+    lingers: bool = True
+    gather: float = 0.0
+    on_idle: Callable[[], None] | None = None
+    hear: Callable[[Topic, bytes], Messages] | None = None
+
+
+class Repeater:
+    """Decides on repetitions from the times at which there was progress.
+
+    The first repetition comes after four usual step times and repeats one step; if it does not help, ever more steps
+    are repeated at ever longer intervals, because what somebody lacks may be older than the current step. The fifth
+    repetition covers them all, and comes before the silence counts as a stall.
+
+    Parameters
+    ----------
+    now : float
+        Current time, s, of any clock that does not jump.
+    first : float
+        Shortest wait before a repetition, s. In a large swarm a step takes longer than a small one's patience, and
+        whoever repeats itself before it can be answered adds to what makes the step long.
+    most : int
+        Most steps that are repeated.
+    """
+
+    def __init__(self, now: float, *, first: float = FIRST, most: int = WINDOW) -> None:
+        self._first = first
+        self._longest = max(LONGEST, 4.0 * first)
+        self._most = most
+        self._usual = first
+        self._last = now
+        self._interval = 4.0 * first
+        self._window = 1
+        self._due = now + self._interval
+
+    def progress(self, now: float) -> None:
+        """Note that a step was made."""
+        # This follows the step time that four steps of five keep to: a lost message, which delays a step by this very
+        # wait, must not make the next wait longer. All would wait ever longer for each other.
+        self._usual = min(self._usual * (1.1 if now - self._last > self._usual else 0.98), self._longest)
+        self._interval = min(max(self._first, 4.0 * self._usual), self._longest)
+        self._last = now
+        self._window = 1
+        self._due = now + self._interval
+
+    def wait(self, now: float) -> float:
+        """Return the time until the next repetition, s."""
+        return max(0.0, self._due - now)
+
+    def due(self, now: float) -> int:
+        """Return how many of the latest steps to repeat now, 0 for none."""
+        if now < self._due:
+            return 0
+        window = self._window
+        self._window = 4 * window if window < self._most else 1
+        self._interval = min(1.5 * self._interval, self._longest)
+        self._due = now + self._interval
+        return min(window, self._most)
+
+    def silence(self, now: float) -> float:
+        """Return the time since the last progress, s."""
+        return now - self._last
 
 
 class Lockstep:
@@ -29,61 +134,38 @@ class Lockstep:
 
     Parameters
     ----------
-    behaviour : Behaviour
-        The node's state machine.
-    receiver : Receiver
-        Its subscriptions.
-    publishers : mapping
-        Its publishers by topic.
+    spec : NodeSpec
+        What the node is made of.
+    receiver, publishers : Receiver, mapping
+        Its endpoints.
     status : StatusChannel
         Where stalls are reported.
     stall_timeout : float
         Silence, s, that counts as a stall; 0 for never.
-    on_stall : callable, optional
-        What the behaviour answers to a stall, such as dropping robots. It is asked as long as the stall lasts, once
-        it has been waited for the same for `stall_timeout`.
-    lingers : bool
-        Whether to go on repeating the last messages when the behaviour has finished.
-    gather : float
-        Time, s, for which messages may gather once the first has come, before they are handled.
-    repeat_after : float
-        Shortest wait before a repetition, s.
-    repeat_steps : int
-        Most steps that are repeated.
-    on_idle : callable, optional
-        Called whenever nothing more has arrived, every `SLICE` s at the latest.
-    hear : callable, optional
-        Takes a message for the behaviour by topic and bytes; by default they are decoded for `Behaviour.handle`.
+    repeat_after, repeat_steps : float, int
+        As of `Repeater`.
     """
 
     def __init__(
         self,
-        behaviour: Behaviour,
+        spec: NodeSpec,
         receiver: Receiver,
         publishers: Mapping[Topic, Publisher],
         status: StatusChannel,
         *,
         stall_timeout: float,
-        on_stall: Callable[[], Messages] | None = None,
-        lingers: bool = True,
-        gather: float = 0.0,
         repeat_after: float = FIRST,
         repeat_steps: int = WINDOW,
-        on_idle: Callable[[], None] | None = None,
-        hear: Callable[[Topic, bytes], Messages] | None = None,
     ) -> None:
-        self._behaviour = behaviour
+        self._spec = spec
+        self._behaviour = spec.behaviour
         self._receiver = receiver
         self._publishers = publishers
         self._status = status
         self._stall_timeout = stall_timeout
-        self._on_stall = on_stall
-        self._lingers = lingers
-        self._gather = gather
-        self._repeat_after = repeat_after
-        self._repeat_steps = repeat_steps
-        self._on_idle = on_idle
-        self._hear = hear or self._decoded
+        self._repeat_after, self._repeat_steps = repeat_after, repeat_steps
+        self._repeater: Repeater
+        self._hear = spec.hear or self._decoded
         self._sent: deque[tuple[int, Publisher, bytes]] = deque()
         self._stalled = False
         self._waited: tuple[int, tuple[str, ...]] = (-1, ())
@@ -106,29 +188,30 @@ class Lockstep:
         """
         behaviour, receiver = self._behaviour, self._receiver
         repeater = Repeater(time.monotonic(), first=self._repeat_after, most=self._repeat_steps)
+        self._repeater = repeater
         self._publish(behaviour.start())
         while not self._stopping:
             topics = behaviour.awaits()
-            if not topics and not self._lingers:
+            if not topics and not self._spec.lingers:
                 return
-            if self._drain(topics, repeater):
+            if self._drain(topics):
                 continue
-            if self._on_idle is not None:
-                self._on_idle()
+            if self._spec.on_idle is not None:
+                self._spec.on_idle()
             now = time.monotonic()
             if topics:
                 if receiver.wait(topics, min(SLICE, repeater.wait(now))):
-                    if self._gather:
-                        time.sleep(self._gather)
+                    if self._spec.gather:
+                        time.sleep(self._spec.gather)
                     continue
                 now = time.monotonic()
-                self._check_stall(repeater, now)
+                self._check_stall(now)
             else:
                 time.sleep(min(SLICE, repeater.wait(now)))
                 now = time.monotonic()
             self._repeat(repeater.due(now))
 
-    def _drain(self, topics: tuple[Topic, ...], repeater: Repeater) -> bool:
+    def _drain(self, topics: tuple[Topic, ...]) -> bool:
         """Handle what has arrived on these topics, as long as they are what is awaited; tell whether there was any."""
         behaviour, take = self._behaviour, self._receiver.take
         found = False
@@ -137,9 +220,7 @@ class Lockstep:
                 found = True
                 answer = self._hear(topic, data)
                 if answer:
-                    self._publish(answer)
-                    repeater.progress(time.monotonic())
-                    self._recovered()
+                    self._progress(answer, time.monotonic())
                 if behaviour.awaits() != topics:
                     return True
         return found
@@ -166,27 +247,28 @@ class Lockstep:
             if step > newest - steps:
                 publisher.publish(data)
 
-    def _check_stall(self, repeater: Repeater, now: float) -> None:
+    def _check_stall(self, now: float) -> None:
         if not self._stall_timeout:
             return
-        if self._on_stall is not None and (waited := self._behaviour.missing()) != self._waited:
+        if self._spec.on_stall is not None and (waited := self._behaviour.missing()) != self._waited:
             self._waited, self._waited_since = waited, now
-        silence = repeater.silence(now)
+        silence = self._repeater.silence(now)
         if silence < self._stall_timeout:
             return
         if not self._stalled:
             self._stalled = True
             step, missing = self._behaviour.missing()
             self._status.send("stalled", step=step, missing=missing[:20], count=len(missing), silence=round(silence, 1))
-        if self._on_stall is None or now - self._waited_since < self._stall_timeout:
+        if self._spec.on_stall is None or now - self._waited_since < self._stall_timeout:
             return
-        answer = self._on_stall()
+        answer = self._spec.on_stall()
         if answer:  # a step is made: whoever is silent in the next one is another stall
-            self._publish(answer)
-            repeater.progress(now)
-            self._recovered()
+            self._progress(answer, now)
 
-    def _recovered(self) -> None:
+    def _progress(self, answer: Messages, now: float) -> None:
+        """Publish the answer that makes a step."""
+        self._publish(answer)
+        self._repeater.progress(now)
         if self._stalled:
             self._stalled = False
             self._status.send("recovered")

@@ -10,7 +10,7 @@ import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -22,10 +22,9 @@ from std_srvs.srv import Trigger
 from swarmabs_config.graph import DIAGNOSTICS, REALTIME
 from swarmabs_core.errors import RunError, SwarmabsError
 from swarmabs_core.realtime.base import Health, Level, Schedule
-from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
-from swarmabs_ros.realtime import Engine, RealtimeLoop, read_clocks, timing_report
-from swarmabs_ros.systemd import notify
+from swarmabs_ros.realtime import Engine, RealtimeLoop, read_clocks
+from swarmabs_ros.status import notify
 from swarmabs_ros.timing import StepClock
 
 if TYPE_CHECKING:
@@ -40,6 +39,8 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.base import RealtimeBehaviour
     from swarmabs_ros.status import StatusChannel
 
+DIAGNOSTICS_PERIOD = 1.0
+"""Time between two messages of diagnostics, s."""
 TOLD_WITHIN = 1.0
 """Time, s, that a process which is about to end has for each answer and for its last diagnostics."""
 SUCCESS, FAILURE, ERROR = (
@@ -102,7 +103,7 @@ class RealtimeNode(LifecycleNode):
         self._before: tuple[Any, ...] | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(diagnostics.PERIOD, self._diagnose, clock=steady)
+        self._timer = self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=steady)
 
     def prepare(
         self,
@@ -232,7 +233,7 @@ class RealtimeNode(LifecycleNode):
             self._refuse("halt", error)
             return False
         if self._clock_of_steps is not None:
-            self._status.send("timing", **timing_report(self._clock_of_steps))
+            self._status.send("timing", **self._clock_of_steps.report())
             self._clock_of_steps = None
         before, self._before = self._before, None
         for entity in self._entities():
@@ -280,12 +281,12 @@ class RealtimeNode(LifecycleNode):
         return guarded
 
     def _diagnose(self) -> None:
-        self._diagnostics.publish(diagnostics.diagnostic_array(self.get_name(), self.health(), read_clocks().system))
+        self._diagnostics.publish(diagnostic_array(self.get_name(), self.health(), read_clocks().system))
 
     def health(self) -> Health:
         """Return how the node is, whatever its state."""
         try:
-            level, text, values = self._loop.health(diagnostics.PERIOD / 2.0)
+            level, text, values = self._loop.health(DIAGNOSTICS_PERIOD / 2.0)
         except Exception as error:  # noqa: BLE001 - that is how it is
             level, text, values = Level.ERROR, one_line(error), ()
         state = self.state
@@ -300,3 +301,20 @@ def one_line(error: Exception) -> str:
     """Return an error in one line, with its class where the text is not meant for people."""
     text = " ".join(str(error).split())[:2000]
     return text if isinstance(error, SwarmabsError) else f"{type(error).__name__}: {text}"
+
+
+def diagnostic_array(node: str, health: Health, now: int) -> DiagnosticArray:
+    """Return the message of a node in the form that ROS tools expect; `now` in ns since 1970.
+
+    Its name is also the hardware's: a robot is its node.
+    """
+    status = DiagnosticStatus(
+        level=bytes([health.level]),
+        name=f"{node}: realtime",
+        message=health.text,
+        hardware_id=node,
+        values=[KeyValue(key=name, value=text) for name, text in health.values],
+    )
+    array = DiagnosticArray(status=[status])
+    array.header.stamp.sec, array.header.stamp.nanosec = divmod(now, 10**9)
+    return array

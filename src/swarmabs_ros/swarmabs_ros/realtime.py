@@ -360,37 +360,11 @@ class RealtimeLoop:
         if missed > TOLERATED * (missed + made):
             level = max(level, Level.WARN)
             concerns.append(f"{missed} periods missed")
-        return Health(level, "; ".join(concerns), (*values, *timing_values(clock), *self._refusals()))
+        return Health(level, "; ".join(concerns), (*values, *clock.values(), *self._refusals()))
 
     def _refusals(self) -> tuple[tuple[str, str], ...]:
         values = (("malformed messages", str(self.refused)),)
         return (*values, ("last malformed", self.refusal)) if self.refused else values
-
-
-def timing_values(clock: StepClock) -> tuple[tuple[str, str], ...]:
-    """Return the figures of timing for people."""
-    late = clock.lateness
-    return (
-        ("steps made", str(late.count)),
-        ("periods missed", str(clock.missed)),
-        ("late, half below (us)", str(late.below(0.5))),
-        ("late, 99.9 % below (us)", str(late.below(0.999))),
-        ("late, longest (us)", str(late.longest // 1000)),
-        ("clock jumps", str(clock.jumps)),
-        ("largest clock jump (ms)", f"{clock.largest_jump / 1e6:.3f}"),
-    )
-
-
-def timing_report(clock: StepClock) -> dict[str, object]:
-    """Return the figures of timing as a JSON document; the histogram by the upper edges of its bins, us."""
-    return {
-        "steps": clock.lateness.count,
-        "missed": clock.missed,
-        "longest_us": clock.lateness.longest // 1000,
-        "lateness_us": {str(edge): count for edge, count in clock.lateness.bins().items()},
-        "clock_jumps": clock.jumps,
-        "largest_clock_jump_ns": clock.largest_jump,
-    }
 
 
 def _text(error: Exception) -> str:

@@ -1,11 +1,17 @@
-"""The frame of ``main`` of every node in real time: parameters, the two threads, autostart, exit code."""
+"""The frame of ``main`` of every node in real time: parameters, the two threads, autostart, exit code.
+
+A process may ask the kernel for a real-time priority and for memory that stays in, so that its steps come in time.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
 import threading
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
@@ -15,13 +21,12 @@ from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Realtime, Schedule
-from swarmabs_ros import scheduling
 from swarmabs_ros.managed import RealtimeNode, one_line
 from swarmabs_ros.parameters import declare, given_values, table_of
-from swarmabs_ros.program import run_program
 from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.runner import Settings
-from swarmabs_ros.systemd import Heartbeat, notify
+from swarmabs_ros.start import run_program
+from swarmabs_ros.status import Heartbeat, notify
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,18 +34,37 @@ if TYPE_CHECKING:
     from swarmabs_ros.managed import RealtimeSpec
     from swarmabs_ros.status import StatusChannel
 
+SCHEDULING = Parameter(
+    "scheduling",
+    "other",
+    "scheduling of the node's threads: other, or a real-time class",
+    choices=("other", "fifo", "rr"),
+)
+PRIORITY = Parameter(
+    "priority",
+    50,
+    "priority within a real-time class of the thread that makes the steps; all others have one less",
+    minimum=2,
+    maximum=99,
+)
+LOCK_MEMORY = Parameter("lock_memory", default=False, description="whether to keep all memory from being paged out")
+
 COMMON = (
     *parameters_of(Schedule),
     Parameter("await_epoch", default=False, description="whether whoever starts the node tells it the epoch"),
     *(parameter for parameter in parameters_of(Realtime) if parameter.name == "clock_tolerance"),
     Parameter("autostart", default=True, description="whether to configure and activate the node at once"),
-    *scheduling.PARAMETERS,
+    SCHEDULING,
+    PRIORITY,
+    LOCK_MEMORY,
 )
 """Parameters that every node in real time has."""
 
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, for which the thread that serves ROS keeps the interpreter when a step is due."""
 _ENDS_WITHIN = 5.0
+_CLASSES = {"fifo": os.SCHED_FIFO, "rr": os.SCHED_RR}
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h on Linux, x86-64 and ARM
 
 Table = tuple[Parameter | type, ...]
 
@@ -113,9 +137,9 @@ def _run(
     sys.setswitchinterval(SWITCH_INTERVAL)
     server.start()
     try:
-        scheduling.schedule_threads(settings.text(scheduling.SCHEDULING.name), settings.integer("priority"))
-        if settings.flag(scheduling.LOCK_MEMORY.name):
-            scheduling.lock_memory()
+        schedule_threads(settings.text(SCHEDULING.name), settings.integer(PRIORITY.name))
+        if settings.flag(LOCK_MEMORY.name):
+            lock_memory()
         if settings.flag("autostart"):
             executor.create_task(start)
         else:
@@ -139,6 +163,47 @@ def _give_up(node: RealtimeNode) -> NoReturn:
         sys.stderr.flush()
     finally:
         os._exit(1)
+
+
+def schedule_threads(name: str, priority: int) -> None:
+    """Give all threads of this process a scheduling class, the calling one a higher priority; `other` changes nothing.
+
+    The others matter: they bring the messages, and one that has the interpreter keeps the calling thread waiting.
+
+    Raises
+    ------
+    InputError
+        If this process may not; the text says what it needs.
+    """
+    if name not in _CLASSES:
+        return
+    own = threading.get_native_id()
+    try:
+        for entry in Path("/proc/self/task").iterdir():
+            thread = int(entry.name)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setscheduler(thread, _CLASSES[name], os.sched_param(priority - (thread != own)))
+    except OSError as error:
+        raise InputError(
+            f"parameter {SCHEDULING.name}: this process may not have {name} priority {priority} ({error.strerror}); "
+            f"allow it (systemd: LimitRTPRIO={priority}; otherwise the capability CAP_SYS_NICE), or give 'other'"
+        ) from error
+
+
+def lock_memory() -> None:
+    """Keep all memory of this process, present and future, from being paged out.
+
+    Raises
+    ------
+    InputError
+        If this process may not; the text says what it needs.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        raise InputError(
+            f"parameter {LOCK_MEMORY.name}: this process may not lock its memory ({os.strerror(ctypes.get_errno())}); "
+            "allow it (systemd: LimitMEMLOCK=infinity; otherwise the capability CAP_IPC_LOCK), or give false"
+        )
 
 
 class Server(threading.Thread):

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import signal
 import time
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
 
 from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import TOPICS, Messages, Topic
+from swarmabs_core.messages import TOPICS, Topic
 from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_ros.endpoints import advertise, receiver
-from swarmabs_ros.lockstep import SLICE, Lockstep
+from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, WINDOW, Lockstep
 from swarmabs_ros.parameters import declare, given_values, table_of
-from swarmabs_ros.program import SwarmNode, run_program
-from swarmabs_ros.repeat import FIRST, WINDOW
+from swarmabs_ros.start import SwarmNode, run_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -26,13 +24,10 @@ if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
     from swarmabs_config.graph import Driver, Option
-    from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.parameters import Value
     from swarmabs_ros.endpoints import Receiver, Waiting
+    from swarmabs_ros.lockstep import NodeSpec
     from swarmabs_ros.status import StatusChannel
-
-INTERRUPTED = "interrupted"
-"""What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
 
 COMMON = (
     *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
@@ -134,40 +129,6 @@ class Settings:
         return endpoints(node, driver, options_of(self._values) | {*also}, robots=known)
 
 
-@dataclass(frozen=True, slots=True)
-class NodeSpec:
-    """What a node is made of.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-        Its state machine.
-    endpoints : Endpoints, optional
-        What it publishes and reads, if that does not follow from the graph and its parameters.
-    on_stall : callable, optional
-        What the behaviour answers to a stall.
-    on_exit : callable, optional
-        What to do at the end, whatever it is; the argument says what went wrong, if something did, or `INTERRUPTED`.
-    lingers : bool
-        Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
-    gather : float
-        Time, s, for which messages may gather before they are handled, for a node that nobody waits for.
-    on_idle : callable, optional
-        What to do whenever nothing more has arrived, some ten times a second at the least.
-    hear : callable, optional
-        Takes a message by topic and bytes, for a node that needs these too; by default the behaviour takes the message.
-    """
-
-    behaviour: Behaviour
-    endpoints: Endpoints | None = None
-    on_stall: Callable[[], Messages] | None = None
-    on_exit: Callable[[str | None], None] = field(default=lambda _: None)
-    lingers: bool = True
-    gather: float = 0.0
-    on_idle: Callable[[], None] | None = None
-    hear: Callable[[Topic, bytes], Messages] | None = None
-
-
 def run_node(
     name: str,
     table: tuple[Parameter | type, ...],
@@ -205,18 +166,13 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
     publishers = {topic: advertise(node, topic) for topic in ends.publications}
     inbox = receiver(node, ends.subscriptions, cast("Waiting", settings.text("receive")))
     loop = Lockstep(
-        spec.behaviour,
+        spec,
         inbox,
         publishers,
         status,
         stall_timeout=settings.number("stall_timeout"),
-        on_stall=spec.on_stall,
-        lingers=spec.lingers,
-        gather=spec.gather,
         repeat_after=settings.number("repeat_after"),
         repeat_steps=settings.integer("repeat_steps"),
-        on_idle=spec.on_idle,
-        hear=spec.hear,
     )
     stopped = interrupted = False
 

@@ -1,9 +1,9 @@
-"""What a node tells the process that started it, and how it is told to begin.
+"""What a node tells whoever started it, the orchestrator of a run or systemd, and how it is told to begin.
 
 The orchestrator hands down two file descriptors by environment variables: a pipe on which nodes report in lines of
 JSON, and the read end of another pipe whose closing is the start signal for all at once. In real time each process
 finds there, before that, when its step 0 begins. A node that was started by hand has neither, reports nowhere and
-begins at once.
+begins at once. systemd is told of a service of ``Type=notify`` by the protocol of sd_notify(3).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import socket
 from typing import Literal
 
 from swarmabs_core.errors import InputError, RunError
@@ -82,3 +83,38 @@ def epoch_records(epoch_ns: int, processes: int) -> bytes:
 def _descriptor(variable: str) -> int | None:
     text = os.environ.get(variable)
     return int(text) if text else None
+
+
+def notify(state: str) -> None:
+    """Send systemd assignments such as ``READY=1``; nobody listening is no error: a service must not fail by it."""
+    path = os.environ.get("NOTIFY_SOCKET", "")
+    if not path.startswith(("/", "@")):
+        return
+    address = "\0" + path[1:] if path.startswith("@") else path
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+            channel.setblocking(False)
+            channel.sendto(state.encode(), address)
+    except OSError:
+        return
+
+
+def watchdog_interval() -> int:
+    """Return half the time, ns, after which systemd takes this process to hang; 0 if it does not watch it."""
+    if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return 0
+    text = os.environ.get("WATCHDOG_USEC", "")
+    return int(text) * 1000 // 2 if text.isdecimal() else 0
+
+
+class Heartbeat:
+    """Tells systemd, where it watches this process, that its loop goes round."""
+
+    def __init__(self) -> None:
+        self._interval, self._due = watchdog_interval(), 0
+
+    def beat(self, now: int) -> None:
+        """Tell it if that is due; `now` is the steady time, ns."""
+        if self._interval and now >= self._due:
+            self._due = now + self._interval
+            notify("WATCHDOG=1")

@@ -119,6 +119,30 @@ class StepClock:
         """Return the time until the next step is due, ns."""
         return max(0, self._schedule.begin(self._next, self._phase) - now.system)
 
+    def values(self) -> tuple[tuple[str, str], ...]:
+        """Return the figures of timing for people."""
+        late = self.lateness
+        return (
+            ("steps made", str(late.count)),
+            ("periods missed", str(self.missed)),
+            ("late, half below (us)", str(late.below(0.5))),
+            ("late, 99.9 % below (us)", str(late.below(0.999))),
+            ("late, longest (us)", str(late.longest // 1000)),
+            ("clock jumps", str(self.jumps)),
+            ("largest clock jump (ms)", f"{self.largest_jump / 1e6:.3f}"),
+        )
+
+    def report(self) -> dict[str, object]:
+        """Return the figures of timing as a JSON document; the histogram by the upper edges of its bins, us."""
+        return {
+            "steps": self.lateness.count,
+            "missed": self.missed,
+            "longest_us": self.lateness.longest // 1000,
+            "lateness_us": {str(edge): count for edge, count in self.lateness.bins().items()},
+            "clock_jumps": self.jumps,
+            "largest_clock_jump_ns": self.largest_jump,
+        }
+
     def _current(self, now: Reading) -> int:
         return self._schedule.step(now.system - self._shift)
 

@@ -21,7 +21,7 @@ from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import TOPICS
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 
 if TYPE_CHECKING:
     from collections.abc import Callable

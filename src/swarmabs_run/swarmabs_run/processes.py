@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import psutil
 
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.progress_file import read_progress
-from swarmabs_run.orchestration.run_environment import NETWORK_FILE, RunOverError, goes_on, orchestrator_of
+from swarmabs_run.orchestration.run_files import NETWORK_FILE, RunOverError, goes_on, orchestrator_of, read_progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_run.orchestration.progress_file import Told
+    from swarmabs_run.orchestration.run_files import Told
 
 ORCHESTRATOR = "orchestrator"
 SHARES = 16

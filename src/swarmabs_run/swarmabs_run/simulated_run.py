@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_core.errors import RunError
 from swarmabs_run.interruption import end_asked
-from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.simulation import simulated_steps
 
 if TYPE_CHECKING:
@@ -19,38 +18,19 @@ if TYPE_CHECKING:
     from swarmabs_bag.recording import Step
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.progress import Phase
+    from swarmabs_run.run import Phase
 
 _TELL_EVERY = 0.1
 
 
-def simulate_run(
-    scenario: Scenario,
-    folder: RunFolder,
-    *,
-    record: bool = True,
-    on_progress: Callable[[Progress], None] | None = None,
-    split: Split = ONE_FILE,
-) -> Outcome:
-    """Simulate a scenario and record it.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; generated robots are listed.
-    folder : RunFolder
-        An empty folder for the results.
-    record : bool
-        Whether to write a bag.
-    on_progress : callable, optional
-        Told how the run goes, some ten times a second.
-    split : Split
-        When the bag goes on in a new file, by default never.
-    """
+def simulate_run(scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
+    """Simulate a scenario, whose generated robots are listed, and record it in an empty folder."""
     folder.fill(scenario)
     with end_asked() as ended:  # from before there is a bag, so that it is completed whenever that is
-        recording = Recording(scenario, folder.bag if record else None, driver="simulate", split=split)
-        return record_steps(simulated_steps(scenario), scenario, recording, on_progress=on_progress, ended=ended)
+        bag = folder.bag if options.record else None
+        recording = Recording(scenario, bag, driver="simulate", split=options.split)
+        steps = simulated_steps(scenario)
+        return record_steps(steps, scenario, recording, on_progress=options.on_progress, ended=ended)
 
 
 def record_steps(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.progress import Outcome
+    from swarmabs_run.run import Outcome
 
 _SHOWN_FROM = 0.05
 """Shortest set-up that the table shows, s: of a checkout that is set up, the look whether it is takes less."""

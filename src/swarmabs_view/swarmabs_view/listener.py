@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from swarmabs_core.messages import Message, Topic
-    from swarmabs_ros.program import SwarmNode
+    from swarmabs_ros.start import SwarmNode
 
 DEPTH = 256
 """Messages of a coordinator that wait to be read, and at least of the robots: at the highest step rates nearly all."""

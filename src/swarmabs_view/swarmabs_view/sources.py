@@ -22,7 +22,7 @@ from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.run_environment import RunOverError, environment_of_run, goes_on, read_processes
+from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, goes_on, read_processes
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.live import LiveSession, LiveView
@@ -34,8 +34,7 @@ from swarmabs_view.steering_bridge import SteeredSession, SteeringBridge
 with tracing_files_removed():
     import rclpy
 
-    from swarmabs_ros.program import SwarmNode
-    from swarmabs_ros.start import initialise
+    from swarmabs_ros.start import SwarmNode, initialise
     from swarmabs_view.listener import Listener
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.progress import Progress
+    from swarmabs_run.run import Progress
 
 _TERMINAL_INTERVAL, _LINE_INTERVAL = 0.2, 5.0
 """Time, s, between two panels, and between two lines."""

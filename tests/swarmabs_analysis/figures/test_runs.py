@@ -17,7 +17,7 @@ from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import MAIN_TOPICS
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 from swarmabs_run.simulated_run import simulate_run
 
 

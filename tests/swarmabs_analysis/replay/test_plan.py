@@ -9,6 +9,7 @@ from tests.swarmabs_analysis.replay.conftest import SETTINGS
 
 from swarmabs_analysis.replay.plan import replay_plan
 from swarmabs_analysis.replay.source import open_source
+from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.publishers import NodeName
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
@@ -18,7 +19,7 @@ PROVENANCE = {"of": "it's", "nodes": []}
 
 def planned(recorded: Path, *nodes: str) -> dict[str, ProcessPlan]:
     scenario = find_scenario("pd_het_4", SETTINGS).resolved()
-    processes = plan(scenario, scenario_file=Path("s.yaml"), bag=Path("bag"), logs=Path("logs"))
+    processes = plan(scenario, RunFolder(Path("run")))
     names = [NodeName.parse(node) for node in nodes]
     made = replay_plan(processes, scenario, open_source(recorded), names, PROVENANCE)
     return {process.name: process for process in made}

@@ -8,6 +8,7 @@ import pytest
 from tests.plugin_packages import BANG_BANG, SCALED, install
 
 from swarmabs_bag.attached import provenance
+from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.configure import agent_configs, controller_settings, parent_controller
 from swarmabs_config.scenario import (
     CONTROLLER_CONFIGS,
@@ -59,7 +60,7 @@ def test_settings_reach_controller_and_nodes() -> None:
     expected = {**DEFAULTS, "torque": 1.0, "inner.deep.b": 7.0, "words": ("a", "b c"), "on": False}
     assert controller_settings(scenario) == expected
     assert parent_controller(scenario).torque_of == 1.0  # type: ignore[attr-defined]
-    processes = plan(scenario, scenario_file=Path("s"), bag=None, logs=Path("l"))
+    processes = plan(scenario, RunFolder(Path("run")))
     given = {name: value for process in processes for name, value in process.parameters.items()}
     assert {name: given[f"controller.{name}"] for name in expected} == expected
     assert (given["controller.type"], given["law.type"], given["law.factor"]) == ("bang_bang", "scaled", 1.0)

@@ -13,12 +13,12 @@ import pytest
 
 from swarmabs_config.ports import DOMAIN_GAIN, GUARD_OFFSET, LARGEST_DOMAIN, PORT_BASE, SPACING, metatraffic_port
 from swarmabs_core.errors import RunError
-from swarmabs_run.orchestration import domain
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration import network
+from swarmabs_run.orchestration.network import claimed_domain
 
 HOLDER = """
 import sys
-from swarmabs_run.orchestration.domain import claimed_domain
+from swarmabs_run.orchestration.network import claimed_domain
 with claimed_domain() as domain:
     print(domain, flush=True)
     sys.stdin.read()
@@ -79,7 +79,7 @@ def test_a_claim_ends_with_its_holder_however_that_ends() -> None:
 
 
 def test_no_domain_left_is_named_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(domain, "_claim", lambda _: [])
+    monkeypatch.setattr(network, "_claim", lambda _: [])
     with pytest.raises(RunError, match=r"no ROS domain is free on this machine: .* end other runs"), claimed_domain():
         pytest.fail("a domain was claimed")
 

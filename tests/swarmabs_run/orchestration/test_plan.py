@@ -15,6 +15,7 @@ import agent_node.node
 import parent_controller.node
 import plane_sim.node
 import swarmabs_bag.recorder.node
+from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, COORDINATORS, OBSERVER, PLANE, RECORDER, agent_name
 from swarmabs_config.scenario import Scenario, load_scenario
@@ -37,10 +38,13 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.parameters import Parameter, resolve
 from swarmabs_ros.parameters import table_of
-from swarmabs_ros.program import SwarmNode
 from swarmabs_ros.runner import COMMON, Settings
+from swarmabs_ros.start import SwarmNode
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
+from swarmabs_run.run import RunOptions
+
+FOLDER = RunFolder(Path("/runs/x"))
 
 FAULTY = (
     (
@@ -68,9 +72,7 @@ def scenario_of(key: str) -> Scenario:
 
 
 def planned(scenario: Scenario) -> dict[str, ProcessPlan]:
-    folder = Path("/runs/x")
-    processes = plan(scenario, scenario_file=folder / "scenario.yaml", bag=folder / "bag", logs=folder / "logs")
-    return {process.name: process for process in processes}
+    return {process.name: process for process in plan(scenario, FOLDER)}
 
 
 def settings_of(process: ProcessPlan, table: tuple[Parameter | type, ...]) -> Settings:
@@ -111,7 +113,9 @@ def test_the_controller_is_configured_as_the_scenario_says(scenario: str, monkey
     loaded = scenario_of(scenario)
     made = []
     real = parent_controller.node.Controller
-    monkeypatch.setattr(parent_controller.node, "Controller", lambda *parts: made.append(parts) or real(*parts))
+    monkeypatch.setattr(
+        parent_controller.node, "Controller", lambda *parts, **flags: made.append(parts) or real(*parts, **flags)
+    )
     settings = settings_of(planned(loaded)[CONTROLLER], parent_controller.node.PARAMETERS)
     parent_controller.node.make(settings, StatusChannel(CONTROLLER))
     ((config, law),) = made
@@ -249,15 +253,7 @@ def test_everything_published_is_heard_and_everything_heard_is_published(key: st
 
 def steerable(*faults: str, agents_per_process: int = 1, steered: bool = True) -> dict[str, ProcessPlan]:
     scenario = load_scenario(builtin_scenarios()["pd_het_4"], [f"faults=[{', '.join(faults)}]"]).resolved()
-    folder = Path("/runs/x")
-    processes = plan(
-        scenario,
-        scenario_file=folder / "scenario.yaml",
-        bag=folder / "bag",
-        logs=folder / "logs",
-        agents_per_process=agents_per_process,
-        steered=steered,
-    )
+    processes = plan(scenario, FOLDER, RunOptions(agents_per_process=agents_per_process, steered=steered))
     return {process.name: process for process in processes}
 
 
@@ -283,15 +279,8 @@ def test_who_can_only_be_added_has_no_process_where_nobody_is() -> None:
 
 @pytest.mark.parametrize("agents_per_process", [1, 3])
 def test_packed_broadcasts_stand_between_controller_and_robots(agents_per_process: int) -> None:
-    folder = Path("/runs/x")
-    processes = plan(
-        scenario_of("faulty"),
-        scenario_file=folder / "scenario.yaml",
-        bag=folder / "bag",
-        logs=folder / "logs",
-        agents_per_process=agents_per_process,
-        packed=True,
-    )
+    options = RunOptions(agents_per_process=agents_per_process, packed=True)
+    processes = plan(scenario_of("faulty"), FOLDER, options)
     robots = [process for process in processes if process.agents]
     assert all({*process.subscriptions} - {PLANE_STATE} == {BROADCAST} for process in robots)
     assert {p.name for p in processes if BROADCAST in p.publications} == {CONTROLLER}
@@ -309,14 +298,9 @@ def test_only_robots_that_feel_their_tilt_hear_the_plane() -> None:
 
 @pytest.mark.parametrize(("per_process", "groups"), [(3, [(1, 2, 3), (4,)]), (4, [(1, 2, 3, 4)]), (9, [(1, 2, 3, 4)])])
 def test_robots_may_share_processes(per_process: int, groups: list[tuple[int, ...]]) -> None:
-    folder = Path("/runs/x")
-    processes = plan(
-        scenario_of("pd_het_4"),
-        scenario_file=folder / "scenario.yaml",
-        bag=None,
-        logs=folder / "logs",
-        agents_per_process=per_process,
-    )
+    options = RunOptions(record=False, agents_per_process=per_process)
+    processes = plan(scenario_of("pd_het_4"), FOLDER, options)
+    assert {process.name: process for process in processes}[RECORDER].parameters["bag"] == ""
     hosts = [process for process in processes if process.agents]
     assert [process.agents for process in hosts] == groups
     assert len({process.name for process in processes}) == len(processes)

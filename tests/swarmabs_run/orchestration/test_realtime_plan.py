@@ -14,6 +14,7 @@ import agent_node.realtime
 import parent_controller.realtime
 import plane_sim.realtime
 import swarmabs_bag.recorder.realtime
+from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import CONTROLLER, OBSERVER, OFFERED, PLANE, REALTIME, RECORDER, agent_name
 from swarmabs_config.scenario import Scenario
@@ -25,8 +26,7 @@ from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_ros.managed import RealtimeNode
 from swarmabs_ros.realtime_runner import COMMON
 from swarmabs_ros.runner import Settings
-from swarmabs_run.orchestration.plan import ProcessPlan
-from swarmabs_run.orchestration.realtime_plan import realtime_plan
+from swarmabs_run.orchestration.plan import ProcessPlan, plan
 
 SCENARIOS = {
     "plain": ("pd_het_4",),
@@ -45,10 +45,7 @@ scenarios = pytest.mark.parametrize("scenario", SCENARIOS)
 
 
 def planned(scenario: Scenario) -> dict[str, ProcessPlan]:
-    folder = Path("/runs/x")
-    processes = realtime_plan(
-        scenario, scenario_file=folder / "scenario.yaml", bag=folder / "bag", logs=folder / "logs"
-    )
+    processes = plan(scenario, RunFolder(Path("/runs/x")), driver=REALTIME)
     return {process.name: process for process in processes}
 
 

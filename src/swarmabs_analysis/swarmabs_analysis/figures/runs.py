@@ -19,7 +19,7 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.run import Outcome
 from swarmabs_run.summary import Times, summarise
 
 Execute = Callable[[Scenario, RunFolder], Outcome]

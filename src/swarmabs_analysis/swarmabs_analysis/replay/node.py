@@ -16,7 +16,8 @@ from swarmabs_core.membership import Change
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.publishers import NodeName
-from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (

@@ -18,8 +18,7 @@ from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.schemas import message_schema
 from swarmabs_config.scenario.errors import printable, shorten, show
 from swarmabs_core.errors import InputError
-from swarmabs_ros.program import SwarmNode
-from swarmabs_ros.start import initialise
+from swarmabs_ros.start import SwarmNode, initialise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

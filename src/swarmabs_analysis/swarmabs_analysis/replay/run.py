@@ -14,7 +14,8 @@ from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.publishers import publisher_of
-from swarmabs_run.orchestration import LockstepRun
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.run import RunOptions
 from swarmabs_run.simulated_run import record_steps
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from swarmabs_core.membership import Change
     from swarmabs_core.publishers import NodeName
     from swarmabs_run.orchestration.plan import ProcessPlan
-    from swarmabs_run.orchestration.progress import Outcome, Progress
+    from swarmabs_run.run import Outcome, Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +87,12 @@ class ReplayRun:
 
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
         """Replay over DDS, the nodes under test as processes of their own; parameters as of `in_process`."""
-        # These need the whole of ROS.
 
         def arrange(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
             return replay_plan(processes, self.scenario, self.source, self.nodes, self.provenance())
 
-        return LockstepRun(
-            self.scenario, folder, on_progress=on_progress, namespace=self.source.namespace, arrange=arrange
-        ).run()
+        options = RunOptions(on_progress=on_progress, namespace=self.source.namespace)
+        return LockstepRun(self.scenario, folder, options, arrange).run()
 
     def result(self, folder: RunFolder, digest: str | None) -> dict[str, Any]:
         """Return how the replay differs from the recording.

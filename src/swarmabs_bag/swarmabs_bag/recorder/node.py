@@ -31,7 +31,8 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.record import Record
-from swarmabs_ros.runner import INTERRUPTED, STEERED, NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
+from swarmabs_ros.runner import STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:

@@ -21,13 +21,14 @@ from swarmabs_core.messages import NEVER
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.record import Record
-from swarmabs_ros import diagnostics
 from swarmabs_ros.endpoints import WaitSetReceiver
+from swarmabs_ros.lockstep import INTERRUPTED
+from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.program import SwarmNode, run_program
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
-from swarmabs_ros.runner import COMMON, INTERRUPTED, Settings
-from swarmabs_ros.systemd import Heartbeat, notify
+from swarmabs_ros.runner import COMMON, Settings
+from swarmabs_ros.start import SwarmNode, run_program
+from swarmabs_ros.status import Heartbeat, notify
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -102,9 +103,9 @@ class RealtimeRecorder:
 
     def _diagnose(self, recording: RealtimeRecording) -> None:
         now = time.monotonic()
-        if now - self._diagnosed >= diagnostics.PERIOD:
+        if now - self._diagnosed >= DIAGNOSTICS_PERIOD:
             self._diagnosed = now
-            self._diagnostics.publish(diagnostics.diagnostic_array(self._name, recording.health(), time.time_ns()))
+            self._diagnostics.publish(diagnostic_array(self._name, recording.health(), time.time_ns()))
 
     def _drain(self, recording: RealtimeRecording) -> None:
         for topic, depth in self._depths.items():

@@ -10,7 +10,7 @@ import click
 
 from swarmabs_cli.options import json_option
 from swarmabs_cli.output import print_json
-from swarmabs_run.orchestration.run_environment import environment_of_run
+from swarmabs_run.orchestration.run_files import environment_of_run
 
 WORKSPACE = (
     "PATH",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from swarmabs_cli.interrupts import interrupt_once
 from swarmabs_cli.runs import carry_out, run_options
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration import LockstepRun, RealtimeRun
-from swarmabs_run.orchestration.progress import Outcome
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.orchestration.realtime_run import RealtimeRun
+from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.steering.pace import SLOWEST
 from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewers import PageViewer, markers_viewer
@@ -85,7 +87,7 @@ def run(
         raise click.UsageError(f"{'--open' if open_browser else '--view-port'} is for a run with --view.")
     with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
 
-        def execute(scenario: Scenario, folder: RunFolder, **recording: Any) -> Outcome:
+        def execute(scenario: Scenario, folder: RunFolder, recording: RunOptions) -> Outcome:
             if viewer is not None:
                 viewer.start(folder.path)
                 click.echo(f"view: {viewer.url}", err=True)
@@ -95,16 +97,15 @@ def run(
                     open_page(viewer.url)
             with shown(folder.path):
                 if realtime:
-                    return RealtimeRun(scenario, folder, **recording).run()
-                return LockstepRun(
-                    scenario,
-                    folder,
+                    return RealtimeRun(scenario, folder, recording).run()
+                asked = replace(
+                    recording,
                     agents_per_process=agents_per_process,
                     packed=packed,
                     steered=steer,
                     step_seconds=_step_seconds(scenario, rate),
-                    **recording,
-                ).run()
+                )
+                return LockstepRun(scenario, folder, asked).run()
 
         shown = _shown_beside(options, clock=not realtime)
         code = carry_out(

@@ -18,8 +18,8 @@ from swarmabs_cli.output import print_json
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.orchestration import LockstepRun
-from swarmabs_run.orchestration.progress import Outcome, Progress
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_view.terminal import shown_progress
 
@@ -103,12 +103,10 @@ def figures(
 
 def _executed(processes: bool, show: Callable[[Progress], None]) -> Execute:  # noqa: FBT001
     """Return what carries a run out: with real processes, or in this one."""
+    options = RunOptions(on_progress=show)
 
     def execute(scenario: Scenario, folder: RunFolder) -> Outcome:
-        if processes:
-            return LockstepRun(scenario, folder, on_progress=show).run()
-
-        return simulate_run(scenario, folder, on_progress=show)
+        return LockstepRun(scenario, folder, options).run() if processes else simulate_run(scenario, folder, options)
 
     return execute
 

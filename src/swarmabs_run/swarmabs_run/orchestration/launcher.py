@@ -26,13 +26,13 @@ from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import TOPICS
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
-from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
-from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
 from swarmabs_run.parent_death import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
 
 LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")
 """What rclpy loads when a node offers services, as nodes in real time do; loaded here it is shared by all of them."""
+CROWD = 8
+"""More nodes per core than this share the cores in turn, without interrupting each other for every message."""
 _PR_SET_NAME = 15
 
 
@@ -99,8 +99,7 @@ class Launcher:
                 os.dup2(source, target)
             os.close(log)
             os.close(null)
-            os.environ[PARTICIPANT_VARIABLE] = str(command["participant"])
-            os.environ[GROUP_VARIABLE] = multicast_group(command["participant"])
+            os.environ.update(command["environment"])
             code = importlib.import_module(command["module"]).main(command["arguments"])
         except BaseException:  # noqa: BLE001 - whatever it is belongs into the node's log, and must end here
             traceback.print_exc()
@@ -136,8 +135,8 @@ def main() -> int:
     """Import everything once, then serve."""
     # The ROS tracing library keeps two idle listeners of its own, which a fork may leave behind.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
-    controller, law, *options = sys.argv[1:]
-    driver = Driver.REALTIME if REALTIME in options else Driver.LOCKSTEP
+    controller, law, driving, processes = sys.argv[1:]
+    driver = Driver(driving)
     with tracing_files_removed(if_orphaned=True):
         for node in (PLANE, OBSERVER, CONTROLLER, ROBOT):
             importlib.import_module(NODES[node].modules[driver])
@@ -149,7 +148,7 @@ def main() -> int:
             ros_type(topic).__class__.__import_type_support__()
         gc.collect()
         gc.freeze()  # memory that no collection touches stays shared with the children
-        if CROWDED in options and hasattr(os, "SCHED_BATCH"):
+        if int(processes) > CROWD * len(os.sched_getaffinity(0)):
             # A message that arrives does not push the running process off its core: it is handled when that one waits
             # itself, together with what has come meanwhile. That halves the switches between processes.
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

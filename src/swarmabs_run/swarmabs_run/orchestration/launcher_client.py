@@ -9,10 +9,11 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from swarmabs_config.graph import LOCKSTEP, Driver
 from swarmabs_core.controllers import PD
 from swarmabs_core.law_registry import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
-from swarmabs_run.orchestration.launcher_options import CROWDED, REALTIME
+from swarmabs_run.orchestration.network import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
     from swarmabs_run.orchestration.plan import ProcessPlan
 
-CROWD = 8
-"""More nodes per core than this share the cores in turn, without interrupting each other for every message."""
 END_SECONDS = 10.0
 """Longest time, s, that the launcher may take to end its children; then it is killed, and the kernel ends them."""
 
@@ -42,8 +41,8 @@ class LauncherClient:
         How many nodes there will be.
     controller, law : str
         Names of the parent controller and of the swarm law, which the launcher loads before it forks.
-    realtime : bool
-        Whether it loads the nodes in real time.
+    driver : Driver
+        What makes the steps of the nodes.
 
     Attributes
     ----------
@@ -59,16 +58,15 @@ class LauncherClient:
         processes: int,
         controller: str = PD.name,
         law: str = PAPER.name,
-        realtime: bool = False,
+        driver: Driver = LOCKSTEP,
     ) -> None:
         self.reports, report_write = os.pipe()
         start_read, self._start = os.pipe()
         self._pending = b""
-        options = [REALTIME] if realtime else []
-        options += [CROWDED] if processes > CROWD * len(os.sched_getaffinity(0)) else []
+        arguments = (controller, law, driver.value, str(processes))
         with log.open("ab") as stream:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "swarmabs_run.orchestration.launcher", controller, law, *options],
+                [sys.executable, "-m", "swarmabs_run.orchestration.launcher", *arguments],
                 stdin=subprocess.PIPE,
                 stdout=stream,
                 stderr=stream,
@@ -105,7 +103,10 @@ class LauncherClient:
             command="spawn",
             name=process.name,
             module=process.module,
-            participant=process.participant,
+            environment={
+                PARTICIPANT_VARIABLE: str(process.participant),
+                GROUP_VARIABLE: multicast_group(process.participant),
+            },
             arguments=arguments,
             log=str(log),
         )

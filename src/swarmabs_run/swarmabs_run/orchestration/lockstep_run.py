@@ -5,21 +5,19 @@ from __future__ import annotations
 import signal
 from typing import TYPE_CHECKING
 
-from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config import configure
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.orchestration.process_run import ProcessRun, process_state
+from swarmabs_run.run import DEFAULTS, RunOptions
 from swarmabs_run.steering.place import SOCKET
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.launcher_client import LauncherClient
-    from swarmabs_run.orchestration.progress import Outcome, Progress
+    from swarmabs_run.orchestration.plan import Arrange
     from swarmabs_run.orchestration.supervision import Failure
+    from swarmabs_run.run import Outcome
 
 STALL_GRACE = 1.0
 """Time, s, for which reports of a stall are gathered before they are judged."""
@@ -33,68 +31,12 @@ _SIGNALS = {
 
 
 class LockstepRun(ProcessRun):
-    """Starts a scenario's processes, waits until they have met, lets them run, and ends them all.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; generated robots are listed.
-    folder : RunFolder
-        An empty folder for the results.
-    record : bool
-        Whether to write a bag.
-    on_progress : callable, optional
-        Told how the run goes, some ten times a second.
-    namespace : str
-        ROS namespace of the swarm.
-    arrange : callable, optional
-        Changes the processes before any is started, such as their order or parameters.
-    agents_per_process : int
-        How many robots share a process.
-    packed : bool
-        Whether the robots hear the three broadcasts as one message, which costs less where they are many.
-    split : Split
-        When the bag goes on in a new file, by default never.
-    steered : bool
-        Whether the run can be steered, by a socket in its folder.
-    step_seconds : float
-        Shortest wall time, s, of a step of such a run; 0: as fast as possible.
-    """
+    """A run in lockstep: its processes step by messages alone, and end or stop where the scenario has faults."""
 
     def __init__(
-        self,
-        scenario: Scenario,
-        folder: RunFolder,
-        *,
-        record: bool = True,
-        on_progress: Callable[[Progress], None] | None = None,
-        namespace: str = "/",
-        arrange: Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]] = tuple,
-        agents_per_process: int = 1,
-        packed: bool = False,
-        split: Split = ONE_FILE,
-        steered: bool = False,
-        step_seconds: float = 0.0,
+        self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
-        planned = plan(
-            scenario,
-            scenario_file=folder.scenario,
-            bag=folder.bag if record else None,
-            logs=folder.logs,
-            agents_per_process=agents_per_process,
-            packed=packed,
-            split=split,
-            steered=steered,
-            step_seconds=step_seconds,
-        )
-        super().__init__(
-            scenario,
-            folder,
-            arrange(planned),
-            dispensable=scenario.lockstep.on_stall == "drop",
-            on_progress=on_progress,
-            namespace=namespace,
-        )
+        super().__init__(scenario, folder, options, arrange)
         self._own_process = {process.agents[0]: process.name for process in self._plan if len(process.agents) == 1}
         self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
         self._stalled_since: float | None = None

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_config import configure
+from swarmabs_config import configure, realtime
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
@@ -16,6 +16,7 @@ from swarmabs_config.graph import (
     NODES,
     OBSERVER,
     PLANE,
+    REALTIME,
     RECORDER,
     ROBOT,
     Driver,
@@ -28,13 +29,15 @@ from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import Kind, Topic
 from swarmabs_core.steering import STEERER
-from swarmabs_ros.repeat import FIRST, WINDOW
+from swarmabs_ros.lockstep import FIRST, WINDOW
+from swarmabs_run.run import DEFAULTS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
-
+    from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
+    from swarmabs_run.run import RunOptions
+
+Parameters = dict[str, object]
 
 PATIENCE = 1e-4
 """Time, s, per robot that a node waits at least for an answer before it repeats itself."""
@@ -63,7 +66,7 @@ class ProcessPlan:
     name: str
     module: str
     participant: int
-    parameters: dict[str, object]
+    parameters: Parameters
     publications: tuple[Topic, ...]
     subscriptions: tuple[Topic, ...]
     agents: tuple[int, ...] = ()
@@ -79,6 +82,10 @@ class ProcessPlan:
             *("-r", f"__ns:={namespace}"),
             *(word for text in given for word in ("-p", text)),
         ]
+
+
+Arrange = Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]]
+"""Changes the processes of a run before any is started, such as their order or parameters."""
 
 
 def _yaml(value: object) -> str:
@@ -99,81 +106,91 @@ def group_name(agent_ids: tuple[int, ...]) -> str:
 
 
 def plan(
-    scenario: Scenario,
-    *,
-    scenario_file: Path,
-    bag: Path | None,
-    logs: Path,
-    agents_per_process: int = 1,
-    packed: bool = False,
-    split: Split = ONE_FILE,
-    steered: bool = False,
-    step_seconds: float = 0.0,
+    scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, driver: Driver = LOCKSTEP
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario.
-    scenario_file : Path
-        Where the resolved scenario stands, for the recorder.
-    bag : Path, optional
-        Folder of the bag; none if nothing is to be recorded.
-    logs : Path
-        Folder of the processes' logs, for the recorder.
-    agents_per_process : int
-        How many robots share a process.
-    packed : bool
-        Whether the robots hear the three broadcasts as one message.
-    split : Split
-        When the bag goes on in a new file.
-    steered : bool
-        Whether the run can be steered.
-    step_seconds : float
-        Shortest wall time, s, of a step of a run that can be steered.
+    The folder holds the resolved scenario when they are started. In lockstep each is told how many counterparts its
+    endpoints will meet, in real time that it is told when step 0 begins.
     """
-    common: dict[str, object] = {
+    recorder: Parameters = {
+        "scenario_file": str(folder.scenario),
+        "bag": str(folder.bag) if options.record else "",
+        "max_bag_size": options.split.bytes,
+        "max_bag_duration_ns": options.split.nanoseconds,
+        "logs": str(folder.logs),
+    }
+    if driver is REALTIME:
+        return _realtime_plan(scenario, recorder)
+    processes = _lockstep_plan(scenario, folder, recorder, options)
+    expect_counterparts(processes)
+    return processes
+
+
+def _lockstep_plan(
+    scenario: Scenario, folder: RunFolder, recorder: Parameters, options: RunOptions
+) -> tuple[ProcessPlan, ...]:
+    window = configure.recording_window(scenario)
+    common: Parameters = {
         "period_ns": scenario.step_ns,
         "last_step": scenario.steps,
         "stall_timeout": scenario.lockstep.stall_timeout,
         "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
-        "repeat_steps": min(WINDOW, 2 * configure.recording_window(scenario)),
+        "repeat_steps": min(WINDOW, 2 * window),
     }
     # Who begins each step with what is ordered for it.
-    obeying = common | ({"steered": True} if steered else {})
-    window = configure.recording_window(scenario)
+    obeying = common | ({"steered": True} if options.steered else {})
     coordinators = {
         PLANE: obeying | values_of(configure.plane_config(scenario)),
         OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
         CONTROLLER: obeying
         | values_of(configure.controller_config(scenario, recording_window=window))
-        | {"packed": packed},
-        RECORDER: obeying | recorder_parameters(scenario_file, bag, logs, split),
+        | {"packed": options.packed},
+        RECORDER: obeying | recorder,
     }
-    if steered:  # its socket lies beside the scenario, in the folder of the run
-        place = {"scenario_file": str(scenario_file), "folder": str(scenario_file.parent)}
-        coordinators[STEERER] = common | place | {"step_seconds": step_seconds}
-    processes = [
-        *(coordinator(node, LOCKSTEP, parameters, scenario) for node, parameters in coordinators.items()),
-        *_agent_processes(scenario, common | {"packed": packed}, scenario_file, agents_per_process, steered=steered),
-    ]
-    expect_counterparts(processes)
-    return tuple(processes)
+    if options.steered:
+        place = {"scenario_file": str(folder.scenario), "folder": str(folder.path)}
+        coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
+    return (
+        *(_coordinator(node, LOCKSTEP, parameters, scenario) for node, parameters in coordinators.items()),
+        *_agent_processes(scenario, common | {"packed": options.packed}, folder, options),
+    )
 
 
-def recorder_parameters(scenario_file: Path, bag: Path | None, logs: Path, split: Split) -> dict[str, object]:
-    """Return what a recorder is told of its files, whatever makes the steps."""
-    return {
-        "scenario_file": str(scenario_file),
-        "bag": str(bag or ""),
-        "max_bag_size": split.bytes,
-        "max_bag_duration_ns": split.nanoseconds,
-        "logs": str(logs),
+def _realtime_plan(scenario: Scenario, recorder: Parameters) -> tuple[ProcessPlan, ...]:
+    schedule = realtime.schedule(scenario, 0)
+    coordinators = {
+        PLANE: _without_epoch(realtime.plane_config(scenario, schedule)),
+        OBSERVER: _without_epoch(realtime.observer_config(scenario, schedule)),
+        CONTROLLER: _without_epoch(realtime.controller_config(scenario, schedule)),
+        RECORDER: {"period_ns": scenario.step_ns, "await_epoch": True, "last_step": scenario.steps} | recorder,
     }
+    ends, module = endpoints(ROBOT, REALTIME), NODES[ROBOT].modules[REALTIME]
+    return (
+        *(_coordinator(node, REALTIME, parameters, scenario) for node, parameters in coordinators.items()),
+        *(
+            ProcessPlan(
+                agent_name(config.agent_id),
+                module,
+                COORDINATORS + index,
+                _without_epoch(config),
+                ends.publications,
+                tuple(ends.subscriptions),
+                (config.agent_id,),
+            )
+            for index, config in enumerate(realtime.agent_configs(scenario, schedule))
+        ),
+    )
 
 
-def coordinator(node: str, driver: Driver, parameters: dict[str, object], scenario: Scenario) -> ProcessPlan:
+def _without_epoch(config: object) -> Parameters:
+    """Return the parameters of a node that is told the epoch when all are there."""
+    values: Parameters = {**values_of(config)}
+    del values["epoch_ns"]
+    return values | {"await_epoch": True}
+
+
+def _coordinator(node: str, driver: Driver, parameters: Parameters, scenario: Scenario) -> ProcessPlan:
     """Return the process of a node that there is once."""
     kind = NODES[node]
     ends = endpoints(node, driver, options_of(parameters), robots=len(scenario.agents))
@@ -183,34 +200,30 @@ def coordinator(node: str, driver: Driver, parameters: dict[str, object], scenar
 
 
 def _agent_processes(
-    scenario: Scenario, common: dict[str, object], scenario_file: Path, per_process: int, *, steered: bool
-) -> list[ProcessPlan]:
+    scenario: Scenario, common: Parameters, folder: RunFolder, options: RunOptions
+) -> Iterator[ProcessPlan]:
     configs = configure.agent_configs(scenario)
     absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}
-    if not steered:  # who is there only when it is added has no process where nobody can be added
+    if not options.steered:  # who is there only when it is added has no process where nobody can be added
         configs = tuple(config for config in configs if config.agent_id not in absent)
-    processes = []
-    for index, first in enumerate(range(0, len(configs), per_process)):
-        hosted = configs[first : first + per_process]
+    for index, first in enumerate(range(0, len(configs), options.agents_per_process)):
+        hosted = configs[first : first + options.agents_per_process]
         ids = tuple(config.agent_id for config in hosted)
-        feels = any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted)
-        if per_process == 1:
+        if options.agents_per_process == 1:
             name, module = agent_name(ids[0]), NODES[ROBOT].modules[LOCKSTEP]
-            parameters: dict[str, object] = {**values_of(hosted[0])}
+            parameters = values_of(hosted[0]) | common
         else:
             name, module = group_name(ids), "agent_node.group"
-            parameters = {"scenario_file": str(scenario_file), "agent_ids": ids}
-        parameters |= common
+            parameters = common | {"scenario_file": str(folder.scenario), "agent_ids": ids}
         if not absent.isdisjoint(ids):
             parameters["steered"] = True
-        options = options_of(parameters) | ({Option.FEELING} if feels else set())
-        ends = endpoints(ROBOT, LOCKSTEP, options)
-        processes.append(
-            ProcessPlan(
-                name, module, COORDINATORS + index, parameters, ends.publications, tuple(ends.subscriptions), ids
-            )
+        asked = options_of(parameters)
+        if any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted):
+            asked |= {Option.FEELING}
+        ends = endpoints(ROBOT, LOCKSTEP, asked)
+        yield ProcessPlan(
+            name, module, COORDINATORS + index, parameters, ends.publications, tuple(ends.subscriptions), ids
         )
-    return processes
 
 
 def expect_counterparts(processes: Collection[ProcessPlan]) -> None:

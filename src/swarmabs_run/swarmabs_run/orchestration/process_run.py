@@ -13,26 +13,23 @@ from typing import TYPE_CHECKING
 import psutil
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-from swarmabs_config.graph import RECORDER
+from swarmabs_config.graph import LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_config.ports import domains_spanned
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import multicast_works, profile_xml
-from swarmabs_run.orchestration.domain import claimed_domain
 from swarmabs_run.orchestration.launcher_client import LauncherClient
-from swarmabs_run.orchestration.plan import ProcessPlan
-from swarmabs_run.orchestration.progress import Outcome, Progress
-from swarmabs_run.orchestration.progress_file import ProgressFile
-from swarmabs_run.orchestration.run_environment import write_network, write_processes
+from swarmabs_run.orchestration.network import claimed_domain, dds_environment, multicast_works, profile_xml
+from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, plan
+from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
+from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from typing import Any
+    from collections.abc import Iterable, Iterator, Mapping
+    from typing import Any, ClassVar
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.progress import Phase
+    from swarmabs_run.run import Phase
 
 START_SILENCE = 30.0
 """Time, s, in which at least one more process must be forked or become ready."""
@@ -44,7 +41,7 @@ STARTED_AGAIN = "did not come up: again"
 
 
 class ProcessRun:
-    """Starts processes, waits until all are ready, lets them run as a subclass says, and ends them all.
+    """Starts a scenario's processes, waits until all are ready, lets them run as a subclass says, and ends them all.
 
     Parameters
     ----------
@@ -52,40 +49,27 @@ class ProcessRun:
         The scenario; generated robots are listed.
     folder : RunFolder
         An empty folder for the results.
-    plan : sequence of ProcessPlan
-        The processes.
-    dispensable : bool
-        Whether the run survives the end of a robot's process.
-    realtime : bool
-        Whether the processes run in real time.
-    on_progress : callable, optional
-        Told how the run goes, some ten times a second.
-    namespace : str
-        ROS namespace of the swarm.
+    options : RunOptions
+        How it is run.
+    arrange : callable
+        Changes the processes before any is started, such as their order or parameters.
     """
 
+    _driver: ClassVar[Driver] = LOCKSTEP
+
     def __init__(
-        self,
-        scenario: Scenario,
-        folder: RunFolder,
-        plan: Sequence[ProcessPlan],
-        *,
-        dispensable: bool,
-        realtime: bool = False,
-        on_progress: Callable[[Progress], None] | None = None,
-        namespace: str = "/",
+        self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
         self._scenario = scenario
         self._folder = folder
-        self._plan = tuple(plan)
-        self._realtime = realtime
-        self._namespace = namespace
-        self._on_progress = on_progress
+        self._options = options
+        self._plan = tuple(arrange(plan(scenario, folder, options, self._driver)))
         self._told = ProgressFile(folder.logs)
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
+        survives = self._driver is REALTIME or scenario.lockstep.on_stall == "drop"
         self._supervision = Supervision(
             tuple(process.name for process in self._plan),
-            dispensable=frozenset(hosts.values()) if dispensable else frozenset(),
+            dispensable=frozenset(hosts.values()) if survives else frozenset(),
             hosts=hosts,
         )
         self._interrupted = False
@@ -103,15 +87,13 @@ class ProcessRun:
         """
         participants = 1 + max(process.participant for process in self._plan)
         self._folder.fill(self._scenario)
-        profile = self._folder.logs / "fastdds.xml"
+        profile, realtime = self._folder.logs / "fastdds.xml", self._driver is REALTIME
         with ExitStack() as stack:
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
             self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
-            profile.write_text(
-                profile_xml(domain, multicast=multicast_works(), realtime=self._realtime), encoding="utf-8"
-            )
-            write_network(self._folder.logs, domain, participants, realtime=self._realtime)
+            profile.write_text(profile_xml(domain, multicast=multicast_works(), realtime=realtime), encoding="utf-8")
+            write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._told.over)
             wake = stack.enter_context(self._interruptible())
             environment = dds_environment(domain, str(profile.resolve()))
@@ -121,7 +103,7 @@ class ProcessRun:
                 processes=len(self._plan),
                 controller=self._scenario.controller.type,
                 law=self._scenario.swarm.law.type,
-                realtime=self._realtime,
+                driver=self._driver,
             )
             launcher = stack.enter_context(client)
             failure = self._supervise(launcher, wake)
@@ -206,7 +188,9 @@ class ProcessRun:
 
     def _spawn(self, launcher: LauncherClient, processes: Iterable[ProcessPlan]) -> None:
         for process in processes:
-            launcher.spawn(process, process.arguments(self._namespace), self._folder.logs / f"{process.name}.log")
+            launcher.spawn(
+                process, process.arguments(self._options.namespace), self._folder.logs / f"{process.name}.log"
+            )
 
     def _restart_lost(self, launcher: LauncherClient) -> bool:
         """Start again the robots' processes that have ended before the run began; tell whether there were any."""
@@ -294,10 +278,10 @@ class ProcessRun:
         progress = state.progress or {}
         step, seen = progress.get("step", 0), progress.get("robots")
         self._told.tell(phase, step, self._scenario.steps, time.monotonic())
-        if self._on_progress is None:
+        if self._options.on_progress is None:
             return
         elapsed = 0.0 if self._started is None else (self._finished or time.monotonic()) - self._started
-        self._on_progress(
+        self._options.on_progress(
             Progress(
                 phase,
                 len(state.ready),

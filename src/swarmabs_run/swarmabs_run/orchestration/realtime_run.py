@@ -6,21 +6,19 @@ import signal
 import time
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_config.graph import RECORDER
+from swarmabs_config.graph import REALTIME, RECORDER
 from swarmabs_config.realtime import check_realtime
 from swarmabs_ros.status import epoch_records
 from swarmabs_run.orchestration.process_run import ProcessRun, process_state
-from swarmabs_run.orchestration.realtime_plan import realtime_plan
 from swarmabs_run.orchestration.supervision import Failure, how_it_ended
+from swarmabs_run.run import DEFAULTS, RunOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.launcher_client import LauncherClient
-    from swarmabs_run.orchestration.progress import Progress
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
 """Time, s, from the start signal to step 0, in which the nodes make their endpoints and discover each other."""
@@ -33,54 +31,18 @@ ENDING_SECONDS = 10.0
 
 
 class RealtimeRun(ProcessRun):
-    """Starts a scenario's processes, tells them all when step 0 begins, and ends them when the last step is over.
+    """A run in real time: its processes are told when step 0 begins, and are ended when the last step is over.
 
     A robot's process that dies is not started again: the swarm goes on without it, as a fleet does. Without one of its
     coordinators, or if it loses the plane, the swarm stops, and the run fails a little later. Without its recorder it
-    fails at once.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; generated robots are listed.
-    folder : RunFolder
-        An empty folder for the results.
-    record : bool
-        Whether to write a bag.
-    on_progress : callable, optional
-        Told how the run goes, some ten times a second.
-    namespace : str
-        ROS namespace of the swarm.
-    split : Split
-        When the bag goes on in a new file, by default never.
-
-    Raises
-    ------
-    InputError
-        If the scenario asks for what there is in lockstep only.
+    fails at once. An `InputError` is raised if the scenario asks for what there is in lockstep only.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        folder: RunFolder,
-        *,
-        record: bool = True,
-        on_progress: Callable[[Progress], None] | None = None,
-        namespace: str = "/",
-        split: Split = ONE_FILE,
-    ) -> None:
+    _driver = REALTIME
+
+    def __init__(self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> None:
         check_realtime(scenario)
-        planned = realtime_plan(
-            scenario,
-            scenario_file=folder.scenario,
-            bag=folder.bag if record else None,
-            logs=folder.logs,
-            split=split,
-        )
-        super().__init__(
-            scenario, folder, planned, dispensable=True, realtime=True, on_progress=on_progress, namespace=namespace
-        )
+        super().__init__(scenario, folder, options)
         self._died: dict[str, str] = {}
         self._failed_at: float | None = None
 

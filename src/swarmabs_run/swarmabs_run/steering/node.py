@@ -14,7 +14,8 @@ from swarmabs_core.membership import Change
 from swarmabs_core.messages import Action
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
-from swarmabs_ros.runner import NodeSpec, Settings, run_node
+from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.steering.pace import SLOWEST, Paced
 from swarmabs_run.steering.protocol import ROBOTS, VALUED

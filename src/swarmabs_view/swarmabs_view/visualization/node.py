@@ -19,8 +19,8 @@ from swarmabs_core.messages import EVENTS
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import profile
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.program import SwarmNode, run_program
 from swarmabs_ros.runner import Settings
+from swarmabs_ros.start import SwarmNode, run_program
 from swarmabs_view.listener import Listener
 from swarmabs_view.ports import ADDRESS, need_foxglove
 from swarmabs_view.visualization.ros_messages import (

@@ -27,13 +27,16 @@ from swarmabs_config.ports import (
 )
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_ros.endpoints import WaitSetReceiver, profile, ros_type
-from swarmabs_run.orchestration.dds_environment import (
+from swarmabs_run.orchestration.network import (
+    FIRST_FREE,
+    FROM_ENVIRONMENT,
     GROUP_VARIABLE,
     PARTICIPANT_VARIABLE,
     dds_environment,
     multicast_group,
+    multicast_works,
+    profile_xml,
 )
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, FROM_ENVIRONMENT, multicast_works, profile_xml
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 LARGE_SWARM = COORDINATORS + 195

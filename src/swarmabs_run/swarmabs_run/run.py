@@ -1,11 +1,15 @@
-"""What is told of a run while it goes on, and how it ended: the same for every way of running."""
+"""How a run is asked for, how far it is while it goes on, and how it ended: the same for every way of running."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from swarmabs_bag.run_folder import ONE_FILE, Split
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 
 Phase = Literal["starting", "running", "closing"]
@@ -17,8 +21,6 @@ class Progress:
 
     Parameters
     ----------
-    phase : str
-        ``starting``, ``running`` or ``closing``.
     ready, processes : int
         How many processes are ready, and how many there are.
     step, steps : int
@@ -43,13 +45,50 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a scenario is run.
+
+    A simulation in one process reads only the first three; a run in real time, those from `agents_per_process` on not.
+
+    Parameters
+    ----------
+    record : bool
+        Whether to write a bag.
+    split : Split
+        When the bag continues in a new file.
+    on_progress : callable, optional
+        Told how the run goes, some ten times a second.
+    namespace : str
+        ROS namespace of the swarm.
+    agents_per_process : int
+        How many robots share a process.
+    packed : bool
+        Whether the robots hear the three broadcasts as one message, which costs less where they are many.
+    steered : bool
+        Whether the run can be steered, by a socket in its folder.
+    step_seconds : float
+        Shortest wall time, s, of a step of such a run; 0: as fast as possible.
+    """
+
+    record: bool = True
+    split: Split = ONE_FILE
+    on_progress: Callable[[Progress], None] | None = None
+    namespace: str = "/"
+    agents_per_process: int = 1
+    packed: bool = False
+    steered: bool = False
+    step_seconds: float = 0.0
+
+
+DEFAULTS = RunOptions()
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """How a run ended.
 
     Parameters
     ----------
-    status : str
-        ``ok``, ``failed`` or ``interrupted``.
     reason : str, optional
         What went wrong; may have several lines, the last ones of logs.
     figures : dict

@@ -1,4 +1,6 @@
-"""The Fast DDS profile of a run: loopback only, fixed participant ids, and robots that never discover each other.
+"""The network of a run on this machine: its ROS domain, its Fast DDS profile and the environment of its processes.
+
+The profile is loopback only, with fixed participant ids, and robots that never discover each other.
 
 Every participant announces itself to the coordinators alone, so discovery grows with the number of robots and not
 with its square: that is what lets 200 processes find each other in seconds. Only UDP is used: a process that is
@@ -12,22 +14,29 @@ messages that are not for it.
 from __future__ import annotations
 
 import socket
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from swarmabs_config import ports
-from swarmabs_config.graph import COORDINATORS
-from swarmabs_run.orchestration.dds_environment import GROUP_VARIABLE, PARTICIPANT_VARIABLE, ROBOTS_GROUP
+from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES
+from swarmabs_core.errors import RunError
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from jinja2 import Template
 
+PARTICIPANT_VARIABLE = "SWARMABS_PARTICIPANT"
+"""Environment variable that holds a process's participant id: one profile serves all processes of a run."""
+GROUP_VARIABLE = "SWARMABS_GROUP"
+"""Environment variable that holds the address of a process's multicast group."""
+_ROBOTS_GROUP, _CONTROLLER_GROUP, _GATHERERS_GROUP = "239.255.83.1", "239.255.83.2", "239.255.83.3"
+
 FROM_ENVIRONMENT = PARTICIPANT_VARIABLE
-"""One file serves all processes of a run: each finds its participant id in its environment."""
+"""The process finds its participant id in its environment."""
 FIRST_FREE = ""
 """The process takes the first participant id that nobody has."""
 
@@ -37,6 +46,74 @@ REALTIME_LEASE = 5
 _LOOPBACK = "127.0.0.1"
 _SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
 """GUID prefix of the discovery server: the one that Fast DDS gives to the discovery server of id 0."""
+
+
+@contextmanager
+def claimed_domain(spacing: int = ports.SPACING) -> Iterator[int]:
+    """Hold a free ROS domain, and yield its id, for the time of the block; no other run gets it meanwhile.
+
+    The claim is a bound TCP port on loopback: the kernel gives it up however this process ends.
+
+    Parameters
+    ----------
+    spacing : int
+        How many domains the run's ports reach over.
+
+    Raises
+    ------
+    RunError
+        If there is none left.
+    """
+    held: list[socket.socket] = []
+    try:
+        for first in range(ports.SPACING, ports.LARGEST_DOMAIN - spacing, ports.SPACING):
+            held = _claim(range(first, first + spacing, ports.SPACING))
+            if held:
+                yield first
+                return
+        raise RunError(
+            "no ROS domain is free on this machine: the guard ports of all "
+            f"{ports.LARGEST_DOMAIN // ports.SPACING} are held; end other runs"
+        )
+    finally:
+        for guard in held:
+            guard.close()
+
+
+def _claim(domains: range) -> list[socket.socket]:
+    """Bind the guard ports of all these domains, or of none."""
+    held: list[socket.socket] = []
+    for domain in domains:
+        guard = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        held.append(guard)
+        try:
+            guard.bind((_LOOPBACK, ports.PORT_BASE + ports.DOMAIN_GAIN * domain + ports.GUARD_OFFSET))
+        except OSError:
+            for each in held:
+                each.close()
+            return []
+    return held
+
+
+def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
+    """Return the environment variables that put a process into a run's domain."""
+    return {
+        "ROS_DOMAIN_ID": str(domain),
+        # LOCALHOST and SUBNET would make the middleware add transports of its own to those of the profile.
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": profile_path,
+        "FASTDDS_DEFAULT_PROFILES_FILE": profile_path,
+    }
+
+
+def multicast_group(participant: int) -> str:
+    """Return the address of the group to which a participant listens."""
+    if participant >= COORDINATORS:
+        return _ROBOTS_GROUP
+    # The parent controller is the one coordinator that does not hear the robots.
+    return _CONTROLLER_GROUP if participant == NODES[CONTROLLER].participant else _GATHERERS_GROUP
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +139,7 @@ class Discovery:
 def multicast_works(timeout: float = 0.5) -> bool:
     """Try whether this machine carries multicast on loopback, by sending itself a datagram; `timeout` in s."""
     loopback = socket.inet_aton(_LOOPBACK)
-    group = ROBOTS_GROUP
+    group = _ROBOTS_GROUP
     try:
         with (
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as hear,

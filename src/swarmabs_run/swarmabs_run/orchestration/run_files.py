@@ -1,29 +1,37 @@
-"""How stock ROS tools and late joiners get into a run's network, which the ordinary settings do not show them.
+"""What a run writes beside its logs for those who look in from outside, and how it is read.
 
-The network of a run is for as long as the run goes on. Then another run may get the same ROS domain, so nobody may
-speak into it by the files of the one before.
+Stock ROS tools and late joiners need the file of the network, which the ordinary settings do not show them. The network
+of a run is for as long as the run lasts. Then another run may get the same ROS domain, so nobody may speak into it by
+the files of the one before. How far a run is stands in a file that is read without joining the network.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import time
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import psutil
 
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.dds_environment import dds_environment
-from swarmabs_run.orchestration.dds_profile import FIRST_FREE, profile_xml
-from swarmabs_run.orchestration.progress_file import OVER, read_progress
+from swarmabs_run.orchestration.network import FIRST_FREE, dds_environment, profile_xml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmabs_run.run import Phase
+
 NETWORK_FILE = "network.json"
 PROCESSES_FILE = "processes.json"
 TOOL_PROFILE = "fastdds_tool.xml"
+PROGRESS_FILE = "progress.json"
+PROGRESS_INTERVAL = 0.5
+"""Time, s, between two versions of the file."""
+OVER = "over"
+"""The phase of a run that has ended, however."""
 _START = 19
 """Place of the start in /proc/PID/stat behind the name (proc_pid_stat(5): field 22)."""
 
@@ -51,11 +59,66 @@ def write_network(logs: Path, domain: int, participants: int, *, realtime: bool 
     (logs / NETWORK_FILE).write_text(json.dumps(network) + "\n", encoding="utf-8")
 
 
+class Told(NamedTuple):
+    """What the file of a run's progress says.
+
+    Parameters
+    ----------
+    phase : str
+        That of `Progress`, or `OVER`.
+    step, steps : int
+        Steps recorded, and steps in all.
+    step_rate : float, optional
+        Steps per second of wall time since the version before; None if there was no other.
+    told_at : float
+        When it was written, s on the machine's monotonic clock.
+    """
+
+    phase: str
+    step: int
+    steps: int
+    step_rate: float | None
+    told_at: float
+
+
+class ProgressFile:
+    """Keeps the file that says how far a run is."""
+
+    def __init__(self, logs: Path) -> None:
+        self._path = logs / PROGRESS_FILE
+        self._last: Told | None = None
+
+    def tell(self, phase: Phase, step: int, steps: int, now: float) -> None:
+        """Note how far the run is at a time (s, monotonic); the file is written when it is old or the phase changes."""
+        last = self._last
+        if last is not None and last.phase == phase and now - last.told_at < PROGRESS_INTERVAL:
+            return
+        going = last is not None and last.phase == "running" and now > last.told_at
+        rate = (step - last.step) / (now - last.told_at) if last is not None and going else None
+        self._write(Told(phase, step, steps, rate, now))
+
+    def over(self) -> None:
+        """Note that the run has ended."""
+        step, steps = (0, 0) if self._last is None else self._last[1:3]
+        self._write(Told(OVER, step, steps, None, time.monotonic()))
+
+    def _write(self, told: Told) -> None:
+        self._last = told
+        with suppress(OSError):  # a full disk is the recorder's to report
+            _replace(self._path, told._asdict())
+
+
+def read_progress(logs: Path) -> Told | None:
+    """Return what the file of a run says, None if there is none."""
+    try:
+        return Told(**json.loads((logs / PROGRESS_FILE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
 def write_processes(logs: Path, processes: Mapping[str, int]) -> None:
     """Write down the ids of a run's processes by name when all have met: whoever finds them finds the run going on."""
-    part = logs / f"{PROCESSES_FILE}.part"
-    part.write_text(json.dumps({"orchestrator": os.getpid(), **processes}) + "\n", encoding="utf-8")
-    part.replace(logs / PROCESSES_FILE)
+    _replace(logs / PROCESSES_FILE, {"orchestrator": os.getpid(), **processes})
 
 
 def read_processes(run: Path) -> dict[str, int] | None:
@@ -82,10 +145,7 @@ def start_of(pid: int) -> int | None:
 def orchestrator_of(run: Path) -> psutil.Process | None:
     """Return the process that has started a run, None if it is gone.
 
-    Raises
-    ------
-    InputError
-        If this is not the folder of a run with processes.
+    An `InputError` is raised if this is not the folder of a run with processes, as by all functions that follow.
     """
     network = _network(run)
     pid = network["orchestrator"]
@@ -98,46 +158,34 @@ def orchestrator_of(run: Path) -> psutil.Process | None:
 
 
 def goes_on(run: Path) -> bool:
-    """Tell whether a run goes on: the process that has started it lives, and does not say that it is over.
-
-    Raises
-    ------
-    InputError
-        If this is not the folder of a run with processes.
-    """
+    """Tell whether a run goes on: the process that has started it lives, and does not say that it is over."""
     told = read_progress(run / "logs")
     return (told is None or told.phase != OVER) and orchestrator_of(run) is not None
 
 
 def is_realtime(run: Path) -> bool:
-    """Tell whether a run is one in real time.
-
-    Raises
-    ------
-    InputError
-        If this is not the folder of a run with processes.
-    """
+    """Tell whether a run is one in real time."""
     return bool(_network(run)["realtime"])
 
 
 def environment_of_run(run: Path) -> dict[str, str]:
     """Return the environment variables with which a tool sees the nodes of a run.
 
-    Parameters
-    ----------
-    run : Path
-        Folder of a run that is going on.
-
     Raises
     ------
     RunOverError
         If the run is over.
-    InputError
-        If this is not the folder of a run with processes.
     """
     if not goes_on(run):
         raise RunOverError(run)
     return dds_environment(_network(run)["domain"], str((run / "logs" / TOOL_PROFILE).resolve()))
+
+
+def _replace(file: Path, document: Mapping[str, object]) -> None:
+    """Write a file whole, so that nobody ever reads half of it."""
+    part = file.with_suffix(".json.part")
+    part.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    part.replace(file)
 
 
 def _network(run: Path) -> dict[str, int]:
