@@ -33,12 +33,10 @@ _STEP = struct.Struct("<28xQ")
 
 
 def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool = False, every: int = 1) -> RunArrays:
-    """Load the main topics of a bag.
+    """Load the main topics of a bag: a run folder, its ``bag/``, or an MCAP file.
 
     Parameters
     ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
     namespace : str, optional
         Which swarm to read if the bag holds several.
     damaged : bool
@@ -60,15 +58,7 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
 
 
 def arrays_of(bag: BagReader, tables: Tables) -> RunArrays:
-    """Arrange the messages of a bag's run; in real time its time is that since its first step.
-
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    tables : mapping
-        Its messages, as `load_tables` returns them.
-    """
+    """Arrange the messages of a bag as `load_tables` returns them; in real time, time counts from the first step."""
     return arrays_since(bag, tables)[0]
 
 
@@ -82,24 +72,7 @@ def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
 
 
 def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:
-    """Load the messages of each main topic as rows of a structured array, in the order of the file.
-
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    every : int
-        As of `load_arrays`.
-
-    Raises
-    ------
-    BagTooLargeError
-        As of `load_arrays`.
-    NotABagError
-        If the bag has its end, but not all five main topics.
-    DamagedBagError
-        If the bag is damaged, or a message is not as the contract says.
-    """
+    """Load the messages of each main topic as rows of an array, in the order of the file; as of `load_arrays`."""
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")

@@ -68,8 +68,6 @@ def provenance(
 
     Parameters
     ----------
-    scenario : Scenario
-        What was run.
     driver : str
         What moved the state machines: ``lockstep``, ``simulate`` or ``realtime``.
     replay : mapping, optional
@@ -103,14 +101,7 @@ def attachments(scenario: Scenario, made: Mapping[str, object]) -> dict[str, byt
 
 
 def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
-    """Load the scenario that a user has named.
-
-    Parameters
-    ----------
-    named : str
-        A built-in scenario, a YAML file, or a bag: a run's folder, its ``bag/`` or an ``.mcap`` file.
-    overrides : sequence of str
-        ``a.b=value`` each.
+    """Load the scenario that a user has named: a built-in one, a YAML file, or that of a bag.
 
     Raises
     ------
@@ -126,16 +117,7 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
     """Return the scenario that a bag holds, of several swarms in it that of all.
 
     Of a run that was steered it is the one in which all that was done from outside is planned: the recorded run follows
-    from it.
-
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    overrides : sequence of str
-        ``a.b=value`` each.
-    steered : bool
-        Whether what was done from outside is part of it.
+    from it. With ``steered=False`` it is the one that was started.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""One MCAP file of a bag: opened, read in file order, and compared with every length, CRC and number in it."""
+"""One MCAP file of a bag: opened, read in file order, and compared with every length, CRC and number in it.
+
+What is not as the file says raises `DamagedBagError`; all that was before it has been yielded then.
+"""
 
 from __future__ import annotations
 
@@ -43,13 +46,7 @@ class BagFile:
     index: FileIndex
 
     def stored(self) -> Iterator[StoredMessage]:
-        """Yield every message in file order.
-
-        Raises
-        ------
-        DamagedBagError
-            Where the file is damaged; all before it has been yielded then.
-        """
+        """Yield every message in file order."""
         index, latest, count = self.index, 0, 0
         said = index.statistics.message_count
         most = math.inf if index.problem else said
@@ -86,13 +83,7 @@ class BagFile:
                 return
 
     def attachments(self, name: str) -> Iterator[bytes]:
-        """Yield the contents of all attachments of a name, in file order.
-
-        Raises
-        ------
-        DamagedBagError
-            If one is not where the file says, or its CRC does not match.
-        """
+        """Yield the contents of all attachments of a name, in file order."""
         for entry in self.index.attachments:
             if entry.name == name:
                 with self._opened() as stream:
@@ -102,13 +93,7 @@ class BagFile:
                 yield attachment.data
 
     def description(self) -> str:
-        """Return rosbag2's description of the bag as YAML text, empty if the file has none.
-
-        Raises
-        ------
-        DamagedBagError
-            If it is not where the file says.
-        """
+        """Return rosbag2's description of the bag as YAML text, empty if the file has none."""
         for entry in reversed(self.index.metadata):  # rosbag2 writes one at opening, too
             if entry.name == RECORD_NAME:
                 with self._opened() as stream:
@@ -117,13 +102,7 @@ class BagFile:
         return ""
 
     def check(self) -> None:
-        """Read the whole file and compare it with every CRC and with what its summary says.
-
-        Raises
-        ------
-        DamagedBagError
-            At the first contradiction.
-        """
+        """Read the whole file and compare it with every CRC and with what its summary says."""
         with self._opened() as stream:
             found = scan_index(stream, self.size)
             if found.problem is not None:

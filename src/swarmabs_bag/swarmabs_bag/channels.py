@@ -36,22 +36,12 @@ READABLE = {
 
 @dataclass(frozen=True, slots=True)
 class BagChannel:
-    """A topic as a bag holds it.
+    """A topic as a bag holds it: its name has the namespace; what the bag does not give is empty.
 
     Attributes
     ----------
-    name : str
-        Topic with namespace.
-    ros_type : str
-        Full ROS name of the message type, empty if the bag does not give it.
-    type_hash : str
-        RIHS01 hash of the type, empty if the bag does not give it.
     qos_profiles : str
-        YAML text of what the publishers offered, empty if the bag does not give it.
-    encoding : str
-        Encoding of the messages, ``cdr`` in bags of ROS 2.
-    message_count : int
-        Number of messages.
+        YAML text of what the publishers offered.
     topic : Topic or None
         Which topic of the swarm it is, None if it is another one.
     """
@@ -102,13 +92,7 @@ def swarm_topics(index: FileIndex) -> dict[int, tuple[str, Topic]]:
 
 
 def chosen_swarm(path: Path, swarms: Sequence[str], namespace: str | None) -> str | None:
-    """Return which of the swarms is read, None if there is none, or none of several is named.
-
-    Raises
-    ------
-    NotABagError
-        If there is no swarm of that name.
-    """
+    """Return which of the swarms is read, None if there is none, or none of several is named."""
     if namespace is None:
         return swarms[0] if len(swarms) == 1 else None
     name = namespace.strip("/")
@@ -139,14 +123,9 @@ def _swarm_topic(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None
 
 
 def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
-    """Check that the messages of a bag are of definitions that are known.
+    """Refuse a bag whose messages have definitions that are not known, with `UnknownTypeError`.
 
     A channel without a hash passes: its messages are read as those of today, and their sizes checked.
-
-    Raises
-    ------
-    UnknownTypeError
-        If a hash is not known; the text names topic, type and hash.
     """
     for channel in channels:
         known = READABLE.get(channel.ros_type)

@@ -215,10 +215,8 @@ class RecordedSteps:
         Last step of the scenario.
     first : int
         First complete step; not 0 in a later file of a split bag, or where the beginning is lost.
-    last_complete : int
-        Last step up to which, from the first one on, no message of a main topic is missing.
-    by_topic : dict of str to int
-        The same for each main topic, by its name with namespace.
+    last_complete, by_topic
+        Last step up to which, from the first one on, no message of a main topic is missing; the same for each of them.
     """
 
     last_planned: int

@@ -51,7 +51,7 @@ class Figures:
     Parameters
     ----------
     reference : callable
-        Angle (rad) that the plane should have at a time (s).
+        Angle (rad) that the plane should have at a time (s), in real time that of the law.
 
     Attributes
     ----------
@@ -152,13 +152,6 @@ class RealtimeFigures(Figures):
     """Figures of a run in real time.
 
     The error counts from the answer of the parent controller on with which its law's time has begun, and in this time.
-
-    Parameters
-    ----------
-    reference : callable
-        Angle (rad) that the plane should have at a time (s) of the law.
-    schedule : Schedule
-        How time becomes steps.
 
     Attributes
     ----------

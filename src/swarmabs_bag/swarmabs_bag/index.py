@@ -1,11 +1,7 @@
 """Where everything is in an MCAP file: its summary section, read, gathered by a scan, or written anew.
 
-The format lets a writer leave out the summary section, or any part of it. A file without it is whole nevertheless, and
-what is missing is gathered by a scan.
-
-A file whose writer was killed has no summary section. `scan_index` finds out what a file holds by reading it
-from the start, as far as its records are whole; `tail` makes the end of the file from that, so such a file
-becomes a complete one.
+The format lets a writer leave out the summary section, or any part of it: what is missing is gathered by a scan. A file
+whose writer was killed is read from the start, as far as its records are whole, and `tail` makes its end from that.
 """
 
 from __future__ import annotations
@@ -13,7 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from mcap.opcode import Opcode
@@ -69,25 +65,16 @@ MOST_DEFINITIONS = 2**26
 
 
 def _no_statistics() -> Statistics:
-    numbers = ("message_count", "message_start_time", "message_end_time")
-    kinds = ("schema_count", "channel_count", "chunk_count", "attachment_count", "metadata_count")
-    return Statistics(**dict.fromkeys((*numbers, *kinds), 0), channel_message_counts=defaultdict(int))
+    counts: dict[str, Any] = dict.fromkeys((field.name for field in fields(Statistics)), 0)
+    return Statistics(**{**counts, "channel_message_counts": defaultdict(int)})
 
 
 @dataclass(slots=True)
 class FileIndex:
-    """What an MCAP file holds, and where.
+    """What an MCAP file holds, and where: schemas and channels by id, index records in file order.
 
     Attributes
     ----------
-    header : Header
-        Profile and library.
-    schemas, channels : dict
-        By id.
-    chunks, attachments, metadata : list
-        Index records in file order.
-    statistics : Statistics
-        Numbers of everything.
     data_end : int
         Position behind the last record of the data section.
     crc : int
@@ -114,13 +101,7 @@ class FileIndex:
     unknown: int | None = None
 
     def take(self, record: Record, data: bytes | None = None) -> None:
-        """Take over the record of the data section that stands at `data_end`; `data` is what a chunk holds.
-
-        Raises
-        ------
-        RecordError
-            If the record is not as the format says, or beyond all measure.
-        """
+        """Take over the record of the data section that stands at `data_end`; `data` is what a chunk holds."""
         opcode, statistics = record.opcode, self.statistics
         if opcode == Opcode.CHUNK:
             self._take_chunk(record, uncompress(record) if data is None else data)
@@ -235,13 +216,7 @@ def add_messages(total: Statistics, found: Statistics, numbers: Mapping[int, int
 
 
 def read_attachment(record: Record) -> Attachment:
-    """Read an attachment, its CRC checked.
-
-    Raises
-    ------
-    RecordError
-        If the record is no attachment, is malformed, or its CRC does not match.
-    """
+    """Read an attachment, its CRC checked."""
     if record.opcode != Opcode.ATTACHMENT:
         raise RecordError(record.offset, "no attachment is here, although the summary says so")
     attachment: Attachment = parse(Attachment, record)
@@ -269,18 +244,6 @@ def scan_index(stream: BinaryIO, size: int) -> FileIndex:
 
     The scan ends before the first record that is not whole or not as the format says; `FileIndex.problem`
     tells of it. It also ends, without a problem, at the end of the data section.
-
-    Parameters
-    ----------
-    stream : binary file
-        The file, open for reading.
-    size : int
-        Number of bytes to look at.
-
-    Raises
-    ------
-    RecordError
-        If there is not even a header.
     """
     stream.seek(0)
     if stream.read(len(MAGIC)) != MAGIC:
@@ -303,19 +266,9 @@ def scan_index(stream: BinaryIO, size: int) -> FileIndex:
 
 
 def read_index(stream: BinaryIO, size: int) -> FileIndex:
-    """Read the summary section at the end of a file; what the format lets a writer leave out of it, by a scan.
+    """Read the summary section at the end of a file of `size` bytes; what a writer may leave out of it, by a scan.
 
-    Parameters
-    ----------
-    stream : binary file
-        The file, open for reading.
-    size : int
-        Its size in bytes.
-
-    Raises
-    ------
-    RecordError
-        If the file has no end, a summary section that is not as it should be, or none and a data section that is not.
+    A `RecordError` if the file has no end, a summary section that is not as it should be, or none and damaged data.
     """
     end_size = _FOOTER_SIZE + len(MAGIC)
     if size < end_size + len(MAGIC):
@@ -379,23 +332,18 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
 def _leaves_out(index: FileIndex) -> bool:
     """Tell whether a summary section counts records of a kind of which it lists none."""
     counted = index.statistics
-    return (
-        (counted.schema_count > 0 and not index.schemas)
-        or (counted.channel_count > 0 and not index.channels)
-        or (counted.chunk_count > 0 and not index.chunks)
-        or (counted.attachment_count > 0 and not index.attachments)
-        or (counted.metadata_count > 0 and not index.metadata)
+    counts = (
+        (counted.schema_count, index.schemas),
+        (counted.channel_count, index.channels),
+        (counted.chunk_count, index.chunks),
+        (counted.attachment_count, index.attachments),
+        (counted.metadata_count, index.metadata),
     )
+    return any(count > 0 and not listed for count, listed in counts)
 
 
 def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
-    """Return what a data section holds that is whole and ends at byte `end`.
-
-    Raises
-    ------
-    RecordError
-        If it is not.
-    """
+    """Return what a data section holds that is whole and ends at byte `end`."""
     found = scan_index(stream, size)
     if found.problem is not None:
         raise RecordError(found.data_end, found.problem.removeprefix(f"at byte {found.data_end}: "))

@@ -55,48 +55,24 @@ class ScenarioInfo:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """Everything `bag_info` finds out.
+    """Everything `bag_info` finds out; sizes are in bytes, times in s.
 
     Attributes
     ----------
-    file : str
-        The MCAP file.
-    size : int
-        Its size in bytes.
     profile, library : str
         What its writer says of itself.
     start, duration : float
-        Log time of the first message, and from it to the last one, in s.
-    message_count : int
-        Number of messages.
-    topics : tuple of TopicInfo
-        All topics of the file.
+        Log time of the first message, and from it to the last one.
     namespace : str or None
         Namespace of the swarm, None if the bag has no topic of a swarm, or of several.
-    swarms : tuple of str
-        Namespaces of all swarms.
-    chunks : int
-        Number of chunks.
-    compression : str
-        Compressions of the chunks.
-    uncompressed_size : int
-        Size of all chunks before compression in bytes.
     attachments : dict
-        Sizes in bytes by name.
-    scenario : ScenarioInfo or None
-        What the attached scenario says, None if there is none that can be read.
-    versions : dict
-        Versions of what made the run, by name, from the attached provenance.
-    fingerprint : str or None
-        Fingerprint of the mathematical library the run was made with.
+        Sizes by name.
+    versions, fingerprint
+        Of what made the run and of its mathematical library, from the attached provenance.
     complete : bool
-        Whether the file has its end and every CRC and number in it is right.
-    problem : str or None
-        What is wrong if it is not complete.
-    aborted : str or None
-        Why the run ended early, None if it did not.
-    repaired : str or None
-        What a repair could not save, None if nothing is known to be lost.
+        Whether the file has its end and every CRC and number in it is right; else `problem` says what is wrong.
+    aborted, repaired : str or None
+        Why the run ended early; what a repair could not save.
     """
 
     file: str
@@ -127,14 +103,9 @@ class BagInfo:
 
 
 def bag_info(path: Path | str) -> BagInfo:
-    """Find out what a bag holds, and whether all of it is right.
+    """Find out what a bag (a run folder, its ``bag/``, or an MCAP file) holds, and whether all of it is right.
 
     The whole file is read once, chunk by chunk. Damage does not raise: it is what the answer is about.
-
-    Parameters
-    ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
 
     Raises
     ------

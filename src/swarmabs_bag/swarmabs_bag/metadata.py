@@ -148,14 +148,7 @@ def bag_metadata(
 ) -> dict[str, Any]:
     """Return rosbag2's description of a bag.
 
-    Parameters
-    ----------
-    topics : sequence of (TopicRecord, int)
-        All topics with their numbers of messages, also those without any.
-    files : sequence of FileRecord
-        Its files in order, with names relative to the bag's folder.
-    custom_data : mapping
-        Entries under ``custom_data``.
+    All topics have their numbers of messages, also those without any; names of files are relative to the bag's folder.
     """
     filled = [file for file in files if file.message_count]
     start = min((file.start for file in filled), default=0)
@@ -197,13 +190,7 @@ def bag_metadata(
 
 
 def write_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, whole or not at all: under a temporary name, to the disk, then renamed.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; nothing of it remains.
-    """
+    """Write ``metadata.yaml``, whole or not at all: under a temporary name, to the disk, then renamed."""
     path = folder / METADATA_FILE
     temporary = path.with_suffix(".yaml.tmp")
     try:

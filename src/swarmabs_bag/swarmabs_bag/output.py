@@ -14,20 +14,10 @@ _RESERVE_STEP = 2**16
 
 
 class RecordFile:
-    """Output stream of an MCAP writer that collects what is written until `commit`.
+    """A new file as output stream of an MCAP writer that collects what is written until `commit`.
 
     A commit that fails is undone: the file is cut back to where the commit before ended. So between two
     commits it always ends behind a whole record, also when the process is killed.
-
-    Parameters
-    ----------
-    path : Path
-        The file to create; it must not exist.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,13 +46,7 @@ class RecordFile:
         """Do nothing: only `commit` reaches the disk."""
 
     def commit(self) -> None:
-        """Hand all that was written to the operating system.
-
-        Raises
-        ------
-        OSError
-            If not all of it could be written. Then none of it is in the file, and it is forgotten.
-        """
+        """Hand all that was written to the operating system; after an error nothing of it is in the file."""
         data = memoryview(b"".join(self._pending))
         self._pending.clear()
         self._pending_size = 0
@@ -94,14 +78,9 @@ class RecordFile:
 
 
 class Reserve:
-    """Disk space held back beside a file, to be given up when the disk is full.
+    """Disk space held back in the folder of a file, to be given up when the disk is full.
 
     It is held by a file without a name, so nothing of it is left behind, however the process ends.
-
-    Parameters
-    ----------
-    folder : Path
-        A folder on the disk in question.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -109,13 +88,7 @@ class Reserve:
         self._size = 0
 
     def hold(self, size: int) -> None:
-        """Make sure that at least `size` bytes are held, in steps of 64 KiB.
-
-        Raises
-        ------
-        OSError
-            If the disk has not so much space; what was held before still is.
-        """
+        """Hold at least `size` bytes, in steps of 64 KiB; after an error what was held before still is."""
         if size <= self._size:
             return
         wanted = -(-size // _RESERVE_STEP) * _RESERVE_STEP

@@ -34,16 +34,15 @@ T = TypeVar("T")
 class BagReader:
     """A bag of one or several files, open for reading; made by `open_bag`.
 
-    Nothing stays open between calls, and several iterations may go on at once.
+    Nothing stays open between calls, and several iterations may go on at once. Where a file is damaged, they raise
+    `DamagedBagError`; all before it has been yielded then.
 
     Attributes
     ----------
     path : Path
         The MCAP file, or the folder of a split bag.
     files : tuple of BagFile
-        The files that can be read, in order.
-    size : int
-        Their size in bytes.
+        The files that can be read, in order; `size` is that of all, in bytes.
     index : FileIndex
         What they say they hold; of several files, channels have the same number in all of them.
     channels : tuple of BagChannel
@@ -94,29 +93,16 @@ class BagReader:
         return tuple(channel.topic for channel in self.channels if channel.topic is not None)
 
     def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
-        """Yield every message of the bag in file order, also those on topics that are not of the swarm.
-
-        Raises
-        ------
-        DamagedBagError
-            Where a file is damaged; all before it has been yielded then.
-        """
+        """Yield every message of the bag in file order, also those on topics that are not of the swarm."""
         channels = self._channels
         for message in self._stored():
             yield channels[message.channel_id], message
 
     def messages(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, bytes]]:
-        """Yield topic, log time in ns and CDR payload of the swarm's messages, in file order.
-
-        Parameters
-        ----------
-        topics : collection of Topic, optional
-            Those to yield; by default all of the swarm.
+        """Yield topic, log time in ns and CDR payload of the swarm's messages on some topics, or all, in file order.
 
         Raises
         ------
-        DamagedBagError
-            Where a file is damaged; all before it has been yielded then.
         UnknownTypeError
             If messages have a definition that this version does not know.
         """
@@ -176,13 +162,7 @@ class BagReader:
         return next(self.attachments(name), None)
 
     def attachments(self, name: str) -> Iterator[bytes]:
-        """Yield the contents of all attachments of a name, file by file.
-
-        Raises
-        ------
-        DamagedBagError
-            If one is not where the bag says, or its CRC does not match.
-        """
+        """Yield the contents of all attachments of a name, file by file."""
         for file in self.files:
             yield from file.attachments(name)
 
@@ -191,13 +171,7 @@ class BagReader:
         return len(set(self.attachments(name))) > 1
 
     def rosbag2_metadata(self) -> dict[str, Any]:
-        """Return rosbag2's description from within the last file, which says how the run ended; empty without one.
-
-        Raises
-        ------
-        DamagedBagError
-            If it is not where the bag says.
-        """
+        """Return rosbag2's description in the last file, which says how the run ended; empty without one."""
         found = load_yaml(self.files[-1].description())
         return found if isinstance(found, dict) else {}
 
@@ -210,13 +184,7 @@ class BagReader:
         return self.custom_data().get(ABORTED_KEY)
 
     def check(self) -> None:
-        """Read all files and compare them with every CRC and with what their summaries say.
-
-        Raises
-        ------
-        DamagedBagError
-            At the first contradiction.
-        """
+        """Read all files and compare them with every CRC and with what their summaries say."""
         for file in self.files:
             file.check()
 
@@ -224,12 +192,10 @@ class BagReader:
 def open_bag(
     path: Path | str, *, namespace: str | None = None, damaged: bool = False, several: bool = False
 ) -> BagReader:
-    """Open a bag.
+    """Open a bag: a run folder, its ``bag/``, or an MCAP file.
 
     Parameters
     ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
     namespace : str, optional
         Which swarm to read if the bag holds several.
     damaged : bool

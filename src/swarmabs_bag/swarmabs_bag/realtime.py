@@ -53,13 +53,6 @@ class RealtimeCollector:
     the parent controller may change its mind within a step. A copy is dropped; another message in its place is dropped
     too, but an event says so. So is what cannot be of this swarm and time.
 
-    Parameters
-    ----------
-    members : iterable of int
-        Ids of all robots that may ever take part.
-    schedule : Schedule
-        How time becomes steps.
-
     Attributes
     ----------
     repeated, different, refused : int
@@ -148,13 +141,7 @@ class RealtimeWorld:
 
 
 def realtime_world(bag: BagReader) -> RealtimeWorld:
-    """Return what a bag that was recorded in real time says of its world.
-
-    Raises
-    ------
-    InputError
-        If it does not say it.
-    """
+    """Return what a bag that was recorded in real time says of its world; an `InputError` if it does not say it."""
     found = attached_provenance(bag).get("realtime")
     said: Mapping[str, Any] = found if isinstance(found, dict) else {}
     period, epoch, robots, plane, limited = (said.get(name) for name in _WORLD)
@@ -182,13 +169,7 @@ def law_begins(bag: BagReader) -> dict[int, int]:
 
 
 def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
-    """Return the figures of a bag, by the same arithmetic as while it was recorded.
-
-    Raises
-    ------
-    DamagedBagError
-        Where the bag is damaged.
-    """
+    """Return the figures of a bag, by the same arithmetic as while it was recorded."""
     figures = RealtimeFigures(configure.parent_controller(scenario).reference, Schedule(scenario.step_ns))
     for record in bag.records(RECORDED):
         figures.add(record)

@@ -45,29 +45,19 @@ class Rebuilt:
 
     Parameters
     ----------
-    stream : binary file
-        The old file, open for reading.
-    size : int
-        Its size in bytes.
     output : RecordFile, optional
         Where the new one goes; without it nothing is written, and it is only found out what a repair would come to.
     definitions : FileIndex, optional
         Schemas and channels with the same numbers, for a file that has lost them.
-    name : str
-        Name of the new file, for rosbag2's description.
-    custom : mapping, optional
-        Entries under ``custom_data`` of that description.
+    name, custom
+        Name of the new file and entries under ``custom_data``, for rosbag2's description.
 
     Attributes
     ----------
-    index : FileIndex
-        What the new file holds, and where.
-    before : FileIndex
-        What the old file holds before the first damage, and where.
+    index, before : FileIndex
+        What the new file holds, and what the old one holds before the first damage.
     stated : FileIndex or None
-        What the old file says it holds, if that can be read.
-    unstated : str
-        Why that cannot be read.
+        What the old file says it holds; if that cannot be read, `unstated` says why.
     damage : list of Damage
         What was left out.
     end : DataEnd or None

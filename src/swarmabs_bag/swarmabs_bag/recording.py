@@ -171,12 +171,6 @@ class RunCollector:
 
     Parameters
     ----------
-    members : iterable of int
-        Ids of all robots that ever take part.
-    schedule : iterable of Change
-        Scheduled changes of the membership.
-    last_step : int
-        The step with which the run ends.
     memory : int
         How many steps back repeats are still compared with what was recorded.
     steered : bool

@@ -1,4 +1,7 @@
-"""Records of an MCAP file, one by one; lengths are checked before anything is allocated."""
+"""Records of an MCAP file, one by one; lengths are checked before anything is allocated.
+
+What is not as the format says raises `RecordError` with its place in the file.
+"""
 
 from __future__ import annotations
 
@@ -100,13 +103,7 @@ def crc_with(crc: int, record: Record) -> int:
 
 
 def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
-    """Read the record at `offset` of a file of `size` bytes.
-
-    Raises
-    ------
-    RecordError
-        If the file ends before the record does, or the record is larger than `MAX_SIZE` or of no kind.
-    """
+    """Read the record at `offset` of a file of `size` bytes, not one that is larger than `MAX_SIZE`."""
     if offset > size:
         raise RecordError(offset, f"a record is said to be here, but the file has {size} bytes")
     stream.seek(offset)
@@ -133,11 +130,6 @@ def read_records(stream: BinaryIO, offset: int, size: int) -> Iterator[Record]:
     """Yield all records from `offset` until the file or the section that holds them ends.
 
     The last record is ``DataEnd`` in the data section and ``Footer`` in the summary section.
-
-    Raises
-    ------
-    RecordError
-        At the first record that is not whole.
     """
     while True:
         record = read_record(stream, offset, size)
@@ -158,13 +150,7 @@ class _Content(ReadDataStream):
 
 
 def parse(record_class: Any, record: Record) -> Any:
-    """Read the content of a record with a record class of the mcap library.
-
-    Raises
-    ------
-    RecordError
-        If the content does not fit the record's type, or is larger than `MAX_PARSED`.
-    """
+    """Read the content of a record, of up to `MAX_PARSED` bytes, with a record class of the mcap library."""
     if len(record.content) > MAX_PARSED and record_class not in {Attachment, Chunk}:
         raise RecordError(record.offset, f"a {record_class.__name__} record of more than {MAX_PARSED} bytes")
     try:
@@ -177,14 +163,7 @@ def parse(record_class: Any, record: Record) -> Any:
 
 
 def uncompress(record: Record) -> bytes:
-    """Return the records within a chunk, their CRC checked.
-
-    Raises
-    ------
-    RecordError
-        If they cannot be uncompressed, are larger than `MAX_SIZE` or `MAX_RATIO` allow, or have another size
-        or CRC than the chunk says.
-    """
+    """Return the records within a chunk, as large as `MAX_SIZE` and `MAX_RATIO` allow, its size and CRC checked."""
     chunk: Chunk = parse(Chunk, record)
     size, left = chunk.uncompressed_size, len(record.content) - _CHUNK_HEAD_SIZE - len(chunk.compression.encode())
     if len(chunk.data) != left:
@@ -231,13 +210,7 @@ def uncompressed(compression: str, data: bytes, size: int, *, cut_off: bool = Fa
 
 
 def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the content of each record within a chunk, which starts at `offset`.
-
-    Raises
-    ------
-    RecordError
-        If a record reaches beyond the chunk.
-    """
+    """Yield opcode, begin and end of the content of each record within a chunk, which starts at `offset`."""
     position, size, unpack = 0, len(data), _HEAD.unpack_from
     while position < size:
         if position + HEAD_SIZE > size:
@@ -251,13 +224,7 @@ def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
 
 
 def indexed_channel(record: Record) -> int:
-    """Return the channel of a message index, of which nothing else is needed.
-
-    Raises
-    ------
-    RecordError
-        If its length is not that of the entries that it says it has.
-    """
+    """Return the channel of a message index, of which nothing else is needed than that its length is right."""
     entries = len(record.content) - _MESSAGE_INDEX_HEAD.size
     channel, length = _MESSAGE_INDEX_HEAD.unpack_from(record.content) if entries >= 0 else (0, None)
     if length != entries or entries % _MESSAGE_INDEX_ENTRY:
@@ -266,13 +233,7 @@ def indexed_channel(record: Record) -> int:
 
 
 def message_head(content: bytes, begin: int, end: int, offset: int) -> tuple[int, int, int, int]:
-    """Read channel, sequence number, log and publish time of a message, whose content lies between `begin` and `end`.
-
-    Raises
-    ------
-    RecordError
-        If the record is too short.
-    """
+    """Read channel, sequence number, log and publish time of a message whose content is `content[begin:end]`."""
     if begin + _MESSAGE_HEAD.size > end:
         raise RecordError(offset, "a message record is cut off")
     return _MESSAGE_HEAD.unpack_from(content, begin)

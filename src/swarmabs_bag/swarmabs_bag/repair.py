@@ -71,18 +71,10 @@ class FileRepair:
 
 @dataclass(frozen=True, slots=True)
 class TopicRepair:
-    """What there is of a topic.
+    """What there is of a topic: messages that were kept, and that are known to have been lost.
 
-    Attributes
-    ----------
-    name : str
-        The topic.
-    messages : int
-        Messages that were kept.
-    lost : int
-        Messages that are known to have been lost; at the end of a file without summary section nobody knows.
-    last_complete_step : int or None
-        Up to which step, from the bag's first on, nothing is missing; None if it is no main topic of a swarm.
+    How many are lost at the end of a file without summary section nobody knows. `last_complete_step`: up to which step,
+    from the bag's first on, nothing is missing; None if it is no main topic of a swarm.
     """
 
     name: str
@@ -97,25 +89,16 @@ class RepairReport:
 
     Attributes
     ----------
-    bag : str
-        What was named.
     output : str or None
         Where the whole bag is; None if there was nothing to do.
     problems : tuple of str
         What was wrong with the bag as a whole.
-    files : tuple of FileRepair
-        Its files.
-    topics : tuple of TopicRepair
-        Its topics.
-    messages : int
-        Messages that were kept.
     lost_bytes : int
         Bytes of the files that were left out.
     attachments, lost_attachments : tuple of str
         Names of the attachments that were kept, and of those that the summary names and that were not.
     first_step, last_complete_step, last_planned_step : int or None
-        First complete step, up to which step from there on nothing is missing, and the last one of the scenario; None
-        without a scenario.
+        As of `RecordedSteps`; None without a scenario.
     """
 
     bag: str
@@ -137,7 +120,7 @@ class RepairReport:
 
 
 def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool = False) -> RepairReport:
-    """Make a whole bag of a damaged one.
+    """Make a whole bag of a damaged one: a run folder, its ``bag/``, or an MCAP file.
 
     Every chunk, attachment and other record that is whole is kept as it is, of a chunk that the file's end cuts off
     the whole messages; all indexes, the summary section and ``metadata.yaml`` are made anew. A file that is whole
@@ -145,8 +128,6 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
 
     Parameters
     ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
     output : Path, optional
         Folder of the new bag, which must not exist or be empty; by default it is beside the damaged one, with
         ``_repaired`` behind its name, and not made if there is nothing to do.
@@ -212,13 +193,7 @@ def _target(bag: Path, output: Path | None, *, in_place: bool, is_file: bool) ->
 
 
 def _worth_keeping(bag: Path, parts: Sequence[Part]) -> list[Part]:
-    """Return the files in which there is anything.
-
-    Raises
-    ------
-    DamagedBagError
-        If there is no such file, or no message in any of them although something is lost.
-    """
+    """Return the files in which there is anything; an error if no message can be saved although something is lost."""
     kept = [part for part in parts if part.found is not None]
     if not kept:
         raise DamagedBagError(f"{bag}: nothing can be saved: {parts[0].problems[0]}")

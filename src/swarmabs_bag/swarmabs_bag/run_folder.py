@@ -28,15 +28,7 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """When a bag goes on in a new file, always between two steps; 0: never.
-
-    Attributes
-    ----------
-    bytes : int
-        Size of a file after which the next one begins; it may end one chunk beyond it.
-    nanoseconds : int
-        Log time that a file spans.
-    """
+    """When a bag goes on in a new file, between two steps: at a size in bytes, or at a span of log time; 0: never."""
 
     bytes: int = 0
     nanoseconds: int = 0
@@ -105,13 +97,7 @@ def write_whole(path: Path, content: bytes, *, mode: int = 0o666, sync: bool = F
 
 
 def new_run_folder(path: Path) -> RunFolder:
-    """Make the folder that the user has named.
-
-    Raises
-    ------
-    InputError
-        If it exists and is not empty, or cannot be made; nothing is left behind.
-    """
+    """Make the folder that the user has named; an `InputError` if it is not empty, or cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
@@ -126,13 +112,7 @@ def new_run_folder(path: Path) -> RunFolder:
 
 
 def next_run_folder(parent: Path, name: str) -> RunFolder:
-    """Make the next free folder ``NAME-NNN`` under a parent.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made.
-    """
+    """Make the next free folder ``NAME-NNN`` under a parent; an `InputError` if it cannot be made."""
     try:
         parent.mkdir(parents=True, exist_ok=True)
         taken = {path.name for path in parent.iterdir()}

@@ -79,13 +79,6 @@ class Salvage:
     chunks, a message outside of them is believed only if the CRC of the data section is right: no other CRC covers it,
     and one wrong bit makes a message of a message index.
 
-    Parameters
-    ----------
-    stream : binary file
-        The file, open for reading.
-    size : int
-        Its size in bytes.
-
     Attributes
     ----------
     damage : list of Damage
@@ -131,13 +124,7 @@ class Salvage:
             offset = saved.record.end
 
     def _checked(self, offset: int) -> Saved:
-        """Return the record at `offset`.
-
-        Raises
-        ------
-        RecordError
-            If it is not whole, or cannot be here.
-        """
+        """Return the record at `offset`, or raise `RecordError` if it is not whole, or cannot be here."""
         record = read_record(self._stream, offset, self._size)
         if record.opcode == Opcode.DATA_END:
             parse(DataEnd, record)

@@ -26,16 +26,9 @@ _SEPARATOR = "=" * 80
 
 @dataclass(frozen=True, slots=True)
 class MessageSchema:
-    """Definition of a message type.
+    """Definition of a message type: its text in the encoding ``ros2msg``, and RIHS01 hash.
 
-    Attributes
-    ----------
-    name : str
-        Full ROS name, such as ``swarmabs_msgs/msg/PlaneState``.
-    text : str
-        The definition and, behind separator lines, those of all types nested in it: encoding ``ros2msg``.
-    type_hash : str
-        RIHS01 hash of the type.
+    Behind the text stand, after separator lines, the definitions of all types nested in it.
     """
 
     name: str
@@ -53,19 +46,7 @@ def ament_prefixes() -> tuple[Path, ...]:
 
 
 def message_schema(ros_type: str, *, prefixes: Sequence[Path] | None = None) -> MessageSchema:
-    """Find the definition of a message type among the installed packages.
-
-    Parameters
-    ----------
-    ros_type : str
-        Full name of the type, such as ``sensor_msgs/msg/JointState``.
-    prefixes : sequence of Path, optional
-        Where to look; by default `ament_prefixes`.
-
-    Returns
-    -------
-    MessageSchema
-        Definition with all nested ones, and hash.
+    """Find the definition of a message type, such as ``sensor_msgs/msg/JointState``, among the installed packages.
 
     Raises
     ------

@@ -76,25 +76,20 @@ class BagWriter:
         What is attached at once, by name: the resolved scenario, the provenance.
     namespace : str
         Namespace of the swarm: the bag holds ``/plane/state`` by default.
-    qos : mapping of Topic to Qos
-        What the publishers of each topic offer.
     chunk_seconds : float
-        Longest time in s until a message is with the operating system; when writes pause, `poll` keeps it.
+        Longest time in s, by the `monotonic` clock, until a message is with the operating system; when writes pause,
+        `poll` keeps it.
     chunk_bytes : int
         Size of a chunk before compression.
-    split : Split
-        When the next file is begun, by default never.
-    monotonic : callable
-        The clock for `chunk_seconds`.
 
     Raises
     ------
     BagFolderError
-        If the folder is not empty or cannot be written; nothing is left behind.
+        If the folder is not empty or cannot be written; as after the others, nothing is left behind.
     UnknownTypeError
-        If the definition of a topic's type is not installed; nothing is left behind.
+        If the definition of a topic's type is not installed.
     BagWriteError
-        If the disk is full or fails; nothing is left behind.
+        If the disk is full or fails.
     """
 
     def __init__(
@@ -196,18 +191,10 @@ class BagWriter:
             self.abort(reason=str(error) or type(error).__name__)
 
     def write(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None) -> None:
-        """Write a message.
+        """Write a message on one of the topics named at opening.
 
-        Parameters
-        ----------
-        topic : Topic
-            One of those named at opening.
-        log_time_ns : int
-            Time in ns, not negative; in lockstep that of the message's header.
-        payload : bytes
-            CDR with its encapsulation header.
-        publish_time_ns : int, optional
-            Time in ns, not negative; by default the log time.
+        Times are in ns and not negative. In lockstep the log time is that of the message's header; the publish time is
+        by default the same.
 
         Raises
         ------
@@ -262,25 +249,14 @@ class BagWriter:
         self._register()
 
     def poll(self) -> None:
-        """Close the current chunk and hand it to the operating system if it is older than `chunk_seconds`.
-
-        Raises
-        ------
-        BagWriteError
-            As `write`.
-        """
+        """Close the current chunk if it is older than `chunk_seconds`; errors as of `write`."""
         self._check_open()
         if self._chunk_opened is not None and self._monotonic() - self._chunk_opened >= self._chunk_seconds:
             self._writer.flush()
             self._end_chunk()
 
     def close(self, attachments: Mapping[str, bytes] | None = None) -> None:
-        """Write what is left, the summary section, and ``metadata.yaml``.
-
-        Parameters
-        ----------
-        attachments : mapping of str to bytes, optional
-            What is attached at the end, by name: the run's log.
+        """Write what is left, attachments such as the run's log, the summary section, and ``metadata.yaml``.
 
         Raises
         ------
@@ -295,18 +271,11 @@ class BagWriter:
             raise
 
     def abort(self, reason: str = "aborted", attachments: Mapping[str, bytes] | None = None) -> None:
-        """Complete the bag of a run that failed, as far as possible, so that it can be read.
+        """Complete the bag of a run that failed for a reason, as far as possible, so that it can be read.
 
         After a write error, the file is completed with what was written before. Where not even the space kept
         back for this is enough, the last chunks are given up for it. No error is raised; if nothing helps,
         the file ends behind its last whole record, without summary section and without ``metadata.yaml``.
-
-        Parameters
-        ----------
-        reason : str
-            Why the run failed; it stands under ``custom_data`` of ``metadata.yaml``.
-        attachments : mapping of str to bytes, optional
-            What is attached at the end, unless writing failed before.
         """
         if self._closed:
             return

@@ -68,13 +68,7 @@ CREDITS = 10
 
 
 def scenario_of(settings: Settings) -> Scenario:
-    """Return the scenario that is recorded.
-
-    Raises
-    ------
-    InputError
-        If there is none, or it is not valid.
-    """
+    """Return the scenario that is recorded."""
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file: give the file of the resolved scenario")
     return load_scenario(Path(settings.text("scenario_file")))
@@ -98,17 +92,7 @@ def log_text(folder: str) -> bytes:
 
 
 class Reporter:
-    """Tells the orchestrator how a recording goes, and what has come of it.
-
-    Parameters
-    ----------
-    recording : Recording or RealtimeRecording
-        The recording.
-    status : StatusChannel
-        Where it is told.
-    logs : str
-        Folder whose log files are attached at the end.
-    """
+    """Tells the orchestrator how a recording goes and what has come of it, and attaches log files at the end."""
 
     def __init__(self, recording: Recording | RealtimeRecording, status: StatusChannel, logs: str) -> None:
         self._recording = recording
@@ -143,10 +127,6 @@ class Recorder:
 
     Parameters
     ----------
-    scenario : Scenario
-        The resolved scenario.
-    recording : Recording
-        Where the steps go.
     on_step : callable
         Told the number of steps recorded.
     ends : iterable of Change
@@ -242,13 +222,7 @@ _EVERYTHING = (EVENTS, *MAIN_TOPICS)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
-    """Return the behaviour, and what is done at its side and at its end.
-
-    Raises
-    ------
-    InputError
-        If there is no scenario, or the bag cannot be written where it shall be.
-    """
+    """Return the behaviour, and what is done at its side and at its end."""
     scenario = scenario_of(settings)
     bag, replay = settings.text("bag"), settings.text("replay")
     steered = settings.flag(STEERED.name)

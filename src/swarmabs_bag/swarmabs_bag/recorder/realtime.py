@@ -55,15 +55,7 @@ LINGER = 0.5
 
 
 class RealtimeRecorder:
-    """The loop of the node: waits for messages, lets them gather, and records what there is.
-
-    Parameters
-    ----------
-    node : Node
-        Whose subscriptions they are, and whose health is published.
-    status : StatusChannel
-        Where progress is reported.
-    """
+    """The loop of the node: waits for messages, lets them gather, and records what there is."""
 
     def __init__(self, node: Node, status: StatusChannel) -> None:
         subscriptions = endpoints(RECORDER, REALTIME).subscriptions

@@ -30,21 +30,7 @@ F = TypeVar("F", RunFigures, RealtimeFigures)
 
 
 class _Recording(Generic[F]):
-    """What recordings have in common, whatever gathers their messages: bag, figures, what people see.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The resolved scenario; it is attached to the bag at once.
-    folder : Path, optional
-        Folder of the bag; none if only figures are wanted.
-    run : RunFigures or RealtimeFigures
-        The figures.
-    made : mapping
-        The provenance.
-    bag
-        Of `BagWriter`.
-    """
+    """What recordings have in common, whatever gathers their messages: figures, what people see, perhaps a bag."""
 
     def __init__(self, scenario: Scenario, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
         self._run: F = run
@@ -94,21 +80,12 @@ class Recording(_Recording[RunFigures]):
 
     Parameters
     ----------
-    scenario, folder
-        As of `_Recording`.
+    folder : Path, optional
+        Folder of the bag; none if only figures are wanted.
     driver, replay, steered
         As of `swarmabs_bag.attached.provenance`.
-    namespace : str
-        Namespace of the swarm, which the bag's topics have.
-    split : Split
-        When the bag goes on in a new file, by default never.
-    topics : tuple of Topic
-        What the bag holds.
-
-    Raises
-    ------
-    InputError
-        If the folder is not empty or cannot be written.
+    namespace, split, topics
+        As of `BagWriter`.
     """
 
     def __init__(
@@ -131,13 +108,7 @@ class Recording(_Recording[RunFigures]):
         )
 
     def add(self, step: Step) -> None:
-        """Take the next step.
-
-        Raises
-        ------
-        BagWriteError
-            If the disk is full or fails; `abort` then completes what is there.
-        """
+        """Take the next step; after a `BagWriteError`, `abort` completes what is there."""
         self._run.add(step)
         self._tracker.take(step)
         if self._writer is not None:
@@ -156,10 +127,8 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
 
     Parameters
     ----------
-    scenario, folder, namespace, split
+    folder, namespace, split
         As of `Recording`.
-    world : RealtimeWorld
-        How time becomes steps, and what is simulated.
     last_step : int, optional
         The last step that is recorded, if the nodes go on beyond.
     """
@@ -190,13 +159,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         return self._run.fallen
 
     def add(self, record: Record, now: int) -> None:
-        """Take a message that was received at a time (ns since 1970).
-
-        Raises
-        ------
-        BagWriteError
-            If the disk is full or fails; `abort` then completes what is there.
-        """
+        """Take a message that was received at a time (ns since 1970); errors as of `Recording.add`."""
         if self._last_step is not None and record.message.step > self._last_step:
             return
         self._heard += 1

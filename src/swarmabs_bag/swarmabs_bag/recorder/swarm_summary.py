@@ -37,7 +37,7 @@ LETTERS: dict[RobotStatus | None, str] = {
 class SwarmSummary(NamedTuple):
     """Robots and events as of a step.
 
-    Parameters
+    Attributes
     ----------
     counts : dict
         Number of robots by the letter of their status, as in `LETTERS`.
@@ -65,15 +65,7 @@ class SwarmSummary(NamedTuple):
 
 
 class SummaryTracker:
-    """Keeps what the summary of a run needs.
-
-    Parameters
-    ----------
-    members : sequence of int
-        Ids of all robots, ascending.
-    length : float
-        Length of the plane, m.
-    """
+    """Keeps what the summary of a run needs, of robots with ascending ids on a plane of a length (m)."""
 
     def __init__(self, members: Sequence[int], length: float) -> None:
         self._members = tuple(members)
