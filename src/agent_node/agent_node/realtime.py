@@ -21,13 +21,7 @@ PARAMETERS = (RealtimeAgentConfig,)
 
 
 def drive_of(config: RealtimeAgentConfig, node: RealtimeNode) -> Drive:
-    """Return the drive that is asked for, open.
-
-    Raises
-    ------
-    InputError
-        If its settings contradict each other, or the package that brings it is unfit.
-    """
+    """Return the drive that is asked for, open."""
     body = Body(
         agent_id=config.agent_id,
         kind=config.kind,

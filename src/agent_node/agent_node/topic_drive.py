@@ -75,17 +75,7 @@ _TYPES: dict[str, Any] = {"twist": TwistStamped, "force": Float64, "joint": Join
 
 
 class TopicLink:
-    """Subscriptions and publisher of a topic drive.
-
-    Parameters
-    ----------
-    wiring : Wiring
-        What to connect.
-    node : Node
-        The robot's node.
-    group : CallbackGroup, optional
-        Group for the subscriptions, which no executor may serve.
-    """
+    """Subscriptions of a topic drive, in a group that no executor may serve, and its publisher."""
 
     def __init__(self, wiring: Wiring, node: Node, group: CallbackGroup | None = None) -> None:
         self._wiring = wiring
@@ -143,24 +133,10 @@ class TopicDrive:
     its age. A double integrator whose weight is to be balanced has a measurement only while its IMU is heard: a
     measurement is as old as the oldest thing it depends on.
 
-    Parameters
-    ----------
-    settings : TopicSettings
-        Settings.
-    body : Body
-        The robot.
-    connect : callable
-        Connects the drive to its topics.
-
-    Attributes
-    ----------
-    refused : RefusedReadings
-        What was refused.
-
     Raises
     ------
     InputError
-        If settings contradict each other.
+        If the type of the command does not suit the robot's kind.
     """
 
     def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[Wiring], TopicLink]) -> None:

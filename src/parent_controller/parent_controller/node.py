@@ -16,13 +16,7 @@ PARAMETERS = (ControllerConfig, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return the behaviour.
-
-    Raises
-    ------
-    InputError
-        If the reference shall be offset, and the law cannot do it.
-    """
+    """Return the behaviour; refuse offsets of the reference where the law knows none."""
     config = settings.made(ControllerConfig)
     law = config.law.make(config.period_ns / 1e9, config.manifold)
     if config.offsets and not isinstance(law, OffsetController):

@@ -53,15 +53,8 @@ class PlaneDriver:
 
     Parameters
     ----------
-    config : PlaneDriverConfig
-        Its configuration.
     take : callable
         Returns what the sensor has said since the last call, in order, without waiting; it is asked once per step.
-
-    Attributes
-    ----------
-    refused : RefusedReadings
-        What was refused.
     """
 
     def __init__(self, config: PlaneDriverConfig, take: Callable[[], Sequence[Reading]] = tuple) -> None:

@@ -47,11 +47,6 @@ class MessageArrays:
 
     Each is of shape (n+1,), those of the robots (n+1, N). Numbers are NaN, integers 0 where there is no message. Fields
     that refer to another step are left out.
-
-    Parameters
-    ----------
-    columns : mapping
-        The arrays by name.
     """
 
     __slots__ = ("_columns",)
@@ -111,13 +106,7 @@ def table(topic: Topic, payloads: bytes | bytearray) -> NDArray[np.void]:
 
 
 def run_arrays(tables: Tables) -> RunArrays:
-    """Arrange the messages of a run by step, the robots' by step and id.
-
-    Parameters
-    ----------
-    tables : mapping
-        For each main topic its messages in any order, as `table` returns them.
-    """
+    """Arrange the messages of a run, which `table` has returned in any order, by step, the robots' by step and id."""
     # The first message of a step tells its time; robots come last, since their clocks may be wrong.
     ordered = sorted(tables, key=lambda topic: topic is AGENT_STATE)
     step, first = np.unique(np.concatenate([tables[topic]["step"] for topic in ordered]), return_index=True)

@@ -28,12 +28,8 @@ def standard_normal(text: str) -> float:
 class Sensor:
     """A sensor of a position or an angle, and of its rate; without arguments a perfect one.
 
-    Parameters
-    ----------
-    noise : tuple of float
-        Standard deviations of white Gaussian noise, in the units of the value and of its rate.
-    resolution : tuple of float
-        Steps to which value and rate are rounded after the noise is added; 0 is arbitrarily fine.
+    Noise is white and Gaussian, given by its standard deviations in the units of the value and of its rate. Then both
+    are rounded to a resolution; 0 is arbitrarily fine.
     """
 
     noise: Pair = (0.0, 0.0)

@@ -69,13 +69,7 @@ class StepChange(NamedTuple):
 
 
 class StepSchedule:
-    """A number that changes at steps and is 0 before the first.
-
-    Parameters
-    ----------
-    changes : iterable of StepChange
-        Where it changes, each step at most once.
-    """
+    """A number that changes at steps, at each at most once, and is 0 before the first."""
 
     def __init__(self, changes: Iterable[StepChange] = ()) -> None:
         self._value = dict(changes)
@@ -102,17 +96,7 @@ class StepSchedule:
 
 
 class OffsetReference:
-    """The angle wanted: the reference of a law and the offset of the step.
-
-    Parameters
-    ----------
-    reference : callable
-        Angle (rad) that the law wants by itself at a time (s).
-    offsets : StepSchedule
-        Offset (rad) by step.
-    period_ns : int
-        Control period, ns.
-    """
+    """The angle wanted: what a law wants by itself at a time (s) and the offset of the step, both in rad."""
 
     def __init__(self, reference: Callable[[float], float], offsets: StepSchedule, period_ns: int) -> None:
         self._reference = reference

@@ -52,15 +52,7 @@ Reading: TypeAlias = Odometry | Joints | Imu
 
 
 class RefusedReadingError(Exception):
-    """A reading that nothing is taken from.
-
-    Parameters
-    ----------
-    reason : str
-        Word under which such refusals are counted.
-    detail : str
-        What was found, in one line.
-    """
+    """A reading that nothing is taken from; such refusals are counted under the reason."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
@@ -73,38 +65,20 @@ def signed_axis(name: str) -> tuple[int, float]:
 
 
 def check_finite(*values: float) -> None:
-    """Refuse values that are no numbers.
-
-    Raises
-    ------
-    RefusedReadingError
-        If one is infinite or not a number.
-    """
+    """Refuse values that are infinite or not a number."""
     for value in values:
         if not isfinite(value):
             raise RefusedReadingError("not finite", f"a value is {value}")
 
 
 def check_frame(found: str, wanted: str) -> None:
-    """Refuse a frame other than the one that is wanted; an empty wish allows all.
-
-    Raises
-    ------
-    RefusedReadingError
-        If it is another one.
-    """
+    """Refuse a frame other than the one that is wanted; an empty text allows all."""
     if wanted and found != wanted:
         raise RefusedReadingError("frame", f"frame {found[:80]!r}, not {wanted!r}")
 
 
 def normalised(rotation: Quaternion) -> Quaternion:
-    """Return a rotation as an exact unit quaternion.
-
-    Raises
-    ------
-    RefusedReadingError
-        If it is no rotation.
-    """
+    """Return a rotation as an exact unit quaternion; refuse what is no rotation."""
     check_finite(*rotation)
     norm = hypot(*rotation)
     if abs(norm - 1.0) > UNIT_TOLERANCE:
@@ -143,13 +117,7 @@ def tilt(rotation: Quaternion, axis: int) -> float:
 
 
 def joint_values(reading: Joints, joint: str) -> tuple[float, float | None]:
-    """Return position and velocity of a joint; the velocity is None if the message has none.
-
-    Raises
-    ------
-    RefusedReadingError
-        If there is no such joint, or its position is missing.
-    """
+    """Return position and velocity of a joint, which is None if the message has none; refuse it without a position."""
     if joint not in reading.names:
         known = ", ".join(reading.names[:8])[:200]
         raise RefusedReadingError("joint", f"no joint {joint!r}, only {known or 'none'}")
@@ -160,13 +128,7 @@ def joint_values(reading: Joints, joint: str) -> tuple[float, float | None]:
 
 
 def imu_values(reading: Imu, axis: int, sign: float) -> tuple[float, float]:
-    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor.
-
-    Raises
-    ------
-    RefusedReadingError
-        If the sensor does not measure them.
-    """
+    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor, if it measures them."""
     if reading.rotation is None or reading.angular_velocity is None:
         raise RefusedReadingError("orientation", "the IMU measures no orientation, or no angular velocity")
     check_finite(*reading.angular_velocity)
@@ -183,16 +145,9 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Plausible:
-    """What is believed.
+    """What is believed: the largest rate of change (per s), and by how much two values may differ beyond that.
 
-    Parameters
-    ----------
-    rate : float
-        Largest rate of change, per s.
-    jump : float
-        By how much two values may differ beyond that, because of noise.
-    clock_tolerance_ns : int
-        How far a stamp may lie in the future, ns.
+    By the clock tolerance (ns) a stamp may lie in the future.
     """
 
     rate: float
@@ -234,13 +189,7 @@ class Track:
         return None if last is None or last.stamp < self._believed_from else last
 
     def offer(self, stamp: int, value: float, rate: float | None, now: int) -> None:
-        """Take over a reading; rate None if the sensor brings none.
-
-        Raises
-        ------
-        RefusedReadingError
-            If it is not plausible; then the newest sample stays.
-        """
+        """Take over a reading, rate None if the sensor brings none; if it is refused, the newest sample stays."""
         limits = self._plausible
         check_finite(value, 0.0 if rate is None else rate)
         latest = now + limits.clock_tolerance_ns

@@ -126,8 +126,6 @@ class Agent:
 
     Parameters
     ----------
-    config : AgentConfig
-        Configuration.
     drive : Drive, optional
         What moves the robot, if it is not the ideal drive of its kind.
     packed : bool
@@ -193,7 +191,7 @@ class Agent:
             self._steer(message)
             return ()
         answers = self._hear(topic, message)
-        if self._faults.double(message.step, "heard"):
+        if self._faults and self._faults.double(message.step, "heard"):
             answers = (*answers, *self._hear(topic, message))
         return answers
 

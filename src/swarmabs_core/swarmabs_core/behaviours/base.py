@@ -122,10 +122,8 @@ def is_new(message: Message, known: Message | None, expected: int, source: str) 
 
     Raises
     ------
-    StepAheadError
-        If its step cannot have begun yet.
-    ConflictError
-        If it differs from the one that is known.
+    StepAheadError, ConflictError
+        If its step cannot have begun yet, or it differs from the one that is known.
     """
     if message.step > expected:
         raise StepAheadError(source, got=message.step, expected=expected)
@@ -157,12 +155,8 @@ class Gathering:
 
         Raises
         ------
-        UnknownAgentError
-            If the robot is not a member.
-        StepAheadError
-            If its step cannot have begun yet.
-        ConflictError
-            If it differs from one that is already there.
+        UnknownAgentError, StepAheadError, ConflictError
+            If the robot is not a member, its step cannot have begun yet, or another state of it is there.
         """
         agent_id, step = state.agent_id, state.step
         if not self._membership.publishes(agent_id, step):

@@ -61,10 +61,6 @@ class Controller:
 
     Parameters
     ----------
-    config : ControllerConfig
-        Configuration.
-    law : ParentController
-        The control law.
     packed : bool
         Whether it hears the observer's broadcasts, too, and sends the three of a step as one message besides.
     """

@@ -61,11 +61,8 @@ class ObserverConfig:
 class Observer:
     """Sums the swarm up, once every member of a step was heard. It alone decides who is a member.
 
-    Parameters
-    ----------
-    config : ObserverConfig
-        Configuration. If the torque is to be taken from the plane's response, inertia, sums and membership are those of
-        the robots all the same.
+    If the torque is to be taken from the plane's response, inertia, sums and membership are those of the robots all the
+    same.
     """
 
     def __init__(self, config: ObserverConfig) -> None:

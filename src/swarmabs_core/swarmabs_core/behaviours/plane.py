@@ -100,10 +100,8 @@ class Plane:
 
         Raises
         ------
-        StepAheadError
-            If it is to hold from a step on that cannot have begun yet.
-        RunError
-            If the robot is said to be out of a step to which the plane has already moved with its state.
+        StepAheadError, RunError
+            If it is to hold from a step on that cannot have begun yet, or to which the plane has moved with its state.
         """
         membership, robot, step, now = self._membership, event.agent_id, event.step, self._gathering.step
         was_in = membership.publishes(robot, step)

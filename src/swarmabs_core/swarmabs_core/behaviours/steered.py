@@ -39,10 +39,8 @@ class Orders:
 
         Raises
         ------
-        ConflictError
-            If it differs from the order that is known.
-        StepAheadError
-            If it is of a step that cannot be the next.
+        ConflictError, StepAheadError
+            If it differs from the order that is known, or is of a step that cannot be the next.
         """
         if order.step <= self.known:
             if self._latest is not None and order.step == self.known:

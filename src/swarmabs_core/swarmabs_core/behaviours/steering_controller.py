@@ -40,22 +40,10 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SteeringConfig:
-    """Configuration of what steers a run.
+    """Configuration of what steers a run, with all that is scheduled.
 
-    Parameters
-    ----------
-    members : tuple of int
-        Ids of all robots that ever take part.
-    period_ns : int
-        Control period, ns.
-    last_step : int
-        The step with which the run ends.
-    schedule : tuple of Change
-        Scheduled changes of the membership.
-    offsets, torques : tuple of StepChange
-        Scheduled changes of the reference (rad) and of the torque on the plane (N m).
-    largest_offset, largest_torque : float
-        Bounds of what may be asked for; 0 for an offset if the law knows none.
+    Offsets of the reference are in rad, torques on the plane in N m; the largest are bounds of what may be asked for, 0
+    for an offset if the law knows none.
     """
 
     members: tuple[int, ...]
@@ -108,13 +96,7 @@ class SteeringController:
         return self._settings[action].at(self._step)
 
     def ask(self, request: Request) -> int:
-        """Take a request; return its number, under which `decisions` tells what has become of it.
-
-        Raises
-        ------
-        InputError
-            If it is refused at once.
-        """
+        """Take a request or refuse it; return its number, under which `decisions` tells what has become of it."""
         if self._over:
             raise InputError(OVER)
         if len(self._waiting) >= MOST_WAITING:

@@ -65,11 +65,6 @@ class RealtimeAgentConfig(RobotConfig):
 class RealtimeLaw:
     """Law, limits and lane of one robot, without any memory: the same input gives the same bits, here and in a check.
 
-    Parameters
-    ----------
-    config : RealtimeAgentConfig
-        Configuration.
-
     Raises
     ------
     InputError
@@ -97,20 +92,7 @@ class RealtimeLaw:
 
 
 class RealtimeAgent:
-    """One robot of the swarm. It never learns of any other.
-
-    Parameters
-    ----------
-    config : RealtimeAgentConfig
-        Configuration.
-    drive : Drive
-        Its body.
-
-    Raises
-    ------
-    InputError
-        If there is no such law, or it refuses its settings.
-    """
+    """One robot of the swarm. It never learns of any other."""
 
     def __init__(self, config: RealtimeAgentConfig, drive: Drive) -> None:
         self._config = config

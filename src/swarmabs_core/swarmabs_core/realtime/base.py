@@ -83,13 +83,7 @@ class Realtime:
     )
 
     def __post_init__(self) -> None:
-        """Refuse a quorum without its number, and a number without a quorum.
-
-        Raises
-        ------
-        SettingError
-            If one of them is missing.
-        """
+        """Refuse a quorum without its number, and a number without a quorum."""
         if self.start == "quorum" and self.quorum is None:
             problem = "start is 'quorum' and there is no number 'quorum'"
             raise SettingError("", problem, "say how many robots must be there")
@@ -132,11 +126,6 @@ class Schedule:
 
 class StepCounter:
     """Makes each step once, whatever the clock does.
-
-    Parameters
-    ----------
-    schedule : Schedule
-        How time becomes steps.
 
     Attributes
     ----------

@@ -67,14 +67,8 @@ class RealtimeController:
     """Answers the plane's state of a step with the desired abstract state of that step.
 
     It begins when the observer publishes the swarm's abstract state, and then its reference begins, too. Without a
-    fresh state of the plane it publishes nothing, and the robots stop by themselves.
-
-    Parameters
-    ----------
-    config : RealtimeControllerConfig
-        Configuration.
-    make_law : callable
-        Makes the control law, anew after each reset.
+    fresh state of the plane it publishes nothing, and the robots stop by themselves. `make_law` makes the control law,
+    anew after each reset.
     """
 
     def __init__(self, config: RealtimeControllerConfig, make_law: Callable[[], ParentController]) -> None:

@@ -46,17 +46,7 @@ class Reporting(Protocol):
 
 
 class SimulatedDrive:
-    """A body that moves exactly as the law expects.
-
-    Parameters
-    ----------
-    model : SingleIntegratorDrive or DoubleIntegratorDrive
-        How it moves over one period.
-    schedule : Schedule
-        How long a period is.
-    position, velocity : float
-        Where it begins, m and m/s.
-    """
+    """A body that moves exactly as the law expects; it begins at a position (m) with a velocity (m/s)."""
 
     def __init__(
         self,

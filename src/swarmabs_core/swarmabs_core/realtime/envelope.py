@@ -19,18 +19,9 @@ _HALVINGS = 40
 
 
 class LaneEnvelope:
-    """Limits commands so that a robot comes to rest before the end of its lane, -limit to +limit.
+    """Limits commands so that a robot comes to rest before the end of its lane, -limit to +limit (m).
 
-    Parameters
-    ----------
-    controller : RobotController
-        The robot's brake and motion.
-    period : float
-        Control period, s.
-    lane_limit : float
-        Largest distance from the axis, m.
-    deceleration : float
-        How hard the base of a single integrator brakes, m/s^2; infinite if it stops at once.
+    The base of a single integrator brakes with a deceleration (m/s^2), infinite if it stops at once.
     """
 
     def __init__(
@@ -42,15 +33,7 @@ class LaneEnvelope:
         self._deceleration = deceleration
 
     def apply(self, position: float, velocity: float, command: float) -> float:
-        """Return the command, or the one nearest to it that keeps the robot in its lane.
-
-        Parameters
-        ----------
-        position, velocity : float
-            m and m/s.
-        command : float
-            m/s or N, within the drive's limits.
-        """
+        """Return the command (m/s or N, within the drive's limits), or the nearest that keeps the robot in its lane."""
         if isinstance(self._controller.ideal, SingleIntegratorDrive):
             return min(max(command, -self._fastest(position + self._limit)), self._fastest(self._limit - position))
         if self._fits(position, velocity, command):

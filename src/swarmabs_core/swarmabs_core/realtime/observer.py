@@ -61,13 +61,7 @@ class RealtimeObserverConfig:
     clock_tolerance: float = same(Realtime, "clock_tolerance")
 
     def __post_init__(self) -> None:
-        """Refuse a quorum that these robots cannot have.
-
-        Raises
-        ------
-        SettingError
-            If there are not so many, or so few do not suffice.
-        """
+        """Refuse a quorum that these robots cannot have."""
         robots, quorum = len(self.members), self.quorum or 0
         if self.start == "quorum" and not FEWEST <= quorum <= robots:
             raise SettingError("quorum", f"{quorum} of {robots} robots", f"give a number from {FEWEST} to {robots}")
@@ -86,13 +80,7 @@ class RealtimeObserverConfig:
 
 
 class RealtimeSums:
-    """Roles and sums, without any memory: the same states give the same bits, here and in a check.
-
-    Parameters
-    ----------
-    config : RealtimeObserverConfig
-        Configuration.
-    """
+    """Roles and sums, without any memory: the same states give the same bits, here and in a check."""
 
     def __init__(self, config: RealtimeObserverConfig) -> None:
         self._config = config
@@ -111,16 +99,9 @@ class RealtimeSums:
     def sum_up(
         self, states: Mapping[int, AgentState], standing: Collection[int], step: int, now: int
     ) -> tuple[AbstractState, AuxiliaryState]:
-        """Return what the swarm is to the plane and to its robots.
+        """Return what the swarm is to the plane and to its robots, of a step made at a time (ns).
 
-        Parameters
-        ----------
-        states : mapping of int to AgentState
-            The newest states by robot.
-        standing : collection of int
-            The robots that are silent, and taken to stand where they were.
-        step, now : int
-            The step, and the time at which it is made, ns.
+        There are the newest states by robot; those that are standing are silent, and taken to stand where they were.
         """
         weights, followers = [], []
         for _, state in sorted(states.items()):
@@ -141,8 +122,6 @@ class RealtimeObserver:
 
     Parameters
     ----------
-    config : RealtimeObserverConfig
-        Configuration.
     memory : mutable mapping, optional
         Last states of the robots that are silent, by id. Whoever wants a node that begins anew to know of weights of
         which nobody speaks any more keeps them for it.

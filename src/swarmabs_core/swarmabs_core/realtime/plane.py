@@ -68,11 +68,6 @@ class RealtimePlaneConfig:
 class PlaneMotion:
     """How the plane moves under the robots, without any memory: the same input gives the same bits, also in a check.
 
-    Parameters
-    ----------
-    config : RealtimePlaneConfig
-        Configuration.
-
     Attributes
     ----------
     impact : float or None
