@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config import configure
-from swarmabs_core.faults import RobotFaults, true_state
+from swarmabs_core.faults import RobotFault, RobotFaults, true_state
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, PlaneState, Status, SwarmEvent
 
 if TYPE_CHECKING:
@@ -166,13 +166,13 @@ class Recovers(Invariant):
 
 def last_fault(scenario: Scenario) -> int:
     """Return the step in which the last fault happens or ends; the last step for faults that do not end."""
-    steps = [scenario.fault_step(fault.at) for fault in scenario.membership_faults if fault.at is not None]
-    for setting in scenario.setting_faults:
-        ends = (setting.at, setting.until)
-        steps += [min(scenario.fault_step(at), scenario.steps) for at in ends if at is not None]
-    for fault in scenario.robot_faults:
-        _, end = scenario.fault_steps(fault)
-        steps.append(scenario.steps if end is None else min(end, scenario.steps))
+    steps = []
+    for fault in scenario.faults:
+        begin, end = scenario.fault_steps(fault)
+        if isinstance(fault, RobotFault):
+            steps.append(scenario.steps if end is None else min(end, scenario.steps))
+        elif fault.at is not None:
+            steps += [begin, begin if end is None else min(end, scenario.steps)]
     return max(steps, default=0)
 
 

@@ -16,6 +16,7 @@ from swarmabs_bag.recording import RecordedStep
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
+from swarmabs_core.faults import MembershipFault, RobotFault
 from swarmabs_core.messages import AgentState
 from swarmabs_run.simulation import Simulation
 
@@ -42,9 +43,9 @@ def test_a_swarm_tolerates_faults_for_long(scenario: Scenario) -> None:
 @given(scenario=scenarios())
 def test_what_is_drawn_leaves_a_swarm_what_it_needs_to_recover(scenario: Scenario) -> None:
     count = len(scenario.agents)
-    gone = {fault.agent for fault in scenario.membership_faults if fault.kind != "join"}
+    gone = {fault.agent for fault in scenario.faults_of(MembershipFault) if fault.kind != "join"}
     assert count - len(gone) >= max(3, 2 * count // 3)
-    assert not gone & {fault.agent for fault in scenario.robot_faults if fault.kind == "lie"}
+    assert not gone & {fault.agent for fault in scenario.faults_of(RobotFault) if fault.kind == "lie"}
     assert scenario.faults
     assert last_fault(scenario) * scenario.period <= 18.02
     assert not [text for text in scenario.warnings() if text.startswith("faults")]

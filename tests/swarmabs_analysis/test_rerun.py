@@ -19,6 +19,7 @@ from swarmabs_cli import main
 from swarmabs_config import configure
 from swarmabs_config.scenario import dump_scenario, parse_scenario
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import RobotFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import EventKind, Message, PlaneState, SwarmEvent
 
@@ -209,7 +210,7 @@ def test_what_was_done_from_outside_is_planned(remake: Remake) -> None:
     found = recorded_run(remake(lambda messages: steered(messages, *done), steered=True)).scenario
     assert configure.step_changes(found, "reference") == ((5, 0.1),)
     assert configure.schedule(found) == (Change(6, 2, ChangeKind.FREEZE), Change(8, 3, ChangeKind.REMOVE))
-    (loss,) = found.robot_faults
+    (loss,) = found.faults_of(RobotFault)
     assert loss.kind == "loss"
 
 

@@ -179,7 +179,7 @@ HEAD = "schema: 1\nswarm:\n  generate: {double_integrator: 3, mass: [1, 2]}\n"
         ),
         (
             "{kind: disturbance, at: 2, torque: 1, until: 1}",
-            "f:4: faults.0: it ends at 1.0 s, before it begins; use an 'until' after 2.0 s",
+            "f:4: faults.0: the fault ends at 1.0 s, before it begins; use 'until' with a time after 2.0 s",
         ),
         (
             "{kind: disturbance, at: 2, torque: 1, until: 2.001}",

@@ -28,6 +28,7 @@ from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import MembershipFault
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_run.steering.client import SteeringClient
 
@@ -133,7 +134,7 @@ def test_a_steered_run_can_be_repeated(tmp_path: Path, words: tuple[object, ...]
     for node in ("observer", "agent:7") if "--packed" in words else ():
         replayed = swarm("replay", folder, "--node", node, "--in-process", "--expect-same", "-o", tmp_path / node[:5])
         assert replayed.code == 0, replayed.err
-    planned_robots = {fault.agent for fault in attached_scenario(open_bag(folder)).membership_faults}
+    planned_robots = {fault.agent for fault in attached_scenario(open_bag(folder)).faults_of(MembershipFault)}
     assert planned_robots == {2, 3, 5, 7}
 
 

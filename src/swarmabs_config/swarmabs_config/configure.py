@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from swarmabs_config.graph import recording_window as window_of
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
 from swarmabs_core.controllers import ParentLaw
-from swarmabs_core.faults import Falsification, InjectedFault, LieFault
+from swarmabs_core.faults import Falsification, InjectedFault, LieFault, MembershipFault, RobotFault, SettingFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.parent_response import ParentResponse
@@ -33,7 +33,7 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
     return tuple(
         sorted(
             Change(scenario.fault_step(fault.at), fault.agent, ChangeKind(fault.kind))
-            for fault in scenario.membership_faults
+            for fault in scenario.faults_of(MembershipFault)
         )
     )
 
@@ -41,7 +41,9 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
 def robot_faults(scenario: Scenario, agent_id: int) -> tuple[InjectedFault, ...]:
     """Return what is injected into a robot besides changes of the membership."""
     return tuple(
-        InjectedFault.of(fault, *scenario.fault_steps(fault)) for fault in scenario.robot_faults if fault.hits(agent_id)
+        InjectedFault.of(fault, *scenario.fault_steps(fault))
+        for fault in scenario.faults_of(RobotFault)
+        if fault.hits(agent_id)
     )
 
 
@@ -58,7 +60,7 @@ def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
 def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
     """Return the changes of a setting (`REFERENCE` or `DISTURBANCE`) by step; one that ends is 0 from then on."""
     found: dict[int, float] = {}
-    for fault in scenario.setting_faults:
+    for fault in scenario.faults_of(SettingFault):
         if fault.kind == kind:
             if fault.until is not None:
                 found.setdefault(scenario.fault_step(fault.until), 0.0)

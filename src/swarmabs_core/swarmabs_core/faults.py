@@ -48,11 +48,6 @@ def _robot() -> Any:
     return setting(1, "id of the robot, one of swarm.agents", minimum=1, maximum=65535, required=True)
 
 
-def _end(name: str, end: float | None, begin: float, what: str) -> None:
-    if end is not None and end <= begin:
-        raise SettingError("", f"{what} ends at {end!r} s, before it begins", f"use {name} after {begin!r} s")
-
-
 FAULTS: dict[str, type[Fault]] = {}
 """Every kind of fault."""
 
@@ -66,6 +61,24 @@ class Fault:
 
     kind: ClassVar[str]
     description: ClassVar[str]
+    when: ClassVar[tuple[str, str]] = "at", "until"
+    """Names of its times in a scenario."""
+
+    @property
+    def at(self) -> float | None:
+        """Time at which it begins, s; None: not planned."""
+        raise NotImplementedError
+
+    @property
+    def until(self) -> float | None:
+        """Time at which it ends, s; None: never."""
+        return None
+
+    def __post_init__(self) -> None:
+        """Refuse an end before the beginning."""
+        if self.until is not None and self.at is not None and self.until <= self.at:
+            problem = f"the fault ends at {self.until!r} s, before it begins"
+            raise SettingError("", problem, f"use '{self.when[1]}' with a time after {self.at!r} s")
 
     def __init_subclass__(cls, **words: str) -> None:
         """Note a kind of fault."""
@@ -127,10 +140,6 @@ class SettingFault(Fault):
         None, "time in s from which on it is 0 again", unset=-1.0, null="when it is set again, or never"
     )
 
-    def __post_init__(self) -> None:
-        """Refuse an end before the beginning."""
-        _end("an 'until'", self.until, self.at, "it")
-
     @property
     def value(self) -> float:
         """What is set."""
@@ -168,12 +177,12 @@ class RobotFault(Fault):
 
     announcement: ClassVar[str]
 
-    begin: float = _time(0.0, "time in s from which on it acts; the nearest step counts", name="from")
-    to: float | None = _time(None, "time in s from which on it acts no more", unset=-1.0, null="to the end")
+    when: ClassVar[tuple[str, str]] = "from", "to"
 
-    def __post_init__(self) -> None:
-        """Refuse an end before the beginning."""
-        _end("a 'to'", self.to, self.begin, "the fault")
+    at: float = _time(0.0, "time in s from which on it acts; the nearest step counts", name="from")
+    until: float | None = _time(
+        None, "time in s from which on it acts no more", name="to", unset=-1.0, null="to the end"
+    )
 
     def hits(self, agent_id: int) -> bool:
         """Tell whether it is injected into a robot."""
@@ -210,7 +219,7 @@ class RobotFault(Fault):
 
 
 def _own_settings(kind: type[RobotFault]) -> list[str]:
-    return [field.name for field in fields(kind) if field.name not in {"begin", "to", "agent", "agents"}]
+    return [field.name for field in fields(kind) if field.name not in {"at", "until", "agent", "agents"}]
 
 
 @dataclass(frozen=True)
@@ -223,7 +232,7 @@ class MessageFault(RobotFault):
 
     def __post_init__(self) -> None:
         """Refuse an end before the beginning, and robots that are named twice."""
-        RobotFault.__post_init__(self)
+        Fault.__post_init__(self)
         if self.agents is not None and not self.agents:
             raise SettingError("agents", "no robots are named", "name some, or leave out 'agents' for all")
         if self.agents is not None and len(set(self.agents)) < len(self.agents):
@@ -350,7 +359,7 @@ class LieFault(SingleRobotFault, kind="lie", description="the robot says a false
 
     def __post_init__(self) -> None:
         """Refuse an end before the beginning, a lie that is true, and one that cannot be undone."""
-        RobotFault.__post_init__(self)
+        Fault.__post_init__(self)
         if abs(self.position_factor) < SMALLEST_FACTOR:
             raise SettingError(
                 "position_factor",

@@ -17,6 +17,7 @@ from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import RobotFault
 from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, SwarmEvent, Topic
 from swarmabs_core.publishers import NodeName
@@ -76,7 +77,7 @@ def test_faults_of_what_comes_later_are_left_out(tmp_path: Path) -> None:
     source = open_source(write(tmp_path / "bag", [record for step in steps for record in step.records], *settings))
     scenario = source.scenario(NODE, ())
     assert [agent.id for agent in scenario.agents] == [1, 2, 3]
-    assert [(fault.kind, fault.hits(3)) for fault in scenario.robot_faults] == [
+    assert [(fault.kind, fault.hits(3)) for fault in scenario.faults_of(RobotFault)] == [
         ("reordering", True),
         ("clock_offset", False),
     ]

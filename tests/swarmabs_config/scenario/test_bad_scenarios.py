@@ -426,7 +426,7 @@ CASES = [
     ),
     (
         HEAD + "faults: [{kind: delay, steps: 1, from: 2, to: 1}]",
-        "f:4: faults.0: the fault ends at 1.0 s, before it begins; use a 'to' after 2.0 s",
+        "f:4: faults.0: the fault ends at 1.0 s, before it begins; use 'to' with a time after 2.0 s",
     ),
     (
         HEAD + "faults: [{kind: delay, steps: 1, from: 1, to: 1.004}]",

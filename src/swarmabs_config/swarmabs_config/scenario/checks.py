@@ -18,7 +18,7 @@ from swarmabs_core.parameters import SettingError
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
-from .fault_checks import faults, lasting_faults, offset_law, settings
+from .fault_checks import faults, offset_law
 from .fields import NANOSECONDS, SMALLEST, Finding, Location
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def findings(scenario: "Scenario") -> list[Finding]:
     # A later check relies on, or is only of interest after, the earlier ones.
     for checks in (
         (_timing,),
-        (_ids, _positions, faults, lasting_faults, settings, _plane),
+        (_ids, _positions, faults, _plane),
         (_spread,),
         (_preimage,),
         (_brought,),
@@ -271,12 +271,11 @@ def _membership(scenario: "Scenario") -> Iterator[str]:
     active = {agent.id for agent in scenario.initial_agents}
     heavy = set(active)
     by_step: dict[int, list[MembershipFault]] = {}
-    for fault in scenario.faults:
-        if isinstance(fault, MembershipFault):
-            # A robot that joins is there in the fault step, one that goes is so for the last time.
-            first = scenario.fault_step(fault.at) + (not isinstance(fault, JoinFault))
-            if first <= scenario.steps:
-                by_step.setdefault(first, []).append(fault)
+    for fault in scenario.faults_of(MembershipFault):
+        # A robot that joins is there in the fault step, one that goes is so for the last time.
+        first = scenario.fault_step(fault.at) + (not isinstance(fault, JoinFault))
+        if first <= scenario.steps:
+            by_step.setdefault(first, []).append(fault)
     states = [(0, len(active), frozenset(heavy))]
     for step in sorted(by_step):
         for change in by_step[step]:

@@ -1,12 +1,12 @@
 """The scenario: everything a run depends on, checked once and then immutable."""
 
 from functools import cached_property
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from swarmabs_core.behaviours.base import Lockstep, Run
-from swarmabs_core.faults import FAULTS, Fault, JoinFault, MembershipFault, RobotFault, SettingFault
+from swarmabs_core.faults import FAULTS, Fault, JoinFault
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.parent_response import ParentResponse, SumObserver
@@ -45,6 +45,7 @@ from .fields import (
 )
 
 LONGEST_NAME = 60
+FaultT = TypeVar("FaultT", bound=Fault)
 
 
 DEFAULT_OBSERVER = "sum"
@@ -185,24 +186,13 @@ class Scenario(Model):
         later = {fault.agent for fault in self.faults if isinstance(fault, JoinFault) and self.fault_step(fault.at) > 0}
         return tuple(agent for agent in self.agents if agent.id not in later)
 
-    @property
-    def membership_faults(self) -> tuple[MembershipFault, ...]:
-        """The faults that end a robot or let it join."""
-        return tuple(fault for fault in self.faults if isinstance(fault, MembershipFault))
+    def faults_of(self, sort: type[FaultT]) -> tuple[FaultT, ...]:
+        """Return the faults of a sort: `MembershipFault`, `SettingFault` or `RobotFault`."""
+        return tuple(fault for fault in self.faults if isinstance(fault, sort))
 
-    @property
-    def robot_faults(self) -> tuple[RobotFault, ...]:
-        """The faults of robots and their messages that act for a while."""
-        return tuple(fault for fault in self.faults if isinstance(fault, RobotFault))
-
-    @property
-    def setting_faults(self) -> tuple[SettingFault, ...]:
-        """What is set for the whole run at a step: offsets of the reference, torques on the plane."""
-        return tuple(fault for fault in self.faults if isinstance(fault, SettingFault))
-
-    def fault_steps(self, fault: RobotFault) -> tuple[int, int | None]:
+    def fault_steps(self, fault: Fault) -> tuple[int, int | None]:
         """Return the first step in which a fault acts, and the first after it, None if it acts to the end."""
-        return self.fault_step(fault.begin), None if fault.to is None else self.fault_step(fault.to)
+        return self.fault_step(fault.at), None if fault.until is None else self.fault_step(fault.until)
 
     def fault_step(self, at: float | None) -> int:
         """Return the step of a fault at time `at` (s): round(at/step) of the exact decimals, ties to even.

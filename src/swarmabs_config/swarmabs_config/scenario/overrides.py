@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from .controllers import DEFAULT_CONTROLLER, DEFAULT_LAW, DEFAULT_TRAJECTORY
 from .errors import describe, shorten
@@ -49,7 +50,7 @@ def _apply(root: Node, text: str) -> Node:
     new = read_tree(value, mark.source, numbered=False)
     for typed, default in _TYPED.items():
         if parts == [*typed, "type"]:
-            root = _drop_other_type(root, typed, default, new)
+            root = root.changed(typed, partial(_without_other_type, default=default, new=new))
     return _set(root, (), parts, new, root)
 
 
@@ -117,19 +118,10 @@ def _default(root: Node, location: Location) -> object:
     return default
 
 
-def _drop_other_type(root: Node, path: Sequence[str], default: str, new: Node) -> Node:
-    """Return the tree without the file's keys of the mapping at `path` if its type changes to `new`."""
-    if not path:
-        entries = root.value
-        if not isinstance(entries, Mapping):
-            return root
-        if new.value == (entries["type"].node.value if "type" in entries else default):
-            return root
-        return Node({key: entry for key, entry in entries.items() if entry.mark.line is None}, root.mark)
-    if not isinstance(root.value, Mapping) or path[0] not in root.value:
-        return root
-    entry = root.value[path[0]]
-    return Node(
-        {**root.value, path[0]: Entry(entry.mark, _drop_other_type(entry.node, path[1:], default, new))},
-        root.mark,
-    )
+def _without_other_type(node: Node, default: str, new: Node) -> Node:
+    """Return a mapping without the file's keys if its type changes to `new`."""
+    if not isinstance(node.value, Mapping):
+        return node
+    if new.value == (node.entries["type"].node.value if "type" in node.entries else default):
+        return node
+    return Node({key: entry for key, entry in node.entries.items() if entry.mark.line is None}, node.mark)

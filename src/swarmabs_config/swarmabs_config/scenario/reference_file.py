@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from swarmabs_core.declaration import LONGEST_TIME
@@ -13,7 +13,7 @@ from .controllers import MOST_ROWS
 from .errors import ScenarioError, show
 from .fields import LARGEST
 from .text_file import read_text
-from .yaml_tree import Entry, Mark, Node
+from .yaml_tree import Entry, Node
 
 HEADER = ["time", "angle"]
 
@@ -35,24 +35,24 @@ def with_rows(root: Node, folder: Path | None) -> Node:
         If the file cannot be read, or has no header, a row that is not two numbers, times that do not increase, an
         angle beyond 1.5 rad, or too few or too many rows.
     """
-    controller = _entry(root, "controller")
-    trajectory = _entry(controller.node, "trajectory") if controller else None
-    kind = _entry(trajectory.node, "type") if trajectory else None
-    named = _entry(trajectory.node, "file") if trajectory else None
-    if not (controller and trajectory and kind and named) or kind.node.value != "csv":
-        return root
-    name, mark = named.node.value, named.node.mark
-    base = Path() if mark.line is None else folder
-    if not isinstance(name, str) or base is None:
-        return root
-    times, angles = read_rows(base / name)
-    entries = {key: entry for key, entry in _entries(trajectory.node).items() if key != "file"}
+    return root.changed(("controller", "trajectory"), partial(_with_rows, folder=folder))
+
+
+def _with_rows(trajectory: Node, folder: Path | None) -> Node:
+    entries = dict(trajectory.entries)
+    if "type" not in entries or entries["type"].node.value != "csv" or "file" not in entries:
+        return trajectory
+    file = entries.pop("file").node
+    base = Path() if file.mark.line is None else folder
+    if not isinstance(file.value, str) or base is None:
+        return trajectory
+    times, angles = read_rows(base / file.value)
     if entries.keys() & {"times", "angles"}:
-        return root
-    entries |= {"times": Entry(mark, _numbers(times, mark)), "angles": Entry(mark, _numbers(angles, mark))}
-    below = Entry(trajectory.mark, Node(entries, trajectory.node.mark))
-    above = Entry(controller.mark, Node({**_entries(controller.node), "trajectory": below}, controller.node.mark))
-    return Node({**_entries(root), "controller": above}, root.mark)
+        return trajectory
+    for name, values in (("times", times), ("angles", angles)):
+        rows = Node(tuple(Node(value, file.mark) for value in values), file.mark, 1 + len(values), 1)
+        entries[name] = Entry(file.mark, rows)
+    return Node(entries, trajectory.mark)
 
 
 def read_rows(path: Path) -> tuple[list[float], list[float]]:
@@ -118,15 +118,3 @@ def _row(row: list[str], source: str, line: int) -> tuple[float, float]:
             field="angle",
         )
     return time, angle
-
-
-def _entries(node: Node) -> Mapping[str, Entry]:
-    return node.value if isinstance(node.value, Mapping) else {}
-
-
-def _entry(node: Node, key: str) -> Entry | None:
-    return _entries(node).get(key)
-
-
-def _numbers(values: list[float], mark: Mark) -> Node:
-    return Node(tuple(Node(value, mark) for value in values), mark, 1 + len(values), 1)

@@ -8,7 +8,7 @@ aliases are limited.
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NoReturn, TypeAlias
 
@@ -93,12 +93,24 @@ class Node:
                 return mark, False
         return node.override() or mark, True
 
+    @property
+    def entries(self) -> "Mapping[str, Entry]":
+        """What is in it if it is a mapping."""
+        return self.value if isinstance(self.value, Mapping) else {}
+
+    def changed(self, path: Sequence[str], change: "Callable[[Node], Node]") -> "Node":
+        """Return the tree with the node at a path of keys changed; the same tree if there is none."""
+        if not path:
+            return change(self)
+        if path[0] not in self.entries:
+            return self
+        entry = self.entries[path[0]]
+        below = Entry(entry.mark, entry.node.changed(path[1:], change))
+        return Node({**self.entries, path[0]: below}, self.mark)
+
     def override(self) -> Mark | None:
         """Return the place of the last value in this one that has no line: overrides have none."""
-        if isinstance(self.value, Mapping):
-            parts = [entry.node for entry in self.value.values()]
-        else:
-            parts = list(self.value) if isinstance(self.value, tuple) else []
+        parts = self.value if isinstance(self.value, tuple) else [entry.node for entry in self.entries.values()]
         found = self.mark if self.mark.line is None else None
         for part in parts:
             found = part.override() or found
