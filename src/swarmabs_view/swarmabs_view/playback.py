@@ -10,6 +10,7 @@ import numpy as np
 from swarmabs_bag.recorded_swarm import column_points, read_swarm
 from swarmabs_bag.swarm_state import MOST_EVENTS
 from swarmabs_view.facts import Shading, scenario_facts
+from swarmabs_view.ports import bound, need_web_server
 from swarmabs_view.protocol import (
     Control,
     Curves,
@@ -28,6 +29,7 @@ from swarmabs_view.protocol import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from swarmabs_bag.recorded_swarm import RecordedSwarm
@@ -176,3 +178,33 @@ class PlaybackSession(Session):
         self._row = self.recording.row_at_time(self._time)
         if self._row == len(self.recording) - 1:
             self._playing = False
+
+
+def view_bag(path: Path, *, namespace: str | None, port: int, ready: Callable[[str], None]) -> None:
+    """Show a bag until the user has seen enough.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, its ``bag/``, or an MCAP file.
+    namespace : str, optional
+        Which swarm to show if the bag holds several.
+    port : int
+        0 for any free one.
+    ready : callable
+        Told the address of the page.
+
+    Raises
+    ------
+    InputError
+        If the port is taken, or it is no bag of a swarm.
+    DamagedBagError
+        If it cannot be read.
+    """
+    need_web_server()
+    from swarmabs_view.server import serve  # noqa: PLC0415 - needs aiohttp
+
+    recording = open_recording(path, namespace=namespace)
+    _ = recording.hello, recording.curves, recording.events  # made before the first page asks
+    with bound(port) as listener:
+        serve(listener, lambda: PlaybackSession(recording), ready=ready)

@@ -9,7 +9,6 @@ import sys
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from swarmabs_view.playback import PlaybackSession, open_recording
 from swarmabs_view.ports import bound, need_web_server, url_of
 
 if TYPE_CHECKING:
@@ -22,36 +21,6 @@ if TYPE_CHECKING:
 END_SECONDS = 5.0
 """Longest time, s, that a viewer may take to end; then it is killed."""
 MARKERS_LOG = "markers.log"
-
-
-def view_bag(path: Path, *, namespace: str | None, port: int, ready: Callable[[str], None]) -> None:
-    """Show a bag until the user has seen enough.
-
-    Parameters
-    ----------
-    path : Path
-        A run folder, its ``bag/``, or an MCAP file.
-    namespace : str, optional
-        Which swarm to show if the bag holds several.
-    port : int
-        0 for any free one.
-    ready : callable
-        Told the address of the page.
-
-    Raises
-    ------
-    InputError
-        If the port is taken, or it is no bag of a swarm.
-    DamagedBagError
-        If it cannot be read.
-    """
-    need_web_server()
-    from swarmabs_view.server import serve  # noqa: PLC0415 - needs aiohttp
-
-    recording = open_recording(path, namespace=namespace)
-    _ = recording.hello, recording.curves, recording.events  # made before the first page asks
-    with bound(port) as listener:
-        serve(listener, lambda: PlaybackSession(recording), ready=ready)
 
 
 def view_live(target: str, *, port: int, ready: Callable[[str], None]) -> None:

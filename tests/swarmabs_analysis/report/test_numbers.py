@@ -12,7 +12,6 @@ from tests.swarmabs_analysis.report.conftest import Page
 from tests.swarmabs_bag.test_digest import digest
 
 from swarmabs_analysis.report import Report
-from swarmabs_analysis.report.margins import weights
 from swarmabs_analysis.report.record import read_recorded
 
 LENGTH, GRAVITY = 1.0, 9.81
@@ -66,12 +65,9 @@ def test_margins(page: Page, run: Path) -> None:
 
 def test_weights_give_the_recorded_abstract_state(run: Path) -> None:
     recorded, bag = read_recorded(run), ReadBag(run)
-    found = weights(recorded)
-    np.testing.assert_allclose(
-        GRAVITY * found.torque_over_gravity, bag.column("/swarm/abstract_state", "torque"), rtol=0, atol=1e-14
-    )
-    np.testing.assert_allclose(found.inertia, bag.column("/swarm/abstract_state", "inertia"), rtol=0, atol=1e-16)
-    np.testing.assert_array_equal(found.there.sum(axis=1), bag.column("/swarm/abstract_state", "agent_count"))
+    np.testing.assert_allclose(recorded.torque, bag.column("/swarm/abstract_state", "torque"), rtol=0, atol=1e-14)
+    on_plane = recorded.swarm.on_plane.sum(axis=1)
+    np.testing.assert_array_equal(on_plane, bag.column("/swarm/abstract_state", "agent_count"))
 
 
 def test_pictures_are_told_in_numbers(page: Page, run: Path) -> None:

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from swarmabs_analysis.report.thinning import column_points, thin_lines
+from swarmabs_analysis.report.pictures import thin_lines
+from swarmabs_bag.recorded_swarm import column_points
 
 
 def test_every_column_keeps_its_ends_extremes_and_gaps() -> None:

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.report.margins import margins, weights
-from swarmabs_analysis.report.page import lowest, page
+from swarmabs_analysis.report.page import GENERATOR, lowest, page
 from swarmabs_analysis.report.panels import panels
-from swarmabs_analysis.report.pictures import overview
+from swarmabs_analysis.report.pictures import PNG_MARK, overview
 from swarmabs_analysis.report.record import read_recorded
+from swarmabs_bag.run_folder import find_bag, write_whole
+from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from swarmabs_analysis.report.margins import Margins
     from swarmabs_analysis.report.record import Recorded
+
+
+_HEAD = 2048
+"""Bytes at the beginning of a file within which a report says that it is one."""
+_MARKS = (f'content="{GENERATOR}"'.encode(), PNG_MARK.encode())
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +57,13 @@ def make_report(path: Path, *, namespace: str | None = None) -> Report:
         If it cannot be read.
     """
     recorded = read_recorded(path, namespace=namespace)
-    on_plane = weights(recorded)
-    margin = margins(recorded, on_plane)
-    drawn = list(panels(recorded, on_plane, margin)) if recorded.drawable else []
-    return Report(
-        recorded.swarm.bag,
-        page(recorded, drawn, margin),
-        overview(recorded, {panel.key: panel for panel in drawn}),
-        _numbers(recorded, margin),
-    )
+    drawn = list(panels(recorded)) if recorded.drawable else []
+    png = overview(recorded, {panel.key: panel for panel in drawn})
+    return Report(recorded.swarm.bag, page(recorded, drawn), png, _numbers(recorded))
 
 
-def _numbers(recorded: Recorded, margin: Margins) -> dict[str, Any]:
+def _numbers(recorded: Recorded) -> dict[str, Any]:
+    margin = recorded.margins
     return {
         "scenario": recorded.scenario.name,
         "status": recorded.swarm.status,
@@ -78,3 +79,63 @@ def _numbers(recorded: Recorded, margin: Margins) -> dict[str, Any]:
             "spread": lowest(margin.spread),
         },
     }
+
+
+def default_folder(bag: Path) -> Path:
+    """Return the folder of the run that a bag is of, or the one in which a lone MCAP file lies.
+
+    Raises
+    ------
+    NotABagError
+        If there is no bag.
+    """
+    folder = find_bag(bag).parent
+    return folder.parent if folder.name == "bag" else folder
+
+
+def check_target(path: Path) -> None:
+    """Make sure that a file can be written, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        If there is something else than an earlier report, or its folder cannot be made or written.
+    """
+    try:
+        if path.exists() and not _is_report(path):
+            raise InputError(
+                f"{path} exists and is no report; name another file with --html or --png, or a folder with -o"
+            )
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
+        if not folder.is_dir():
+            raise InputError(f"{folder} is no folder; name another one with -o")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{folder} cannot be written; choose another folder with -o")
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path} cannot be written: {reason}; name another file") from error
+
+
+def write_file(path: Path, content: bytes) -> bool:
+    """Write a file of a report and return whether it took the place of an earlier one.
+
+    Raises
+    ------
+    RunError
+        If it cannot be written; what was there before is kept.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replaced = path.exists()
+        write_whole(path, content)
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror or error}; free space or choose another folder with -o") from error
+    return replaced
+
+
+def _is_report(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD)
+    return any(mark in head for mark in _MARKS)

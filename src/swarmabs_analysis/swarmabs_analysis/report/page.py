@@ -21,12 +21,11 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from numpy.typing import NDArray
 
-    from swarmabs_analysis.report.margins import Margins
     from swarmabs_analysis.report.panels import Panel
     from swarmabs_analysis.report.record import Recorded
 
 GENERATOR = "swarmabs report"
-"""Marks a page as a report; see `swarmabs_analysis.report.files`."""
+"""Marks a page as a report; see `check_target`."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """What a browser may load for the page: nothing, but use its own styles and images."""
 MOST_EVENTS = 60
@@ -60,7 +59,7 @@ class Picture(NamedTuple):
     svg: Markup
 
 
-def page(recorded: Recorded, panels: Sequence[Panel], margin: Margins) -> str:
+def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
     """Return the HTML text of a report."""
     pictures: dict[str, list[Picture]] = defaultdict(list)
     for panel in panels:
@@ -82,7 +81,7 @@ def page(recorded: Recorded, panels: Sequence[Panel], margin: Margins) -> str:
             recorded=recorded,
             swarm=recorded.swarm,
             scenario=scenario,
-            margin=margin,
+            margin=recorded.margins,
             singles=singles,
             doubles=len(agents.ids) - singles,
             end=round(float(time[-1]), 6) if len(time) else 0.0,

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
     from numpy.typing import NDArray
 
-    from swarmabs_analysis.report.margins import Margins, Weights
     from swarmabs_analysis.report.record import Recorded
 
     Floats = NDArray[np.float64]
@@ -70,12 +69,12 @@ class Panel:
     height: float = 2.2
 
 
-def panels(recorded: Recorded, on_plane: Weights, margin: Margins) -> Iterator[Panel]:
+def panels(recorded: Recorded) -> Iterator[Panel]:
     """Yield the pictures of a run, in the order of a report."""
     yield from _plane(recorded)
     yield from _robots(recorded)
-    yield from _abstract(recorded, on_plane)
-    yield from _margins(recorded, margin)
+    yield from _abstract(recorded)
+    yield from _margins(recorded)
     yield _sums(recorded)
     yield _membership(recorded)
 
@@ -134,11 +133,10 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
             yield Panel(f"commands-{name}", "robots", f"Commands of the {name} integrators", draw, about, note)
 
 
-def _abstract(recorded: Recorded, on_plane: Weights) -> Iterator[Panel]:
+def _abstract(recorded: Recorded) -> Iterator[Panel]:
     actual, desired = recorded.arrays.abstract, recorded.arrays.desired
-    true_torque = on_plane.torque_over_gravity * recorded.scenario.plane.gravity
     for key, letter, unit, found, wanted, truth in (
-        ("torque", "τ", "N m", actual.torque, desired.torque, true_torque if recorded.estimated else None),
+        ("torque", "τ", "N m", actual.torque, desired.torque, recorded.torque if recorded.estimated else None),
         ("inertia", "J", "kg m²", actual.inertia, desired.inertia, None),
     ):
         lines = [Line(f"{letter} {'actual' if truth is None else 'estimated'}", found, BLUE)]
@@ -159,7 +157,7 @@ def _abstract(recorded: Recorded, on_plane: Weights) -> Iterator[Panel]:
     )
     draw = pair_over_time(recorded, abstract_error)
     yield Panel("abstract-error", "abstract", "Error of the abstract state", draw, about)
-    spans = list(on_plane.spans())
+    spans = list(recorded.spans())
     masses = spans[0][2] if spans else ()
     if len(masses) > 1 and min(masses) > 0:
         about = joined(
@@ -171,8 +169,8 @@ def _abstract(recorded: Recorded, on_plane: Weights) -> Iterator[Panel]:
         yield Panel("space", "abstract", "Path in the abstract space", draw, about, note, height=2.9)
 
 
-def _margins(recorded: Recorded, margin: Margins) -> Iterator[Panel]:
-    time = recorded.arrays.time
+def _margins(recorded: Recorded) -> Iterator[Panel]:
+    time, margin = recorded.arrays.time, recorded.margins
     limit = 1e-12 * recorded.scenario.plane.length**2
     level = Mark("end of the plane", 0.0, VERMILION, DASHED)
     draw = lines_over_time(recorded, "m", [Line("L/2 - largest |p|", margin.end, BLUE)], level=level)

@@ -1,4 +1,4 @@
-"""What a report is about: a bag with everything that is known of its run, read once."""
+"""What a report is about: a bag with everything that is known of its run, and how far it is from its constraints."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from swarmabs_bag.realtime import realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.theory.constraint_sets import ConstraintSets
+from swarmabs_core.theory.general_theorems import clearance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -32,6 +34,31 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _LONGEST_JSON = 2**20
+_MOST_ROWS = 10_000
+"""Steps for which the distance to A_A's boundary is computed; of longer runs every second one, third one and so on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """How far a run is from its constraints.
+
+    Attributes
+    ----------
+    end : ndarray, (n+1,)
+        From the outermost robot to the plane's end, m; negative beyond it.
+    spread : ndarray, (n+1,)
+        S3/S0^2, m^2; the swarm is singular at 0.
+    rows : ndarray of int, (r,)
+        The rows at which the following two are given.
+    actual, desired : ndarray, (r,)
+        Distance of the abstract state, and of the desired one, to the upper boundary J_A of A_A; negative beyond it.
+    """
+
+    end: Floats
+    spread: Floats
+    rows: NDArray[np.int64]
+    actual: Floats
+    desired: Floats
 
 
 @dataclass(frozen=True)
@@ -94,6 +121,50 @@ class Recorded:
     def error(self) -> Floats:
         """Wanted minus recorded angle at each step, rad."""
         return self.swarm.reference - self.arrays.angle
+
+    @cached_property
+    def masses(self) -> Floats:
+        """Masses of the robots, kg, (N,)."""
+        agents = self.arrays.agents
+        return np.asarray(np.nanmax(np.where(agents.kind > 0, agents.mass, -np.inf), axis=0, initial=-np.inf))
+
+    @property
+    def torque(self) -> Floats:
+        """The torque of the weights on the plane at each step, N m: a robot that died stands, one that left is gone."""
+        return np.nansum(self.masses * self.swarm.positions, axis=1) * self.scenario.plane.gravity
+
+    def spans(self) -> Iterator[tuple[int, int, tuple[float, ...]]]:
+        """Yield spans of rows [begin, end) in which the same robots are on the plane, with their masses, kg."""
+        there = self.swarm.on_plane
+        if not len(there):
+            return
+        changes = np.flatnonzero((there[1:] != there[:-1]).any(axis=1)) + 1
+        begins = [0, *changes.tolist()]
+        for begin, end in zip(begins, [*begins[1:], len(there)], strict=True):
+            yield begin, end, tuple(self.masses[there[begin]].tolist())
+
+    @cached_property
+    def margins(self) -> Margins:
+        """How far the run is from its constraints; A_A is that of all robots whose weight is on the plane."""
+        arrays, plane = self.arrays, self.scenario.plane
+        rows = np.arange(0, len(arrays.step), max(1, -(-len(arrays.step) // _MOST_ROWS)))
+        actual, desired = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+        for begin, end, masses in self.spans():
+            if len(masses) < 2 or not min(masses) > 0:
+                continue
+            sets = ConstraintSets(masses, plane.length, plane.gravity)
+            chosen = np.flatnonzero((rows >= begin) & (rows < end))
+            for found, state in ((actual, arrays.abstract), (desired, arrays.desired)):
+                pairs = zip(state.torque[rows[chosen]].tolist(), state.inertia[rows[chosen]].tolist(), strict=True)
+                found[chosen] = [
+                    clearance(sets, torque, inertia).upper if np.isfinite(torque) and np.isfinite(inertia) else np.nan
+                    for torque, inertia in pairs
+                ]
+        reach = np.where(self.swarm.on_plane, np.abs(self.swarm.positions), -np.inf).max(axis=1, initial=-np.inf)
+        end_margin = plane.length / 2.0 - np.where(np.isfinite(reach), reach, np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = arrays.auxiliary.s3 / arrays.auxiliary.s0**2
+        return Margins(end_margin, np.where(np.isfinite(spread), spread, np.nan), rows, actual, desired)
 
     @property
     def estimated(self) -> bool:

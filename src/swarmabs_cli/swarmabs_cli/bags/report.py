@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_analysis.report import make_report
-from swarmabs_analysis.report.files import check_target, default_folder, write_file
+from swarmabs_analysis.report import check_target, default_folder, make_report, write_file
 from swarmabs_cli.options import bag_argument, json_option, namespace_option
 from swarmabs_cli.output import print_json
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from swarmabs_cli.options import namespace_option
-from swarmabs_view.viewers import view_bag, view_live
+from swarmabs_view.playback import view_bag
+from swarmabs_view.viewers import view_live
 
 
 def open_page(url: str) -> None:
