@@ -11,7 +11,7 @@ import click
 from swarmabs_analysis.figures import FIGURES, draw_files
 from swarmabs_analysis.figures.runs import Execute, find_made, find_runs, make_run, missing_text
 from swarmabs_analysis.figures.style import FORMATS, Format
-from swarmabs_analysis.report.files import write_file
+from swarmabs_analysis.report import write_file
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_cli.options import json_option
 from swarmabs_cli.output import print_json
