@@ -45,7 +45,7 @@ from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.drive_registry import TOPIC
+from swarmabs_core.realtime.drives import TOPIC
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 from swarmabs_run.steering import node as steering

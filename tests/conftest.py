@@ -20,8 +20,8 @@ from tests.processes import MARK, marked_processes
 
 from swarmabs_config.ports import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.law_registry import LAWS
-from swarmabs_core.realtime.drive_registry import DRIVES
+from swarmabs_core.realtime.drives import DRIVES
+from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 
 # Property tests draw the same examples every time, and take the time they need on a busy machine.

@@ -44,7 +44,7 @@ SCALED = """
     from dataclasses import replace
     from math import nan
 
-    from swarmabs_core.law_registry import PAPER, SwarmLaw
+    from swarmabs_core.swarm_law import PAPER, SwarmLaw
     from swarmabs_core.parameters import Parameter
 
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, REALTIME, ROBOT, agent_name, endpoints
 from swarmabs_core.messages import EVENTS, TOPIC_OF, Mode
-from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig, RealtimeLaw
+from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE
 from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
+from swarmabs_core.realtime.drives import Body, Measurement, SimulatedDrive
 from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.plane import RealtimePlane
 
@@ -87,7 +87,8 @@ class _Body(SimulatedDrive):
     """A body that moves by the time of the world, whatever the clock of its node says."""
 
     def __init__(self, fleet: VirtualFleet, name: str, config: RealtimeAgentConfig, start: tuple[float, float]) -> None:
-        super().__init__(RealtimeLaw(config).controller.ideal, config.schedule, *start)
+        body = (config.agent_id, config.kind, config.schedule, config.mass, config.damping)
+        super().__init__(Body(*body, position=start[0], velocity=start[1]))
         self._fleet = fleet
         self._name = name
 

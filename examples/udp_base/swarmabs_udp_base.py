@@ -7,8 +7,7 @@ from typing import cast
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, Settings
-from swarmabs_core.realtime.drive_registry import Body, DriveType
-from swarmabs_core.realtime.drives import Measurement
+from swarmabs_core.realtime.drives import Body, DriveType, Measurement
 
 STATE = Struct("<qdd")
 COMMAND = Struct("<d")

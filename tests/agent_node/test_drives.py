@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64
 from tests.plugin_packages import install
-from tests.swarmabs_core.realtime.test_drive_registry import STANDING
+from tests.swarmabs_core.realtime.test_drives import STANDING
 from tests.swarmabs_ros.nodes import given, realtime_settings_from, started_node
 
 from agent_node.realtime import PARAMETERS, drive_of
@@ -22,8 +22,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
-from swarmabs_core.realtime.drive_registry import TOPIC
-from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
+from swarmabs_core.realtime.drives import TOPIC, Measurement, SimulatedDrive
 from swarmabs_ros.endpoints import LoopGroup
 from swarmabs_ros.parameters import given_values, table_of
 

@@ -15,8 +15,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.drive_registry import DRIVES, Body
-from swarmabs_core.realtime.drives import Measurement
+from swarmabs_core.realtime.drives import DRIVES, Body, Measurement
 from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.robot_controller import Limits
 from swarmabs_ros.readings import Joints, Reading

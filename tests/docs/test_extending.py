@@ -9,7 +9,7 @@ from tests.docs.pages import blocks, read, section
 from tests.plugin_packages import install
 
 from swarmabs_config.scenario import parse_scenario
-from swarmabs_core.law_registry import LAWS
+from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.simulation import simulate
 
 PAGE = "docs/extending.md"

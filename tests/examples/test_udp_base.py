@@ -18,8 +18,7 @@ from tests.docs.pages import ROOT
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.drive_registry import DRIVES, Body
-from swarmabs_core.realtime.drives import Measurement, Reporting
+from swarmabs_core.realtime.drives import DRIVES, Body, Measurement, Reporting
 
 EXAMPLE = ROOT / "examples" / "udp_base"
 BODY = Body(1, Kind.SINGLE_INTEGRATOR, Schedule(10_000_000), 0.5)

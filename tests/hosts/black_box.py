@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter, Settings
-from swarmabs_core.realtime.drive_registry import Body, DriveType
-from swarmabs_core.realtime.drives import Measurement
+from swarmabs_core.realtime.drives import Body, DriveType, Measurement
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import Drive

@@ -15,9 +15,9 @@ from swarmabs_config.scenario import json_schema, parse_scenario
 from swarmabs_core.controllers import CONTROLLERS, PD, ControllerType, ParentContext, ParentController, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.friction import Friction
-from swarmabs_core.law_registry import LAWS
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.registry import PluginError, Registry
+from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.simulation import simulate
 
 CONTEXT = ParentContext(0.01, 0.5, Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0), Manifold(0.0125, 0.025, 5.0))

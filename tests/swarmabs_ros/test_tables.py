@@ -13,7 +13,7 @@ from plane_sim import driver as plane_driver, node as plane, realtime as realtim
 from swarmabs_bag.recorder import node as recorder
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.drive_registry import TOPIC
+from swarmabs_core.realtime.drives import TOPIC
 from swarmabs_ros.parameters import table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON

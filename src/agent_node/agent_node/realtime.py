@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from swarmabs_config.graph import ROBOT, SERVICES
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE
-from swarmabs_core.realtime.drive_registry import DRIVES, Body
+from swarmabs_core.realtime.drives import DRIVES, Body
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.realtime_runner import run_realtime
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rclpy.callback_groups import CallbackGroup
     from rclpy.node import Node
 
-    from swarmabs_core.realtime.drive_registry import Body
+    from swarmabs_core.realtime.drives import Body
     from swarmabs_core.realtime.instruments import TopicSettings
 
 TURN_ROUND = 500_000_000

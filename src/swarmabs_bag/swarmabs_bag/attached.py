@@ -19,8 +19,8 @@ from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprint
-from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import EVENTS, SwarmEvent
+from swarmabs_core.swarm_law import LAWS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

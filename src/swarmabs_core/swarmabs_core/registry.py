@@ -42,16 +42,8 @@ MadeT = TypeVar("MadeT")
 class Part(Generic[ContextT, MadeT]):
     """What a registry holds; one such object is all that a package brings.
 
-    Parameters
-    ----------
-    name : str
-        Name by which it is selected.
-    settings : tuple of Parameter
-        Its settings, from which the scenario's schema and the parameters of nodes follow.
-    make : callable
-        Makes the thing itself from all its settings, checked, and from what it may know of the system.
-    description : str
-        What it is, in a few words.
+    From its settings follow the scenario's schema and the parameters of nodes. `make` makes the thing itself from all
+    settings, checked, and from what it may know of the system. The description says in a few words what it is.
     """
 
     name: str
@@ -63,7 +55,8 @@ class Part(Generic[ContextT, MadeT]):
 class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
     """Parts of one sort by name.
 
-    Looking up loads one package at most; iterating gives all names without loading any.
+    Looking up loads one package at most; iterating gives all names without loading any. The built-in parts are also in
+    the mapping `built_in`.
 
     Parameters
     ----------
@@ -77,11 +70,6 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         The built-in parts, which no package can replace.
     duties : tuple of str
         Methods that what a part makes must have.
-
-    Attributes
-    ----------
-    built_in : mapping
-        The built-in parts by name.
     """
 
     def __init__(
@@ -140,16 +128,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
             raise InputError(f"no {self._noun} {name!r}; there are {', '.join(sorted(self))}") from None
 
     def make(self, name: str, settings: Settings, context: ContextT) -> MadeT:
-        """Make what a part stands for.
-
-        Parameters
-        ----------
-        name : str
-            Name of the part.
-        settings : Settings
-            Its settings; those left out have their defaults.
-        context : object
-            What it may know of the system.
+        """Make what a part stands for; settings that are left out have their defaults.
 
         Raises
         ------

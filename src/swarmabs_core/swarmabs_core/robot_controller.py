@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import Kind
+from swarmabs_core.swarm_law import LAWS
 
 if TYPE_CHECKING:
-    from swarmabs_core.law_registry import Robot
     from swarmabs_core.messages import Broadcast
     from swarmabs_core.parameters import Settings
+    from swarmabs_core.swarm_law import Robot
 
 BRAKING_TIME = 0.1
 """Time constant of a double integrator's brake in a safe stop, s."""

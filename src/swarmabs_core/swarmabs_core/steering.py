@@ -57,13 +57,12 @@ class StepChange(NamedTuple):
         InputError
             If the text is not of this form.
         """
-        found: StepChange | None
         try:
             step, value = text.split()
             found = cls(int(step), float(value))
         except ValueError:
-            found = None
-        if found is None or found.step < 0 or not isfinite(found.value):
+            found = cls(-1, 0.0)
+        if found.step < 0 or not isfinite(found.value):
             raise InputError(f"{text!r} is not of the form 'STEP VALUE', such as '500 0.1'")
         return found
 
@@ -80,8 +79,6 @@ class StepSchedule:
 
     def at(self, step: int) -> float:
         """Return what holds in a step."""
-        if not self._steps:
-            return 0.0
         place = bisect_right(self._steps, step)
         return self._value[self._steps[place - 1]] if place else 0.0
 

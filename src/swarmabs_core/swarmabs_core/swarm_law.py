@@ -16,19 +16,25 @@ integrator the force
 
 The paper's pseudo-inverse lacks the 1/g, its C_a the division by S3, and its :math:`\dot\Phi \dot p_i` stands
 for the sum over the swarm, which is [0, 2Q]; this module computes the corrected forms.
+
+Installed packages can bring other laws. A law is chosen once for the whole swarm. Each robot binds it to its own
+constants when it is made; from then on it is a function of its state and of the broadcasts of one step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 from swarmabs_core.declaration import setting
-
-if TYPE_CHECKING:
-    from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState
+from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState, Kind
+from swarmabs_core.parameters import Settings
+from swarmabs_core.registry import Part, Registry
 
 Pair = tuple[float, float]
+Command: TypeAlias = Callable[[float, float, AbstractState, AuxiliaryState, DesiredAbstractState], float]
+"""Position (m), velocity (m/s) and the three broadcasts in, the command (m/s or N, by the robot's kind) out."""
 
 
 def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float) -> Pair:
@@ -110,3 +116,35 @@ def double_integrator_command(
     y1 = gains.kp[1] * e1 - c10 * de0 + (gains.kd[1] - c11) * de1 - 2.0 * sums.q + desired.inertia_acceleration
     feed_forward = r0 * desired.torque_rate + r1 * desired.inertia_rate
     return mass * (r0 * y0 + r1 * y1) + (damping + gains.ksd) * feed_forward - gains.ksd * velocity
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """What a law may know of its robot, besides position and velocity."""
+
+    kind: Kind  # how it is driven: a single integrator is commanded a velocity, a double integrator a force
+    mass: float  # kg
+    damping: float  # N s/m; 0 of a single integrator
+    gains: SwarmGains  # the swarm's; the sums D that are broadcast contain their ksd
+    gravity: float  # m/s^2
+    period: float  # control period for which a command is held, s
+
+
+class SwarmLaw(Part[Robot, Command]):
+    """A swarm law, which makes the function of one robot; `name` is the value of ``swarm.law.type`` in a scenario."""
+
+
+def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - its gains are the swarm's
+    mass, damping, gains, gravity = robot.mass, robot.damping, robot.gains, robot.gravity
+    if robot.kind is Kind.SINGLE_INTEGRATOR:  # whose velocity is the command of the step before
+        return lambda position, _, abstract, sums, desired: single_integrator_command(
+            mass, position, gains, gravity, abstract, sums, desired
+        )
+    return lambda position, velocity, abstract, sums, desired: double_integrator_command(
+        mass, damping, position, velocity, gains, gravity, abstract, sums, desired
+    )
+
+
+PAPER = SwarmLaw("paper", (), _make_paper, "the paper's laws, each robot by its kind")
+
+LAWS = Registry("swarm law", "swarmabs.swarm_laws", SwarmLaw, (PAPER,), ("__call__",))

@@ -20,7 +20,6 @@ from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.behaviours import Controller
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, decode
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-from swarmabs_core.law_registry import PAPER
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -41,7 +40,7 @@ from swarmabs_core.plant import PlaneDynamics, SwarmLoad, cubic_terms, hermite, 
 from swarmabs_core.record import Record
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.summation import column_sums
-from swarmabs_core.swarm_law import double_integrator_command, single_integrator_command
+from swarmabs_core.swarm_law import PAPER, double_integrator_command, single_integrator_command
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

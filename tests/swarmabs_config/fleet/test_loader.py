@@ -13,7 +13,7 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, edited
 from swarmabs_config.fleet.loader import json_schema, load_fleet
 from swarmabs_core.declaration import values_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.realtime.drive_registry import TOPIC
+from swarmabs_core.realtime.drives import TOPIC
 from swarmabs_core.realtime.instruments import TopicSettings
 
 LAN = EXAMPLES["lan"].read_text(encoding="utf-8")

@@ -19,8 +19,8 @@ from swarmabs_config.scenario import (
     parse_scenario,
 )
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.law_registry import LAWS
 from swarmabs_core.parameters import resolve
+from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.orchestration.plan import plan
 
 DEFAULTS = {
@@ -125,7 +125,7 @@ def test_an_unfit_package_is_an_error_at_its_line(packages: Path) -> None:
 PICKY = """
     from swarmabs_core.controllers import ControllerType
     from swarmabs_core.errors import InputError
-    from swarmabs_core.law_registry import SwarmLaw
+    from swarmabs_core.swarm_law import SwarmLaw
 
 
     def refuse(settings, known):

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
-from swarmabs_core.law_registry import PAPER, Robot
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.robot_controller import Limits, RobotController
-from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.swarm_law import PAPER, Robot, SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

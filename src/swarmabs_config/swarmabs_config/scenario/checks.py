@@ -12,9 +12,9 @@ from swarmabs_core import behaviours
 from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
-from swarmabs_core.law_registry import LAWS
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.parameters import SettingError
+from swarmabs_core.swarm_law import LAWS
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 

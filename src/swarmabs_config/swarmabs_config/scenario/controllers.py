@@ -14,9 +14,9 @@ from pydantic_core import PydanticCustomError
 
 from swarmabs_core.controllers import ARISE, CONTROLLERS, LQR, PD, TRAJECTORY
 from swarmabs_core.declaration import LONGEST_TIME, tree_of
-from swarmabs_core.law_registry import LAWS, PAPER
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.registry import Part, Registry
+from swarmabs_core.swarm_law import LAWS, PAPER
 from swarmabs_core.trajectory import SHORTEST, Constant, QuinticSpline, QuinticStep, Sine
 
 from .declared import model_of, model_of_table

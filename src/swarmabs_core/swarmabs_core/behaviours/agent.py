@@ -12,7 +12,6 @@ from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import InjectedFault, RobotFaults
-from swarmabs_core.law_registry import LAWS, PAPER, Robot
 from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -44,7 +43,7 @@ from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
 from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
-from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.agent import RobotConfig
 from swarmabs_core.declaration import choice, part, same, setting
-from swarmabs_core.law_registry import Robot
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Status, SwarmEvent
 from swarmabs_core.parameters import Settings
 from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
-from swarmabs_core.realtime.drive_registry import DRIVES, SIMULATED
-from swarmabs_core.realtime.drives import Reporting
+from swarmabs_core.realtime.drives import DRIVES, SIMULATED, Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.validation import Bounds, Refusals
 from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, RobotController
+from swarmabs_core.swarm_law import Robot
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Broadcast, Message, Messages

@@ -1,12 +1,25 @@
-"""The boundary between a robot's law and its body, as a hardware interface: read, write, stop."""
+"""The boundary between a robot's law and its body, as a hardware interface: read, write, stop.
+
+Drives are chosen by name: the built-in ones, and those that installed packages bring for a vendor's robots.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
+from swarmabs_core.declaration import made_of, parameters_of
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import Kind
+from swarmabs_core.parameters import Settings
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.instruments import TopicSettings
+from swarmabs_core.registry import Part, Registry
+from swarmabs_core.robot_controller import Limits
+
 if TYPE_CHECKING:
-    from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-    from swarmabs_core.realtime.base import Schedule
+    from collections.abc import Callable
 
 MOST_STEPS = 1000
 """Periods that a simulated robot catches up after a pause; beyond, it has stood still."""
@@ -45,19 +58,38 @@ class Reporting(Protocol):
         ...
 
 
-class SimulatedDrive:
-    """A body that moves exactly as the law expects; it begins at a position (m) with a velocity (m/s)."""
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What a drive may know of its robot."""
 
-    def __init__(
-        self,
-        model: SingleIntegratorDrive | DoubleIntegratorDrive,
-        schedule: Schedule,
-        position: float,
-        velocity: float = 0.0,
-    ) -> None:
-        self._model = model
-        self._schedule = schedule
-        self._position, self._velocity = position, velocity
+    agent_id: int
+    kind: Kind  # the command of a single integrator is a velocity, that of a double integrator a force
+    schedule: Schedule  # control period and epoch
+    mass: float  # kg
+    damping: float = 0.0  # N s/m; 0 of a single integrator
+    gravity: float = 9.81  # m/s^2
+    limits: Limits = field(default_factory=Limits)
+    position: float = 0.0  # where a simulated body begins, m
+    velocity: float = 0.0  # m/s
+    connect: Callable[[TopicSettings, Body], Drive] | None = None  # makes a drive behind topics, where there is a node
+
+
+class DriveType(Part[Body, Drive]):
+    """A drive; `name` is the value of ``drive.type`` of a robot's node."""
+
+
+class SimulatedDrive:
+    """A body that moves exactly as the law expects."""
+
+    def __init__(self, body: Body) -> None:
+        period = body.schedule.period_ns / 1e9
+        self._model = (
+            SingleIntegratorDrive(period)
+            if body.kind is Kind.SINGLE_INTEGRATOR
+            else DoubleIntegratorDrive.of(period, body.mass, body.damping)
+        )
+        self._schedule = body.schedule
+        self._position, self._velocity = body.position, body.velocity
         self._command = 0.0
         self._step: int | None = None
 
@@ -77,3 +109,19 @@ class SimulatedDrive:
     def stop(self) -> None:
         """Come to rest at once."""
         self._command = self._velocity = 0.0
+
+
+SIMULATED = DriveType("simulated", (), lambda _, body: SimulatedDrive(body))
+
+
+def _topic(settings: Settings, body: Body) -> Drive:
+    made = made_of(TopicSettings, settings)
+    if body.connect is None:
+        raise InputError("drive topic: there is no ROS node here to which it could be connected")
+    return body.connect(made, body)
+
+
+TOPIC = DriveType(TopicSettings.type, parameters_of(TopicSettings), _topic)
+"""A base behind ROS topics."""
+
+DRIVES = Registry("drive", "swarmabs.drives", DriveType, (SIMULATED, TOPIC), ("read", "write", "stop"))

@@ -22,8 +22,8 @@ from typing import Any, NoReturn
 
 from swarmabs_config.graph import CONTROLLER, NODES, OBSERVER, PLANE, ROBOT, Driver
 from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.law_registry import LAWS
 from swarmabs_core.messages import TOPICS
+from swarmabs_core.swarm_law import LAWS
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.parent_death import die_with_parent

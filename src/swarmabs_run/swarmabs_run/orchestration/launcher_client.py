@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import LOCKSTEP, Driver
 from swarmabs_core.controllers import PD
-from swarmabs_core.law_registry import PAPER
+from swarmabs_core.swarm_law import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
 from swarmabs_run.orchestration.network import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 

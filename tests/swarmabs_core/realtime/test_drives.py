@@ -11,15 +11,14 @@ from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.drive_registry import DRIVES, Body
-from swarmabs_core.realtime.drives import Measurement, SimulatedDrive
+from swarmabs_core.realtime.drives import DRIVES, Body, Measurement, SimulatedDrive
 
 MS = 1_000_000
 BODY = Body(3, Kind.DOUBLE_INTEGRATOR, Schedule(10 * MS), 0.5, 0.8, position=0.1, velocity=-0.2)
 
 STANDING = """
     from swarmabs_core.parameters import Parameter
-    from swarmabs_core.realtime.drive_registry import DriveType
+    from swarmabs_core.realtime.drives import DriveType
     from swarmabs_core.realtime.drives import Measurement
 
 
