@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from swarmabs_analysis.comparison.steps import recorded_steps
+from swarmabs_analysis.comparison.messages import recorded_steps, side_by_side
+from swarmabs_analysis.replay.source import unplanned_end
 from swarmabs_bag.attached import (
     SCHEMA_VERSION,
     attached_provenance,
@@ -25,7 +26,6 @@ from swarmabs_config.scenario.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
-from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import Scenario
+    from swarmabs_core.membership import Change
     from swarmabs_run.run import Outcome
 
 _REPEATABLE = ("lockstep", "simulate")
@@ -109,13 +110,12 @@ class RecordedRun:
 
         Where the bag breaks off, or was repaired, messages of a step may be missing, and whole steps.
         """
-        others = _main_steps(bag)
-        for step in _main_steps(open_bag(self.bag)):
-            other = next((found for found in others if found.step == step.step), None)
+        for step, other in side_by_side(_main_steps(open_bag(self.bag)), _main_steps(bag)):
+            if step is None:
+                continue
             if other is None:
                 return None
-            ours, theirs = ({record.payload for record in found.records} for found in (step, other))
-            if not ours <= theirs:
+            if not {record.payload for record in step.records} <= {record.payload for record in other.records}:
                 return False
         return True
 
@@ -204,8 +204,9 @@ def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Ite
                 f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "
                 f"which cannot be repeated; {_REMEDY}"
             )
-        if event.kind == EventKind.DEAD and event.detail == SILENT:
-            ends.append(Change(event.step - 1, event.agent_id, ChangeKind.KILL))
+        end = unplanned_end(event)
+        if end is not None:
+            ends.append(end)
             yield (
                 f"in the bag robot {event.agent_id} fell silent at step {event.step} and was taken out, "
                 "which the scenario does not say: now it is killed at the step before"

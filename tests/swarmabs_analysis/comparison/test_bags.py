@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.swarmabs_bag.sample_run import AGENTS, changed, make_run, write_bag
 
-from swarmabs_analysis.comparison import SettingDifference, compare_bags, setting_differences
+from swarmabs_analysis.comparison.bags import SettingDifference, compare_bags, setting_differences
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.run_folder import new_run_folder

@@ -14,7 +14,7 @@ import pytest
 from tests.processes import SEARCH_PATH
 from tests.swarmabs_bag.sample_run import make_run, write_bag
 
-from swarmabs_analysis.comparison import Comparison, compare_bags
+from swarmabs_analysis.comparison.bags import Comparison, compare_bags
 from swarmabs_cli import main
 from swarmabs_core.messages import AgentState, Message, PlaneState
 

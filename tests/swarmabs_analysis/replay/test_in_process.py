@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_analysis.replay.in_process import Replay
+from swarmabs_analysis.replay.run import replayed_steps
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
@@ -82,7 +82,7 @@ def only(steps: list[RecordedStep], topic: Topic) -> list[Record]:
 def test_the_same_code_gives_the_same_messages_and_events(case: str) -> None:
     scenario, recorded = run(*RUNS[case])
     for nodes in NODES:
-        assert list(Replay(scenario, names(*nodes), iter(recorded)).steps()) == recorded, nodes
+        assert list(replayed_steps(scenario, names(*nodes), iter(recorded))) == recorded, nodes
 
 
 def test_every_node_that_announces_something_does_so_in_these_runs() -> None:
@@ -123,7 +123,7 @@ def as_silence(record: Record) -> Record:
 @pytest.mark.parametrize("nodes", NODES)
 def test_a_robot_that_was_dropped_is_dropped_again(nodes: tuple[str, ...]) -> None:
     scenario, recorded, end = silent_run()
-    assert list(Replay(scenario, names(*nodes), iter(recorded), [end]).steps()) == recorded
+    assert list(replayed_steps(scenario, names(*nodes), iter(recorded), [end])) == recorded
 
 
 def test_an_unplanned_end_comes_before_the_planned_one() -> None:
@@ -137,7 +137,7 @@ def test_changed_gains_are_what_the_node_would_have_said_and_nobody_reacts() -> 
     """The PD law asks for kp times the angle of a plane at rest; all others say what they said."""
     scenario, recorded = run()
     changed = builtin("pd_het_4", "duration=1", "controller.gains=[20, 3]").resolved()
-    replayed = list(Replay(changed, names("controller"), iter(recorded)).steps())
+    replayed = list(replayed_steps(changed, names("controller"), iter(recorded)))
     first = only(replayed, DESIRED_ABSTRACT_STATE)[0].message
     assert isinstance(first, DesiredAbstractState)
     assert first.torque == pytest.approx(20 * scenario.plane.angle, rel=1e-15)
@@ -151,8 +151,8 @@ def test_nodes_under_test_hear_each_other() -> None:
     """A plane that begins at another angle is what the controller beside it sees."""
     _, recorded = run()
     changed = builtin("pd_het_4", "duration=1", "plane.angle=0.2").resolved()
-    alone = list(Replay(changed, names("plane"), iter(recorded)).steps())
-    both = list(Replay(changed, names("plane", "controller"), iter(recorded)).steps())
+    alone = list(replayed_steps(changed, names("plane"), iter(recorded)))
+    both = list(replayed_steps(changed, names("plane", "controller"), iter(recorded)))
     (first, *_) = [r.message for r in only(both, PLANE_STATE)]
     assert isinstance(first, PlaneState)
     assert first.angle == 0.2
@@ -168,9 +168,9 @@ def test_nodes_under_test_hear_each_other() -> None:
 def test_a_node_that_cannot_go_on_fails_the_replay() -> None:
     _, recorded = run()
     heavy = builtin("pd_het_4", "duration=1", "plane.disturbance={amplitude: 5000, angular_frequency: 1}").resolved()
-    replay = Replay(heavy, names("plane", "controller"), iter(recorded))
+    replay = replayed_steps(heavy, names("plane", "controller"), iter(recorded))
     with pytest.raises(RunError, match=r"the plane's angle is .* and a run ends at 1\.5 rad"):
-        list(replay.steps())
+        list(replay)
 
 
 def test_a_recording_that_lacks_a_robot_stalls_and_says_who() -> None:
@@ -180,4 +180,4 @@ def test_a_recording_that_lacks_a_robot_stalls_and_says_who() -> None:
         for step in recorded
     ]
     with pytest.raises(RunError, match="the replay stalls at step 30; missing: agent 2"):
-        list(Replay(scenario, names("observer"), iter(incomplete)).steps())
+        list(replayed_steps(scenario, names("observer"), iter(incomplete)))

@@ -6,7 +6,7 @@ from itertools import islice
 
 import pytest
 
-from swarmabs_analysis.replay.pace import Pace
+from swarmabs_analysis.replay.playback import Pace
 
 SECOND = 1_000_000_000
 FIRST = 5 * SECOND

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from tests.swarmabs_analysis.replay.conftest import SETTINGS
 
-from swarmabs_analysis.replay.plan import replay_plan
+from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.publishers import NodeName
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 
-PROVENANCE = {"of": "it's", "nodes": []}
-
 
 def planned(recorded: Path, *nodes: str) -> dict[str, ProcessPlan]:
     scenario = find_scenario("pd_het_4", SETTINGS).resolved()
     processes = plan(scenario, RunFolder(Path("run")))
-    names = [NodeName.parse(node) for node in nodes]
-    made = replay_plan(processes, scenario, open_source(recorded), names, PROVENANCE)
+    names = tuple(NodeName.parse(node) for node in nodes)
+    made = ReplayRun(open_source(recorded), names, ("controller.gains=[it's]",), scenario).plan(processes)
     return {process.name: process for process in made}
 
 
@@ -47,7 +46,8 @@ def test_there_are_the_player_the_nodes_under_test_and_the_recorder(
     player = processes["replay_player"].parameters
     assert (player["nodes"], player["last_step"]) == (nodes, 60)
     assert player["bag"] == str(recorded / "bag" / "bag_0.mcap")
-    assert processes["recorder"].parameters["replay"] == '{"of": "it\'s", "nodes": []}'
+    told = json.loads(str(processes["recorder"].parameters["replay"]))
+    assert (told["nodes"], told["overrides"]) == (list(nodes), ["controller.gains=[it's]"])
 
 
 def test_each_waits_for_the_counterparts_that_there_are(recorded: Path) -> None:

@@ -12,7 +12,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from swarmabs_analysis.replay.qos import recorded_profiles
+from swarmabs_analysis.replay.playback import recorded_profiles
 from swarmabs_bag.metadata import dump_yaml, qos_profile
 from swarmabs_config.graph import LOCKSTEP, OFFERED
 from swarmabs_ros.endpoints import profile

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 from tests.swarmabs_analysis.figures.conftest import record
 
+from swarmabs_analysis.comparison.table import replay_parts
 from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
-from swarmabs_analysis.replay.table import result_parts
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder
@@ -21,7 +21,7 @@ from swarmabs_core.publishers import NodeName
 def shown(result: dict[str, Any]) -> str:
     console = Console(width=200)
     with console.capture() as capture:
-        console.print(*result_parts(result))
+        console.print(*replay_parts(result))
     return capture.get()
 
 

@@ -1,28 +1,103 @@
-"""Two runs side by side, step by step."""
+"""Two runs side by side, message by message: what differs first, how far each field deviates, and what is missing."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.comparison.steps import ORDER
 from swarmabs_analysis.difference import MESSAGE, Difference, Side, differing_fields
-from swarmabs_core.messages import EVENTS
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.recording import RecordedStep
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, MAIN_TOPICS
 
 if TYPE_CHECKING:
-    from swarmabs_bag.recording import RecordedStep
     from swarmabs_core.messages import Topic
     from swarmabs_core.record import Record
 
+WINDOW = 8
+"""How many steps a message may stand behind one of a later step: in bags of other recorders topics overlap."""
+REALTIME_WINDOW = 300
+"""The same in real time, where topics are received independently of each other."""
+ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
+"""Place of each recorded topic within a step of a bag."""
 _KEYS = {"step", "agent_id"}
 """Fields by which messages are brought together."""
 _MOST_EVENTS = 100_000
 """Most events of one run that wait for their like in the other."""
 
 
-@dataclass(frozen=True, slots=True)
+def recorded_steps(records: Iterable[Record], name: str, *, realtime: bool = False) -> Iterator[RecordedStep]:
+    """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
+
+    Parameters
+    ----------
+    records : iterable of Record
+        What `BagReader.records` yields; topics that are not recorded are left out.
+    name : str
+        What errors call the bag.
+    realtime : bool
+        Whether it was recorded in real time: then the first of two desired states of a step counts; their modes differ.
+
+    Raises
+    ------
+    DamagedBagError
+        If a message is there twice, or more than `WINDOW` steps late; all steps that are `WINDOW` before it have been
+        yielded then.
+    """
+    waiting: dict[int, dict[tuple[int, int], Record]] = {}
+    latest = -1
+    window = REALTIME_WINDOW if realtime else WINDOW
+    for record in records:
+        topic, step = record.topic, record.message.step
+        place = ORDER.get(topic)
+        if place is None:
+            continue
+        if topic is EVENTS:
+            yield RecordedStep(step, (record,))
+            continue
+        if step <= latest - window:
+            raise DamagedBagError(f"{name}: {_place(record)} stands behind step {latest}, out of order")
+        slot = waiting.setdefault(step, {})
+        if (place, record.agent_id) in slot and realtime and topic is DESIRED_ABSTRACT_STATE:
+            continue
+        if (place, record.agent_id) in slot:
+            raise DamagedBagError(f"{name}: {_place(record)} is there twice")
+        slot[place, record.agent_id] = record
+        if step > latest:
+            latest = step
+            for ready in sorted(number for number in waiting if number <= latest - window):
+                yield RecordedStep(ready, _sorted(waiting.pop(ready)))
+    for number in sorted(waiting):
+        yield RecordedStep(number, _sorted(waiting[number]))
+
+
+def _sorted(slot: dict[tuple[int, int], Record]) -> tuple[Record, ...]:
+    return tuple(slot[place] for place in sorted(slot))
+
+
+def _place(record: Record) -> str:
+    agent = f" of agent {record.agent_id}" if record.agent_id else ""
+    return f"/{record.topic.name}{agent} at step {record.message.step}"
+
+
+def side_by_side(
+    a: Iterable[RecordedStep], b: Iterable[RecordedStep]
+) -> Iterator[tuple[RecordedStep | None, RecordedStep | None]]:
+    """Yield two runs step by step, None for a step that one of them lacks; their steps are in ascending order."""
+    left, right = iter(a), iter(b)
+    x, y = next(left, None), next(right, None)
+    while x is not None or y is not None:
+        step = min(found.step for found in (x, y) if found is not None)
+        ours, theirs = (found if found is not None and found.step == step else None for found in (x, y))
+        yield ours, theirs
+        x = x if ours is None else next(left, None)
+        y = y if theirs is None else next(right, None)
+
+
+@dataclass
 class FieldDeviation:
     """How far a field of a topic deviates between two runs, over the messages that both have.
 
@@ -44,37 +119,116 @@ class FieldDeviation:
     """
 
     field: str
-    differing: int
-    largest: float | None
-    step: int | None
-    agent: int | None
-    rms: float | None
-    undefined: int
+    differing: int = 0
+    largest: float | None = None
+    step: int | None = None
+    agent: int | None = None
+    rms: float | None = None
+    undefined: int = 0
+
+    def __post_init__(self) -> None:
+        """Begin to sum up."""
+        self._squares = 0.0
+
+    def add(self, deviation: float | None, step: int, agent: int) -> None:
+        """Take the deviation of a message, None if the field has none."""
+        self.differing += 1
+        if deviation is None:
+            return
+        if not math.isfinite(deviation):
+            self.undefined += 1
+            return
+        self._squares += deviation * deviation
+        if self.largest is None or deviation > self.largest:
+            self.largest, self.step, self.agent = deviation, step, agent
+
+    def finish(self, compared: int) -> None:
+        """Sum up over so many messages."""
+        if self.largest is not None and math.isfinite(self._squares):
+            self.rms = math.sqrt(self._squares / (compared - self.undefined))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass
 class TopicComparison:
     """A topic of two runs: number of messages in both, of those that differ, of those in one alone; by field."""
 
     topic: str
-    compared: int
-    differing: int
-    missing_in_a: int
-    missing_in_b: int
-    fields: tuple[FieldDeviation, ...]
+    compared: int = 0
+    differing: int = 0
+    missing_in_a: int = 0
+    missing_in_b: int = 0
+    fields: tuple[FieldDeviation, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Begin to gather fields."""
+        self._fields: dict[str, FieldDeviation] = {}
+
+    def field(self, name: str) -> FieldDeviation:
+        """Return what is known of a field."""
+        return self._fields.setdefault(name, FieldDeviation(name))
+
+    def finish(self, order: Iterable[str]) -> None:
+        """Sum up the fields, in this order."""
+        self.fields = tuple(self._fields[name] for name in order if name in self._fields)
+        for field in self.fields:
+            field.finish(self.compared)
 
 
-@dataclass(frozen=True, slots=True)
 class MessageComparison:
-    """What `compare_steps` finds: the first difference in order of step, topic, robot, field; and all topics."""
+    """What `compare_steps` finds.
 
-    first: Difference | None
-    topics: tuple[TopicComparison, ...]
+    Attributes
+    ----------
+    first : Difference or None
+        The first difference in order of step, topic, robot, field.
+    topics : tuple of TopicComparison
+        All topics.
+    """
+
+    def __init__(self) -> None:
+        self.first: Difference | None = None
+        self.topics: tuple[TopicComparison, ...] = ()
+        self._place: tuple[int, int, int] | None = None
+        self._topics: dict[Topic, TopicComparison] = {}
 
     @property
     def equal(self) -> bool:
         """Whether both runs have the same messages, bit for bit."""
         return self.first is None
+
+    def take(self, one: Record | None, other: Record | None) -> None:
+        """Compare the messages of A and B that stand in one place, None for one that is missing."""
+        there = one or other
+        if there is None:
+            return
+        topic = self._topics.setdefault(there.topic, TopicComparison(there.topic.name))
+        if one is None or other is None:
+            topic.missing_in_a += one is None
+            topic.missing_in_b += other is None
+            sides = (None, MESSAGE) if one is None else (MESSAGE, None)
+            self._note(there, Difference.of(there.message, MESSAGE, *sides))
+            return
+        topic.compared += 1
+        if one.payload == other.payload:
+            return
+        topic.differing += 1
+        for name, x, y in differing_fields(one.message, other.message):
+            if name not in _KEYS:
+                deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
+                topic.field(name).add(deviation, one.message.step, one.agent_id)
+                self._note(one, Difference.of(one.message, name, x, y))
+
+    def _note(self, record: Record, difference: Difference) -> None:
+        place = (record.message.step, ORDER[record.topic], record.agent_id)
+        if self._place is None or place < self._place:
+            self._place, self.first = place, difference
+
+    def finish(self) -> MessageComparison:
+        """Sum up, and return it."""
+        for topic, found in self._topics.items():
+            found.finish(topic.message._fields)
+        self.topics = tuple(self._topics[topic] for topic in ORDER if topic in self._topics)
+        return self
 
 
 def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> MessageComparison:
@@ -89,22 +243,14 @@ def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> Messa
         The runs, as `recorded_steps` yields them: steps of main topics in ascending order, each step once; events
         in steps of their own, in any order.
     """
-    found = _Found()
+    found = MessageComparison()
     events = _Events(found)
-    left, right = _main_steps(a, events, "A"), _main_steps(b, events, "B")
-    x, y = next(left, None), next(right, None)
-    while x is not None or y is not None:
-        if x is not None and (y is None or x.step < y.step):
-            _alone(x, "B", found)
-            x = next(left, None)
-        elif y is not None and (x is None or y.step < x.step):
-            _alone(y, "A", found)
-            y = next(right, None)
-        elif x is not None and y is not None:
-            _together(x, y, found)
-            x, y = next(left, None), next(right, None)
+    for x, y in side_by_side(_main_steps(a, events, "A"), _main_steps(b, events, "B")):
+        ours, theirs = ({(ORDER[r.topic], r.agent_id): r for r in step.records} if step else {} for step in (x, y))
+        for place in sorted(ours.keys() | theirs.keys()):
+            found.take(ours.get(place), theirs.get(place))
     events.finish()
-    return found.result()
+    return found.finish()
 
 
 def _main_steps(steps: Iterable[RecordedStep], events: _Events, side: Side) -> Iterator[RecordedStep]:
@@ -116,131 +262,10 @@ def _main_steps(steps: Iterable[RecordedStep], events: _Events, side: Side) -> I
             yield step
 
 
-def _alone(step: RecordedStep, missing: Side, found: _Found) -> None:
-    for record in step.records:
-        found.missing(record, missing)
-
-
-def _together(x: RecordedStep, y: RecordedStep, found: _Found) -> None:
-    ours = {(ORDER[record.topic], record.agent_id): record for record in x.records}
-    theirs = {(ORDER[record.topic], record.agent_id): record for record in y.records}
-    for place in sorted(ours.keys() | theirs.keys()):
-        one, other = ours.get(place), theirs.get(place)
-        if one is None or other is None:
-            record = one or other
-            if record is not None:
-                found.missing(record, "A" if one is None else "B")
-        else:
-            found.pair(one, other)
-
-
-class _Field:
-    """What has been found of a field so far."""
-
-    __slots__ = ("agent", "differing", "largest", "squares", "step", "undefined")
-
-    def __init__(self) -> None:
-        self.differing = 0
-        self.undefined = 0
-        self.largest: float | None = None
-        self.step: int | None = None
-        self.agent: int | None = None
-        self.squares = 0.0
-
-    def add(self, deviation: float | None, step: int, agent: int) -> None:
-        self.differing += 1
-        if deviation is None:
-            return
-        if not math.isfinite(deviation):
-            self.undefined += 1
-            return
-        self.squares += deviation * deviation
-        if self.largest is None or deviation > self.largest:
-            self.largest, self.step, self.agent = deviation, step, agent
-
-    def result(self, name: str, compared: int) -> FieldDeviation:
-        counted = compared - self.undefined
-        rms = math.sqrt(self.squares / counted) if self.largest is not None else None
-        return FieldDeviation(
-            name,
-            self.differing,
-            self.largest,
-            self.step,
-            self.agent,
-            rms if rms is not None and math.isfinite(rms) else None,
-            self.undefined,
-        )
-
-
-class _Topic:
-    """What has been found of a topic so far."""
-
-    __slots__ = ("compared", "differing", "fields", "missing")
-
-    def __init__(self) -> None:
-        self.compared = 0
-        self.differing = 0
-        self.missing: dict[Side, int] = {"A": 0, "B": 0}
-        self.fields: dict[str, _Field] = {}
-
-    def result(self, topic: Topic) -> TopicComparison:
-        names = [name for name in topic.message._fields if name in self.fields]
-        return TopicComparison(
-            topic.name,
-            self.compared,
-            self.differing,
-            self.missing["A"],
-            self.missing["B"],
-            tuple(self.fields[name].result(name, self.compared) for name in names),
-        )
-
-
-class _Found:
-    """Gathers what is found."""
-
-    def __init__(self) -> None:
-        self._topics: dict[Topic, _Topic] = {}
-        self._first: tuple[tuple[int, int, int], Difference] | None = None
-
-    def missing(self, record: Record, side: Side) -> None:
-        self._of(record.topic).missing[side] += 1
-        there, missing = (MESSAGE, None) if side == "B" else (None, MESSAGE)
-        self._note(record, Difference.of(record.message, MESSAGE, there, missing))
-
-    def pair(self, one: Record, other: Record) -> None:
-        topic = self._of(one.topic)
-        topic.compared += 1
-        if one.payload == other.payload:
-            return
-        topic.differing += 1
-        step, agent = one.message.step, one.agent_id
-        for name, x, y in differing_fields(one.message, other.message):
-            if name in _KEYS:
-                continue
-            deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
-            field = topic.fields.setdefault(name, _Field())
-            field.add(deviation, step, agent)
-            self._note(one, Difference.of(one.message, name, x, y))
-
-    def result(self) -> MessageComparison:
-        return MessageComparison(
-            self._first[1] if self._first is not None else None,
-            tuple(self._topics[topic].result(topic) for topic in ORDER if topic in self._topics),
-        )
-
-    def _of(self, topic: Topic) -> _Topic:
-        return self._topics.setdefault(topic, _Topic())
-
-    def _note(self, record: Record, difference: Difference) -> None:
-        place = (record.message.step, ORDER[record.topic], record.agent_id)
-        if self._first is None or place < self._first[0]:
-            self._first = (place, difference)
-
-
 class _Events:
     """Brings the events of two runs together, wherever in their bags they stand."""
 
-    def __init__(self, found: _Found) -> None:
+    def __init__(self, found: MessageComparison) -> None:
         self._found = found
         self._waiting: dict[Side, dict[bytes, list[Record]]] = {"A": {}, "B": {}}
         self._count = 0
@@ -249,7 +274,7 @@ class _Events:
         others = self._waiting["B" if side == "A" else "A"]
         like = others.get(record.payload)
         if like is not None:
-            self._found.pair(record, like.pop())
+            self._found.take(record, like.pop())
             self._count -= 1
             if not like:
                 del others[record.payload]
@@ -261,21 +286,15 @@ class _Events:
 
     def finish(self) -> None:
         """Pair what is left by step, robot and kind; what then remains is missing in the other run."""
-        left, right = (_byplace_of(self._waiting[side]) for side in ("A", "B"))
+        left, right = (_by_place(self._waiting[side]) for side in ("A", "B"))
         for place in sorted(left.keys() | right.keys()):
-            ours, theirs = left.get(place, []), right.get(place, [])
-            both = min(len(ours), len(theirs))
-            for one, other in zip(ours[:both], theirs[:both], strict=True):
-                self._found.pair(one, other)
-            for record in ours[both:]:
-                self._found.missing(record, "B")
-            for record in theirs[both:]:
-                self._found.missing(record, "A")
+            for one, other in zip_longest(left.get(place, []), right.get(place, [])):
+                self._found.take(one, other)
         self._waiting = {"A": {}, "B": {}}
         self._count = 0
 
 
-def _byplace_of(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
+def _by_place(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
     found: dict[tuple[int, int, int], list[Record]] = {}
     for payload in sorted(waiting):
         for record in waiting[payload]:

@@ -1,4 +1,4 @@
-"""A comparison of two bags as tables for a terminal."""
+"""How two bags, or a replay and its recording, differ, as tables for a terminal."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
-    from swarmabs_analysis.comparison.bags import BagSummary, Comparison
+    from swarmabs_analysis.comparison.bags import BagSummary, Comparison, SettingDifference
     from swarmabs_analysis.comparison.messages import TopicComparison
-    from swarmabs_analysis.comparison.settings import SettingDifference
 
 _MOST_ROWS = 40
 _FIGURES = {
@@ -118,10 +117,10 @@ def _fields(topics: Sequence[TopicComparison]) -> FittingTable | str:
     columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "agent", "rms": "rms"}
     if any(row["undefined"] for row in rows):
         columns["undefined"] = "not finite"
-    return deviations_table(rows, columns) if rows else ""
+    return _deviations(rows, columns) if rows else ""
 
 
-def deviations_table(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> FittingTable:
+def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> FittingTable:
     """Return how far fields deviate, below the name of their topic each.
 
     Parameters
@@ -180,3 +179,29 @@ def _value(value: Any, missing: bool) -> str:  # noqa: FBT001 - private, called 
 def _shown(text: str) -> str:
     """Return text from a file such that it cannot steer the terminal."""
     return escape(printable(shorten(text, 200)))
+
+
+def replay_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
+    """Return the result of a replay: that it is the same, or what differs first and how far each field deviates."""
+    compared = f"{', '.join(result['nodes'])}: {result['compared']} messages compared with the recording"
+    if result["same"]:
+        return (Text(f"{compared}; same digest"),)
+    first = result["first_difference"]
+    if first is None:
+        return (Text(f"{compared}; none differs"),)
+    robot = f" of robot {first['agent']}" if first["agent"] else ""
+    text = (
+        f"{compared}; the first that differs: step {first['step']}, {first['topic']}{robot}, {_changed(first)}\n"
+        "open loop: this is what the nodes would have said to what was recorded; nothing else has reacted"
+    )
+    columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "robot"}
+    return Text(text), _deviations(result["deviations"], columns)
+
+
+def _changed(first: Mapping[str, Any]) -> str:
+    """Say how a message differs."""
+    if first["replayed"] is None:
+        return "the message is missing in the replay"
+    if first["recorded"] is None:
+        return "the message is missing in the recording"
+    return f"{first['field']} is {first['replayed']!r}, was {first['recorded']!r}"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from swarmabs_analysis.replay.plan import played
-from swarmabs_analysis.replay.player import Player
-from swarmabs_analysis.replay.source import recorded_steps
+from swarmabs_analysis.replay.player import Player, played
+from swarmabs_analysis.replay.source import complete_steps
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
 from swarmabs_config.graph import Endpoints, requested
@@ -43,7 +42,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     scenario = attached_scenario(bag).resolved()
     ends = [Change.parse(text) for text in settings.texts("ends")]
     nodes = [NodeName.parse(text) for text in settings.texts("nodes")]
-    steps = recorded_steps(bag, scenario, ends)
+    steps = complete_steps(bag, scenario, ends)
     player = Player(steps, nodes, last_step=last, window=settings.integer("window"))
     depth = max(100, 4 * len(scenario.agents))
     subscriptions = {topic: requested(topic, depth=depth if topic is AGENT_STATE else 10) for topic in player.hears}

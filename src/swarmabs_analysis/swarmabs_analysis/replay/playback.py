@@ -5,29 +5,33 @@ from __future__ import annotations
 import importlib
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.qos import QoSLivelinessPolicy
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSLivelinessPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from swarmabs_analysis.replay.qos import recorded_profiles
 from swarmabs_bag.errors import UnknownTypeError
+from swarmabs_bag.metadata import load_yaml
 from swarmabs_bag.schemas import message_schema
 from swarmabs_config.scenario.errors import printable, shorten, show
 from swarmabs_core.errors import InputError
 from swarmabs_ros.start import SwarmNode, initialise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from rclpy.node import Node
     from rclpy.publisher import Publisher
-    from rclpy.qos import QoSProfile
 
-    from swarmabs_analysis.replay.pace import Pace
     from swarmabs_bag.channels import BagChannel
     from swarmabs_bag.reader import BagReader
 
@@ -40,6 +44,68 @@ USUAL_QOS = 10
 NAME = "replay"
 _LONGEST_NAME = 100
 _MOST_NAMED = 5
+_POLICIES = {
+    "history": QoSHistoryPolicy,
+    "reliability": QoSReliabilityPolicy,
+    "durability": QoSDurabilityPolicy,
+    "liveliness": QoSLivelinessPolicy,
+}
+_DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+_OFFERABLE = ("system_default", "keep_last", "keep_all", "reliable", "best_effort", "transient_local", "volatile")
+_OFFERABLE_LIVELINESS = ("automatic", "manual_by_topic")
+_INFINITE = 2**63 - 1
+_USUAL_DEPTH = 10
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Which part of a bag is played, how fast, and how often.
+
+    Parameters
+    ----------
+    rate : float
+        Recorded time per time of the clock.
+    start : float
+        Where in the bag to begin, s after its first message.
+    duration : float, optional
+        How much of it to play, s of recorded time; by default all.
+    loop : bool
+        Whether to begin again at the end, for ever.
+    """
+
+    rate: float = 1.0
+    start: float = 0.0
+    duration: float | None = None
+    loop: bool = False
+
+    def schedule(self, first: int, read: Callable[[], Iterable[tuple[int, T]]]) -> Iterator[tuple[float, T]]:
+        """Yield what is played with the time at which it is due, s after the begin of the playback.
+
+        All times come from the recording and the begin, none from when something was published: there is no drift.
+
+        Parameters
+        ----------
+        first : int
+            Log time of the bag's first message, ns.
+        read : callable
+            Returns the messages of the bag with their log times, ns, in order.
+        """
+        begin = first + round(self.start * 1e9)
+        end = None if self.duration is None else begin + round(self.duration * 1e9)
+        offset = 0.0
+        while True:
+            due, found = offset, False
+            for log_time, item in read():
+                if log_time < begin or (end is not None and log_time > end):
+                    continue
+                found = True
+                due = max(due, offset + (log_time - begin) / 1e9 / self.rate)
+                yield due, item
+            if not self.loop or not found:
+                return
+            offset = due
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,3 +283,61 @@ def _publish(
         publisher.publish(payload)
         count += 1
     return count
+
+
+def recorded_profiles(text: str) -> list[QoSProfile]:
+    """Return the profiles of a channel's ``offered_qos_profiles``, each different one once.
+
+    Policies that no publisher can offer, or that are not understood, are left as ROS 2 has them by default.
+
+    Parameters
+    ----------
+    text : str
+        YAML as rosbag2 writes it: policies by name, or, in bags of older versions, by number.
+    """
+    found = load_yaml(text)
+    listed = found if isinstance(found, list) else []
+    profiles: list[QoSProfile] = []
+    for entry in listed:
+        if isinstance(entry, dict):
+            made = _profile(entry)
+            if made not in profiles:
+                profiles.append(made)
+    return profiles
+
+
+def _profile(entry: Mapping[str, Any]) -> QoSProfile:
+    depth = entry.get("depth")
+    arguments: dict[str, Any] = {
+        "history": QoSHistoryPolicy.KEEP_LAST,
+        "depth": depth if isinstance(depth, int) and 0 < depth < 2**31 else _USUAL_DEPTH,
+    }
+    for name, policies in _POLICIES.items():
+        policy = _policy(policies, entry.get(name))
+        if policy is not None:
+            arguments[name] = policy
+    for name in _DURATIONS:
+        duration = _duration(entry.get(name))
+        if duration is not None:
+            arguments[name] = duration
+    return QoSProfile(**arguments)
+
+
+def _policy(policies: Any, value: object) -> Any:
+    """Return the policy of a name or number, None if no publisher can offer it."""
+    offerable = _OFFERABLE_LIVELINESS if policies is QoSLivelinessPolicy else _OFFERABLE
+    for policy in policies:
+        if policy.short_key in offerable and value in (policy.short_key, int(policy)) and not isinstance(value, bool):
+            return policy
+    return None
+
+
+def _duration(value: object) -> Duration | None:
+    """Return a finite duration, None for one that is not there, infinite or not understood."""
+    if not isinstance(value, dict):
+        return None
+    seconds, nanoseconds = value.get("sec"), value.get("nsec")
+    if not isinstance(seconds, int) or not isinstance(nanoseconds, int):
+        return None
+    total = seconds * 10**9 + nanoseconds
+    return Duration(nanoseconds=total) if 0 < total < _INFINITE else None

@@ -39,6 +39,17 @@ _GATHERED_BY = (PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
 """Topics on which there is an answer only when the states of all robots of its step are there."""
 
 
+def answered(live: Collection[NodeName]) -> tuple[Topic, ...]:
+    """Return the topics on which nodes under test answer."""
+    robots = any(name.kind is NodeKind.AGENT for name in live)
+    return tuple(topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or PUBLISHER.get(topic) in live)
+
+
+def played(live: Collection[NodeName]) -> tuple[Topic, ...]:
+    """Return the topics that the player publishes: all others, and those of robots and events, which it shares."""
+    return (EVENTS, *(topic for topic in MAIN_TOPICS if topic is AGENT_STATE or topic not in answered(live)))
+
+
 class _Key(NamedTuple):
     """Which message is awaited."""
 
@@ -104,12 +115,7 @@ class Player:
         self._awaited: frozenset[_Key] = frozenset()
         self._heard: dict[tuple[Topic, int], int] = {}
         self._newest: dict[Topic, _Heard] = {}
-        robots = any(name.kind is NodeKind.AGENT for name in live)
-        self.hears = tuple(
-            topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or PUBLISHER.get(topic) in self._live
-        )
-        if window:
-            self.hears = (*self.hears, RECORDING_PROGRESS)
+        self.hears = (*answered(live), RECORDING_PROGRESS) if window else answered(live)
 
     def start(self) -> Messages:
         """Publish what comes before the first answer."""

@@ -1,34 +1,41 @@
-"""A replay from a bag to a new one, over DDS or in this process."""
+"""A replay from a bag to a new one: the nodes under test as processes over DDS, or in this process without ROS."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import json
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.comparison import compare_steps
-from swarmabs_analysis.replay.in_process import Replay
-from swarmabs_analysis.replay.plan import replay_plan
-from swarmabs_analysis.replay.source import recorded_steps
+from swarmabs_analysis.comparison.messages import compare_steps
+from swarmabs_analysis.replay.player import Player, answered, played
+from swarmabs_analysis.replay.source import complete_steps
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
-from swarmabs_core.messages import EVENTS
-from swarmabs_core.publishers import publisher_of
+from swarmabs_config import configure
+from swarmabs_config.graph import CONTROLLER, FIRST_SPARE, OBSERVER, PLANE, RECORDER, agent_name
+from swarmabs_core.behaviours import LifeSpan, Observer
+from swarmabs_core.membership import SILENT, ChangeKind
+from swarmabs_core.messages import EVENTS, RECORDING_PROGRESS
+from swarmabs_core.publishers import NodeKind, NodeName, publisher_of
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.orchestration.plan import ProcessPlan, expect_counterparts
 from swarmabs_run.run import RunOptions
 from swarmabs_run.simulated_run import record_steps
+from swarmabs_run.simulation import NodeInProcess, Simulation, nodes_in_process, robot_in_process
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
-    from swarmabs_analysis.difference import Difference
     from swarmabs_analysis.replay.source import Source
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.membership import Change
-    from swarmabs_core.publishers import NodeName
-    from swarmabs_run.orchestration.plan import ProcessPlan
+    from swarmabs_core.messages import Messages
     from swarmabs_run.run import Outcome, Progress
+
+PLAYER = "replay_player"
+_PROCESSES = {NodeKind.PLANE: PLANE, NodeKind.OBSERVER: OBSERVER, NodeKind.CONTROLLER: CONTROLLER}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +72,7 @@ class ReplayRun:
         }
 
     def in_process(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
-        """Replay in this process, as fast as possible.
-
-        Parameters
-        ----------
-        folder : RunFolder
-            An empty folder for the results.
-        on_progress : callable, optional
-            Told how it goes, some ten times a second.
-        """
+        """Replay in this process, as fast as possible, into an empty folder."""
         folder.fill(self.scenario)
         recording = Recording(
             self.scenario,
@@ -82,37 +81,60 @@ class ReplayRun:
             namespace=self.source.namespace,
             replay=self.provenance(),
         )
-        replay = Replay(self.scenario, self.nodes, self.source.steps(), self._ends)
-        return record_steps(replay.steps(), self.scenario, recording, on_progress=on_progress)
+        steps = replayed_steps(self.scenario, self.nodes, self.source.steps(), self._ends)
+        return record_steps(steps, self.scenario, recording, on_progress=on_progress)
 
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
         """Replay over DDS, the nodes under test as processes of their own; parameters as of `in_process`."""
-
-        def arrange(processes: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
-            return replay_plan(processes, self.scenario, self.source, self.nodes, self.provenance())
-
         options = RunOptions(on_progress=on_progress, namespace=self.source.namespace)
-        return LockstepRun(self.scenario, folder, options, arrange).run()
+        return LockstepRun(self.scenario, folder, options, self.plan).run()
+
+    def plan(self, processes: Sequence[ProcessPlan]) -> tuple[ProcessPlan, ...]:
+        """Return the nodes under test, the recorder, and the player for all others, from those of a run."""
+        by_name = {process.name: process for process in processes}
+        recorder = by_name[RECORDER]
+        shared = ("period_ns", "last_step", "stall_timeout", "repeat_after", "repeat_steps")
+        player = ProcessPlan(
+            PLAYER,
+            "swarmabs_analysis.replay.node",
+            FIRST_SPARE,
+            {name: recorder.parameters[name] for name in shared}
+            | {
+                "bag": str(self.source.bag.path.resolve()),
+                "nodes": tuple(map(str, self.nodes)),
+                "window": configure.recording_window(self.scenario),
+                "ends": tuple(map(str, self.source.ends)),
+            },
+            played(self.nodes),
+            (*answered(self.nodes), RECORDING_PROGRESS),
+        )
+        told = {"replay": json.dumps(self.provenance()), "ends": tuple(map(str, self._ends))}
+        tested = [
+            by_name[agent_name(node.agent_id) if node.kind is NodeKind.AGENT else _PROCESSES[node.kind]]
+            for node in self.nodes
+        ]
+        for process in tested:
+            for change in self.source.ends:
+                if change.agent_id in process.agents:  # it falls silent by itself: nothing stops it this time
+                    process.parameters.update(end=change.kind.value, end_step=change.step)
+        planned = (player, *tested, replace(recorder, parameters=recorder.parameters | told))
+        expect_counterparts(planned)
+        return planned
 
     def result(self, folder: RunFolder, digest: str | None) -> dict[str, Any]:
-        """Return how the replay differs from the recording.
-
-        Parameters
-        ----------
-        folder : RunFolder
-            Its results.
-        digest : str, optional
-            Its digest, if it has one.
-        """
+        """Return how the replay in a folder, whose digest is known if it has one, differs from the recording."""
         recorded = Digest()
-        replayed = recorded_steps(open_bag(folder.path), self.scenario, self._ends)
+        replayed = complete_steps(open_bag(folder.path), self.scenario, self._ends)
         found = compare_steps(self._answers(self._recorded(recorded)), self._answers(replayed))
-        first = found.first
+        first = None
+        if found.first is not None:
+            first = found.first.to_dict("recorded", "replayed") | {"agent": found.first.agent or 0}
+            del first["reason"]  # a replay has none
         return {
             **self.provenance(),
             "same": digest == recorded.hexdigest(),
             "compared": sum(topic.compared for topic in found.topics),
-            "first_difference": None if first is None else _told(first),
+            "first_difference": first,
             "deviations": [{"topic": topic.topic, **asdict(field)} for topic in found.topics for field in topic.fields],
         }
 
@@ -136,8 +158,45 @@ class ReplayRun:
             yield step
 
 
-def _told(first: Difference) -> dict[str, Any]:
-    """Return the first difference as data; a replay has no reasons."""
-    found = first.to_dict("recorded", "replayed")
-    del found["reason"]
-    return {**found, "agent": first.agent or 0}
+def replayed_steps(
+    scenario: Scenario, live: Collection[NodeName], recorded: Iterator[RecordedStep], ends: Collection[Change] = ()
+) -> Iterator[RecordedStep]:
+    """Connect a player and the nodes under test by a queue, and yield every step as a bag would hold it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With which settings the nodes under test are made.
+    live : collection of NodeName
+        The nodes under test; they hear each other.
+    recorded : iterator of RecordedStep
+        The recorded run, in order, at least up to the scenario's last step.
+    ends : collection of Change
+        Ends of robots in the recording that its scenario had not planned.
+
+    Raises
+    ------
+    RunError
+        If a node under test fails, or does not answer.
+    """
+    silent = {change.agent_id: change.step + 1 for change in ends}
+    player = Player(recorded, live, last_step=scenario.steps)
+    nodes = nodes_in_process(scenario)
+    for config in configure.agent_configs(scenario):
+        if config.agent_id in silent:
+            life = LifeSpan(config.life.first_step, ChangeKind.KILL, silent[config.agent_id] - 1)
+            nodes[NodeName(NodeKind.AGENT, config.agent_id)] = robot_in_process(replace(config, life=life))
+    tested = [nodes[name] for name in sorted(live)]
+    observer = next((node.behaviour for node in tested if isinstance(node.behaviour, Observer)), None)
+
+    def drop_silent() -> Messages:
+        """Let the observer drop the robots that it dropped when the run was recorded."""
+        if observer is None:
+            return ()
+        step, _ = observer.missing()
+        agents = observer.missing_agents()
+        again = bool(agents) and all(silent.get(agent_id) == step for agent_id in agents)
+        return observer.drop(agents, SILENT) if again else ()
+
+    simulation = Simulation(scenario, (NodeInProcess(player, player.hears), *tested), ends)
+    return simulation.steps(drop_silent, "replay")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.replay.in_process import silent_since
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.metadata import dump_yaml
 from swarmabs_bag.reader import BagReader, open_bag
@@ -13,8 +12,8 @@ from swarmabs_bag.recording import Digest, RecordedStep, RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Change, ChangeKind, with_ends
-from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS
+from swarmabs_core.membership import SILENT, Change, ChangeKind, with_ends
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, SwarmEvent
 from swarmabs_core.publishers import NodeKind
 
 if TYPE_CHECKING:
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_config.scenario import Scenario
+    from swarmabs_core.messages import Message
     from swarmabs_core.publishers import NodeName
 
 _WINDOW = 1000
@@ -62,7 +62,7 @@ class Source:
 
     def steps(self) -> Iterator[RecordedStep]:
         """Yield the complete steps, in order; an event that was recorded late comes late again."""
-        return recorded_steps(self.bag, self.recorded, self.ends)
+        return complete_steps(self.bag, self.recorded, self.ends)
 
     def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> Scenario:
         """Return the scenario of a replay: the recorded one with changes, as far as there are complete steps.
@@ -127,16 +127,16 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
     ends: list[Change] = []
     robots: set[int] = set()
     digest, last = Digest(), -1
-    for step in recorded_steps(bag, scenario):
+    for step in complete_steps(bag, scenario):
         if step.step > last:
             last = step.step
             digest.update(step)
         for record in step.records:
-            silent = silent_since(record.message)
-            if silent is not None:
-                if silent[0] not in members:
-                    raise InputError(f"{bag.path}: robot {silent[0]} fell silent, which its scenario does not have")
-                ends.append(Change(silent[1] - 1, silent[0], ChangeKind.KILL))
+            end = unplanned_end(record.message)
+            if end is not None:
+                if end.agent_id not in members:
+                    raise InputError(f"{bag.path}: robot {end.agent_id} fell silent, which its scenario does not have")
+                ends.append(end)
             elif record.topic is AGENT_STATE:
                 robots.add(record.agent_id)
     if last < 1:
@@ -144,7 +144,14 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
     return Source(bag, scenario, digest.hexdigest(), last, tuple(ends), frozenset(robots))
 
 
-def recorded_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
+def unplanned_end(message: Message) -> Change | None:
+    """Return how a robot ended, if the message says that it was dropped since it fell silent."""
+    if isinstance(message, SwarmEvent) and message.kind == EventKind.DEAD and message.detail == SILENT:
+        return Change(message.step - 1, message.agent_id, ChangeKind.KILL)
+    return None
+
+
+def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
     """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `_WINDOW` steps.
 
     Parameters

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_analysis.comparison import compare_bags
+from swarmabs_analysis.comparison.bags import compare_bags
 from swarmabs_analysis.comparison.table import render
 from swarmabs_cli.options import json_option
 from swarmabs_cli.output import print_json, print_tables

@@ -9,11 +9,10 @@ from typing import Any
 import click
 from rich.console import Console
 
-from swarmabs_analysis.replay.pace import Pace
-from swarmabs_analysis.replay.playback import choose_topics, play, shown
+from swarmabs_analysis.comparison.table import replay_parts
+from swarmabs_analysis.replay.playback import Pace, choose_topics, play, shown
 from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
-from swarmabs_analysis.replay.table import result_parts
 from swarmabs_bag.reader import open_bag
 from swarmabs_cli.elapsed import since_start, times
 from swarmabs_cli.interrupts import no_more_interrupts
@@ -109,7 +108,7 @@ def _replay(
     else:
         Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
         if result is not None:
-            print_tables(*result_parts(result))
+            print_tables(*replay_parts(result))
     if outcome.reason is not None:
         click.echo(f"error: {outcome.reason}", err=True)
     failed = outcome.status != "ok" or (expect_same and result is not None and not result["same"])
