@@ -79,7 +79,7 @@ def test_a_topic_drive_gets_the_robot_s_constants() -> None:
     with started_node(name="agent_007") as node:
         drive = drive_of(config, Node(node))  # type: ignore[arg-type]
         assert isinstance(drive, TopicDrive)
-        assert (drive._mass, drive._gravity, drive._force) == (0.7, 1.62, 0.1)
+        assert (drive._body.mass, drive._body.gravity, drive._body.limits.force) == (0.7, 1.62, 0.1)
         assert drive.read(time.time_ns()) is None
         subscribed = {subscription.topic_name for subscription in node.subscriptions}
         assert subscribed == {"/agent_007/odom", "/agent_007/imu"}  # nothing of the swarm

@@ -7,7 +7,7 @@ from math import exp, inf, nan
 import pytest
 from tests.swarmabs_ros.bodies import EPOCH, SECOND
 
-from swarmabs_ros.readings import SETTLING, Plausible, RefusedReadingError, RefusedReadings, Sample, Track
+from swarmabs_ros.readings import SETTLING, RefusedReadingError, RefusedReadings, Sample, Track
 
 MS = 1_000_000
 BANDWIDTH = 50.0
@@ -15,7 +15,7 @@ BANDWIDTH = 50.0
 
 @pytest.fixture
 def track() -> Track:
-    return Track(Plausible(rate=2.0, jump=0.01, clock_tolerance_ns=20 * MS), BANDWIDTH)
+    return Track(2.0, 0.01, 0.02, BANDWIDTH)
 
 
 def refusal(track: Track, stamp: int, value: float, rate: float | None = 0.0, now: int | None = None) -> str:

@@ -7,7 +7,6 @@ against it (facing -1); commands are given along it. Its nose rises by facing ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import copysign, cos, sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +22,6 @@ from swarmabs_ros.readings import (
     Imu,
     Joints,
     Odometry,
-    Plausible,
     Reading,
     RefusedReadingError,
     RefusedReadings,
@@ -113,19 +111,6 @@ class TopicLink:
         return joint
 
 
-@dataclass(frozen=True, slots=True)
-class _Lane:
-    """Where the lane is in what the sensor says."""
-
-    frame: str
-    axis: int
-    sign: float
-    offset: float
-    least_cosine: float
-    joint: str
-    scale: float
-
-
 class TopicDrive:
     """Measures by topics, drives by a topic.
 
@@ -140,31 +125,20 @@ class TopicDrive:
     """
 
     def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[Wiring], TopicLink]) -> None:
-        single = body.kind is Kind.SINGLE_INTEGRATOR
-        wiring = _wiring(settings, single_integrator=single)
-        axis, sign = signed_axis(settings.axis)
-        self._lane = _Lane(
-            settings.frame,
-            axis,
-            sign,
-            settings.offset,
-            cos(settings.heading_tolerance),
-            wiring.joint,
-            settings.joint.scale,
-        )
-        tolerance = round(settings.clock_tolerance * 1e9)
-        bandwidth = settings.bandwidth
-        self._track = Track(Plausible(settings.max_speed, settings.max_jump, tolerance), bandwidth)
+        self._settings, self._body = settings, body
+        self._single = body.kind is Kind.SINGLE_INTEGRATOR
+        wiring = _wiring(settings, single_integrator=self._single)
+        self._axis, self._sign = signed_axis(settings.axis)
+        self._least_cosine = cos(settings.heading_tolerance)
+        tolerance, bandwidth, imu = settings.clock_tolerance, settings.bandwidth, settings.imu
+        self._track = Track(settings.max_speed, settings.max_jump, tolerance, bandwidth)
         self._to_joint = wiring.command == "joint"
-        self._single = single
         self._facing = -1.0 if settings.reversed else 1.0
         self._faced: int | None = None
         self._weighs = bool(wiring.imu_topic)
-        self._tilt = Track(Plausible(settings.imu.max_rate, settings.imu.max_jump, tolerance), bandwidth)
-        self._imu_frame, self._imu_offset = settings.imu.frame, settings.imu.offset
-        self._imu_axis, self._imu_sign = signed_axis(settings.imu.axis)
+        self._tilt = Track(imu.max_rate, imu.max_jump, tolerance, bandwidth)
+        self._imu_axis, self._imu_sign = signed_axis(imu.axis)
         self._age_limit = round(settings.age_limit * 1e9)
-        self._mass, self._gravity, self._force = body.mass, body.gravity, body.limits.force
         self.refused = RefusedReadings()
         self._link = connect(wiring)
 
@@ -198,7 +172,8 @@ class TopicDrive:
         if not self._single and not self._knows(now):
             return
         if self._weighs:
-            command = min(max(command + self._weight(), -self._force), self._force)
+            most = self._body.limits.force
+            command = min(max(command + self._weight(), -most), most)
         self._send(command)
 
     def stop(self) -> None:
@@ -215,7 +190,8 @@ class TopicDrive:
         value = command * self._facing
         if self._to_joint:
             # A joint moves by motion / scale; by virtual work its effort is force * scale.
-            value = value / self._lane.scale if self._single else value * self._lane.scale
+            scale = self._settings.joint.scale
+            value = value / scale if self._single else value * scale
         self._link.send(value)
 
     def _knows(self, now: int) -> bool:
@@ -228,7 +204,7 @@ class TopicDrive:
         if tilted is None or motion is None:
             return 0.0
         angle = self._facing * tilted.value
-        return self._mass * (self._gravity * sin(angle) - motion.value * tilted.rate * tilted.rate)
+        return self._body.mass * (self._body.gravity * sin(angle) - motion.value * tilted.rate * tilted.rate)
 
     def _hear(self, reading: Reading, now: int) -> None:
         if isinstance(reading, Imu):
@@ -239,17 +215,17 @@ class TopicDrive:
             self._hear_joints(reading, now)
 
     def _hear_odometry(self, reading: Odometry, now: int) -> None:
-        lane = self._lane
-        check_frame(reading.frame, lane.frame)
+        axis, sign = self._axis, self._sign
+        check_frame(reading.frame, self._settings.frame)
         check_finite(*reading.position, *reading.velocity)
-        row = rotation_row(normalised(reading.rotation), lane.axis)
-        cosine = lane.sign * row[0]
-        if abs(cosine) < lane.least_cosine:
+        row = rotation_row(normalised(reading.rotation), axis)
+        cosine = sign * row[0]
+        if abs(cosine) < self._least_cosine:
             raise RefusedReadingError("heading", f"the body's x axis and the lane have a cosine of {cosine:.3f}")
         facing = copysign(1.0, cosine)
         self._check_facing(facing, reading.stamp)
-        velocity = lane.sign * sum(a * b for a, b in zip(row, reading.velocity, strict=True))
-        self._track.offer(reading.stamp, lane.offset + lane.sign * reading.position[lane.axis], velocity, now)
+        velocity = sign * sum(a * b for a, b in zip(row, reading.velocity, strict=True))
+        self._track.offer(reading.stamp, self._settings.offset + sign * reading.position[axis], velocity, now)
         self._facing, self._faced = facing, reading.stamp
 
     def _check_facing(self, facing: float, stamp: int) -> None:
@@ -260,16 +236,17 @@ class TopicDrive:
         raise RefusedReadingError("heading", f"turned round {passed:.3f} s after the last good reading")
 
     def _hear_joints(self, reading: Joints, now: int) -> None:
-        lane = self._lane
-        position, velocity = joint_values(reading, lane.joint)
-        scale = self._facing * lane.scale
+        settings = self._settings
+        position, velocity = joint_values(reading, settings.joint.name)
+        scale = self._facing * settings.joint.scale
         rate = None if velocity is None else scale * velocity
-        self._track.offer(reading.stamp, lane.offset + scale * position, rate, now)
+        self._track.offer(reading.stamp, settings.offset + scale * position, rate, now)
 
     def _hear_imu(self, reading: Imu, now: int) -> None:
-        check_frame(reading.frame, self._imu_frame)
+        imu = self._settings.imu
+        check_frame(reading.frame, imu.frame)
         angle, rate = imu_values(reading, self._imu_axis, self._imu_sign)
-        self._tilt.offer(reading.stamp, self._imu_offset + angle, rate, now)
+        self._tilt.offer(reading.stamp, imu.offset + angle, rate, now)
 
 
 def _wiring(settings: TopicSettings, *, single_integrator: bool) -> Wiring:

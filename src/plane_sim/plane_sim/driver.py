@@ -18,7 +18,6 @@ from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.readings import (
     Imu,
     Joints,
-    Plausible,
     Reading,
     RefusedReadingError,
     RefusedReadings,
@@ -61,8 +60,7 @@ class PlaneDriver:
         self._config = config
         self._take = take
         self._axis, self._sign = signed_axis(config.axis)
-        tolerance = round(config.clock_tolerance * 1e9)
-        self._track = Track(Plausible(config.max_rate, config.max_jump, tolerance), config.bandwidth)
+        self._track = Track(config.max_rate, config.max_jump, config.clock_tolerance, config.bandwidth)
         self._age_limit = round(config.age_limit * 1e9)
         self._counter = StepCounter(config.schedule)
         self._silent: bool | None = None

@@ -6,7 +6,6 @@ turns a vector of the body into the frame of the message. Stamps are ns since 19
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import atan2, expm1, hypot, isfinite, pi, remainder
 from typing import NamedTuple, TypeAlias
 
@@ -143,18 +142,6 @@ class Sample(NamedTuple):
     rate: float
 
 
-@dataclass(frozen=True, slots=True)
-class Plausible:
-    """What is believed: the largest rate of change (per s), and by how much two values may differ beyond that.
-
-    By the clock tolerance (ns) a stamp may lie in the future.
-    """
-
-    rate: float
-    jump: float
-    clock_tolerance_ns: int
-
-
 SETTLING = 5.0
 """Time constants after which a differentiated rate is believed: less than 1 % of its first error is left."""
 
@@ -167,16 +154,22 @@ class Track:
 
     Parameters
     ----------
-    plausible : Plausible
-        What is believed.
+    max_rate : float
+        Largest rate of change, per s.
+    max_jump : float
+        By how much two values may differ beyond that, because of noise.
+    clock_tolerance : float
+        How far a stamp may lie in the future, s.
     bandwidth : float
         Where a reading brings no rate, it is differentiated: :math:`\dot r = \omega (\dot x - r)` with this
         :math:`\omega` in rad/s, solved exactly for values that lie on straight lines between readings. It begins with 0
         and is believed when that is forgotten.
     """
 
-    def __init__(self, plausible: Plausible, bandwidth: float) -> None:
-        self._plausible = plausible
+    def __init__(self, max_rate: float, max_jump: float, clock_tolerance: float, bandwidth: float) -> None:
+        self._max_rate = max_rate
+        self._max_jump = max_jump
+        self._tolerance = round(clock_tolerance * 1e9)
         self._bandwidth = bandwidth
         self._last: Sample | None = None
         self._believed_from = 0
@@ -190,9 +183,8 @@ class Track:
 
     def offer(self, stamp: int, value: float, rate: float | None, now: int) -> None:
         """Take over a reading, rate None if the sensor brings none; if it is refused, the newest sample stays."""
-        limits = self._plausible
         check_finite(value, 0.0 if rate is None else rate)
-        latest = now + limits.clock_tolerance_ns
+        latest = now + self._tolerance
         if stamp <= 0:
             raise RefusedReadingError("no stamp", "the message has no time stamp")
         if stamp > latest:
@@ -203,7 +195,7 @@ class Track:
         if last is not None:
             if stamp <= last.stamp:
                 raise RefusedReadingError("order", f"{(last.stamp - stamp) / 1e9:.6f} s older than the last one")
-            if abs(value - last.value) > limits.rate * (stamp - last.stamp) / 1e9 + limits.jump:
+            if abs(value - last.value) > self._max_rate * (stamp - last.stamp) / 1e9 + self._max_jump:
                 self._moved = True
                 raise RefusedReadingError("jump", f"from {last.value:.4g} to {value:.4g}")
         believed_from = 0
@@ -212,8 +204,8 @@ class Track:
                 rate, believed_from = 0.0, stamp + round(SETTLING / self._bandwidth * 1e9)
             else:
                 rate, believed_from = self._differentiate(last, stamp, value), self._believed_from
-        if abs(rate) > limits.rate:
-            raise RefusedReadingError("speed", f"rate {rate:.4g}, at most {limits.rate:.4g} is plausible")
+        if abs(rate) > self._max_rate:
+            raise RefusedReadingError("speed", f"rate {rate:.4g}, at most {self._max_rate:.4g} is plausible")
         self._last, self._believed_from, self._moved = Sample(stamp, value, rate), believed_from, False
 
     def _differentiate(self, last: Sample, stamp: int, value: float) -> float:
