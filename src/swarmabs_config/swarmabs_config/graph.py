@@ -57,15 +57,7 @@ LOCKSTEP, REALTIME = Driver
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """How a kind of node is started.
-
-    Parameters
-    ----------
-    participant : int
-        Its DDS participant id; that of the first robot, where there are many.
-    modules : mapping
-        Module whose ``main`` it runs, by driver.
-    """
+    """How a kind of node is started: its DDS participant id, or that of the first robot, and its module by driver."""
 
     participant: int
     modules: Mapping[Driver, str]
@@ -123,20 +115,10 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """A node at one end of a topic.
+    """A node at one end of a topic, under both drivers or one, only with or unless with an option.
 
-    Parameters
-    ----------
-    node : str
-        The node.
-    depth : int or callable
-        Of a reader: how many messages wait for it before the oldest is lost; callable, by the number of robots.
-    reliable : bool
-        Of a reader: whether it asks for retransmission, where the writer offers it.
-    driver : Driver, optional
-        The one under which there is this end, if not under both.
-    only, unless : Option, optional
-        With which option alone there is this end, and with which there is none.
+    A reader has a `depth`, which may depend on the number of robots: how many messages wait for it before the oldest is
+    lost. It may ask for retransmission, where the writer offers it.
     """
 
     node: str
@@ -157,17 +139,7 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A topic with all its ends.
-
-    Parameters
-    ----------
-    topic : Topic
-        The topic.
-    offered : mapping
-        What its publishers offer, by driver; a driver that is missing has no such topic.
-    writers, readers : tuple of End
-        Who publishes and who reads it.
-    """
+    """A topic with all its ends, and what its publishers offer; a driver that is missing has no such topic."""
 
     topic: Topic
     offered: Mapping[Driver, Qos]
@@ -318,19 +290,7 @@ DIAGNOSTICS = "diagnostics"
 
 
 def endpoints(node: str, driver: Driver, options: frozenset[Option] = frozenset(), *, robots: int = 0) -> Endpoints:
-    """Return the endpoints of a node.
-
-    Parameters
-    ----------
-    node : str
-        The node, such as `PLANE` or `ROBOT`.
-    driver : Driver
-        What makes its steps.
-    options : frozenset of Option
-        What it is asked for.
-    robots : int
-        How many robots ever take part, for the depths of what comes from all of them.
-    """
+    """Return the endpoints of a node; the depths of what comes from all robots depend on how many ever take part."""
     links = [link for link in GRAPH if driver in link.offered]
     return Endpoints(
         tuple(link.topic for link in links if any(_is(end, node, driver, options) for end in link.writers)),
@@ -353,19 +313,7 @@ def _is(end: End, node: str, driver: Driver, options: frozenset[Option]) -> bool
 
 
 def requested(topic: Topic, driver: Driver = LOCKSTEP, *, depth: int, reliable: bool = False) -> Qos:
-    """Return what a reader of a topic asks for: never more than is offered.
-
-    Parameters
-    ----------
-    topic : Topic
-        Topic to read.
-    driver : Driver
-        What makes the steps of its publishers.
-    depth : int
-        How many messages wait for the reader before the oldest is lost.
-    reliable : bool
-        Whether to ask for retransmission, where the writer offers it.
-    """
+    """Return what a reader of a topic asks for: never more than is offered; retransmission if it is `reliable`."""
     offered = OFFERED[driver][topic]
     reliability = offered.reliability if reliable else "best_effort"
     return Qos(reliability, depth, offered.durability if reliability == "reliable" else "volatile")

@@ -51,14 +51,7 @@ def builtin_scenarios() -> dict[str, Path]:
 
 
 def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
-    """Load what a user has named.
-
-    Parameters
-    ----------
-    named : str
-        A built-in scenario or a YAML file.
-    overrides : sequence of str
-        ``a.b=value`` each.
+    """Load the built-in scenario or the YAML file that a user has named, with overrides ``a.b=value``.
 
     Raises
     ------

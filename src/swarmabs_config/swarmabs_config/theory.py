@@ -17,14 +17,9 @@ if TYPE_CHECKING:
 
 
 def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
-    """Return a scenario as the theory sees it.
+    """Return a scenario as the theory sees it: its initial state, its gains and its faults' kinds.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; only its initial state, its gains and its faults' kinds matter.
-    angle_max : float
-        The bound theta_max of the angle in the theorems of state feedback, rad, below pi/2.
+    The bound `angle_max` (rad, below pi/2) is theta_max of the theorems of state feedback.
     """
     return Setting(
         scenario=scenario.name,

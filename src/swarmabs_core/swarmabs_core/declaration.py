@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.parameters import Parameter, Scalar, SettingError, Settings, Value
+from swarmabs_core.parameters import Parameter, SettingError, Settings, Value
 
 _KEY = "declared"
 LONGEST_TIME = 2**31 - 1
@@ -24,28 +24,10 @@ DeclarationT = TypeVar("DeclarationT")
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Setting:
-    """What is declared of one setting: what it is in a node and in a file, both without a name, and in the object.
+    """What is declared of one setting: as a parameter of a node, in a file (both without a name), and in the object.
 
-    Parameters
-    ----------
-    parameter : Parameter
-        What it is in a node.
-    in_file : Parameter
-        What it is in a file, where the default may be None.
-    default : object
-        Default of the field.
-    unset : Value, optional
-        What a parameter says for none; None if there is no such value.
-    make : callable, optional
-        Makes the value, or an item of an array, of that of the parameter; ``say`` is the way back.
-    say : callable
-        Value of a parameter, or an item of it, for what `make` has made.
-    whole_nanoseconds : bool
-        Whether it is a time in s that must be a whole number of ns.
-    names : str
-        What a text names: ``name`` (a host), ``topic`` or ``frame``; empty if it may be any.
-    required : bool
-        Whether a file must say it.
+    `unset` is what a parameter says for none, None if there is no such value. `make` makes the value, or an item of an
+    array, of that of the parameter; `say` is the way back.
     """
 
     parameter: Parameter
@@ -68,25 +50,11 @@ class Part:
     without: tuple[str, ...]
 
 
-class Registered(Protocol):
-    """A part of the system with settings of its own."""
-
-    @property
-    def name(self) -> str:
-        """Name by which it is chosen."""
-        ...
-
-    @property
-    def settings(self) -> tuple[Parameter, ...]:
-        """Its settings."""
-        ...
-
-
 @dataclasses.dataclass(frozen=True, slots=True)
 class Choice:
     """A part of the system that is chosen by its name, ``type``, with the settings that it declares."""
 
-    find: Callable[[str], Registered]
+    find: Callable[[str], Any]
     built_in: tuple[str, ...]
     default: str
     description: str
@@ -105,13 +73,6 @@ def setting(
     description: str,
     *,
     name: str | None = None,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    above: float | None = None,
-    below: float | None = None,
-    length: int | None = None,
-    choices: tuple[str, ...] | None = None,
-    item: Scalar = "",
     unset: Value | None = None,
     null: str = "none",
     make: Callable[[Any], object] | None = None,
@@ -119,8 +80,9 @@ def setting(
     whole_nanoseconds: bool = False,
     names: str = "",
     required: bool = False,
+    **bounds: Any,
 ) -> Any:
-    """Declare a field of a dataclass; see `Parameter` and `Setting` for what is said of it.
+    """Declare a field of a dataclass.
 
     Parameters
     ----------
@@ -130,26 +92,25 @@ def setting(
         Meaning and unit.
     name : str, optional
         Its name as a parameter and in files, if that is not the attribute's.
+    unset, make, say
+        As of `Setting`.
     null : str
         What null in a file means.
+    whole_nanoseconds : bool
+        Whether it is a time in s that must be a whole number of ns.
+    names : str
+        What a text names: ``name`` (a host), ``topic`` or ``frame``; empty if it may be any.
+    required : bool
+        Whether a file must say it.
+    bounds : object
+        As of `Parameter`: minimum, maximum, above, below, length, choices, item.
     """
     said: Any = default
     if unset is not None:
         said = unset
     elif make is not None and not isinstance(default, tuple):
         said = say(default)
-    parameter = Parameter(
-        "",
-        said,
-        description,
-        minimum=minimum,
-        maximum=maximum,
-        above=above,
-        length=length,
-        choices=choices,
-        item=item,
-        below=below,
-    )
+    parameter = Parameter("", said, description, **bounds)
     in_file = parameter
     if unset is not None:
         in_file = dataclasses.replace(parameter, description=f"{description}; null: {null}")
@@ -164,36 +125,16 @@ def setting(
 def part(declaration: type, description: str = "", *, name: str | None = None, without: tuple[str, ...] = ()) -> Any:
     """Declare a field that is a declaration itself, with its defaults.
 
-    Parameters
-    ----------
-    declaration : type
-        The dataclass.
-    description : str
-        Meaning.
-    name : str, optional
-        Prefix of its settings, if that is not the attribute; empty: they are named as if they were this declaration's.
-    without : tuple of str
-        Attributes that keep their defaults and are no settings here.
+    With an empty `name` its settings are named as if they were this declaration's. The attributes named by `without`
+    keep their defaults and are no settings here.
     """
     return dataclasses.field(
         default_factory=declaration, metadata={_KEY: (name, Part(declaration, description, without))}
     )
 
 
-def choice(find: Callable[[str], Registered], built_in: Mapping[str, object], default: str, description: str) -> Any:
-    """Declare a field that holds the name of a part out of a registry; the field ``..._settings`` has its settings.
-
-    Parameters
-    ----------
-    find : callable
-        Looks a part up by its name.
-    built_in : mapping
-        The built-in parts.
-    default : str
-        Name of the default.
-    description : str
-        Meaning.
-    """
+def choice(find: Callable[[str], Any], built_in: Mapping[str, object], default: str, description: str) -> Any:
+    """Declare a field with the name of a part that `find` looks up; the field ``..._settings`` has its settings."""
     return dataclasses.field(
         default=default, metadata={_KEY: (None, Choice(find, tuple(built_in), default, description))}
     )
@@ -233,15 +174,8 @@ def parameters_of(
 ) -> tuple[Parameter, ...]:
     """Return the parameters of a declaration.
 
-    Parameters
-    ----------
-    declaration : type
-        The dataclass.
-    given : mapping, optional
-        Values that were given, by name, which say what is chosen; without it only the choices are returned, and not the
-        settings of what is chosen.
-    prefix : str
-        What stands before each name.
+    What is chosen depends on the values that are `given`, by name; without any only the choices are returned, and not
+    the settings of what is chosen.
 
     Raises
     ------
@@ -283,16 +217,7 @@ def values_of(instance: Any, prefix: str = "") -> dict[str, Value]:
 def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "", **others: object) -> DeclarationT:
     """Return the instance of a declaration whose parameters have these values, which were checked.
 
-    Parameters
-    ----------
-    declaration : type
-        The dataclass.
-    values : Settings
-        Values of all its parameters by name, and perhaps others.
-    prefix : str
-        What stands before each name.
-    others : object
-        Fields that are not declared.
+    There must be a value of each, by name with the prefix; `others` are the fields that are not declared.
 
     Raises
     ------

@@ -34,16 +34,7 @@ _PLACEHOLDER = 0.25
 
 @dataclass(frozen=True, slots=True)
 class LoadedFleet:
-    """A fleet with its scenario.
-
-    Parameters
-    ----------
-    fleet : Fleet
-        The fleet.
-    scenario : Scenario
-        Plane, controller, gains and limits, with the fleet's robots; the position of a robot whose drive is not
-        simulated is a placeholder.
-    """
+    """A fleet with its scenario, which has the fleet's robots; where a drive measures, a position is a placeholder."""
 
     fleet: Fleet
     scenario: Scenario
@@ -62,12 +53,7 @@ class LoadedFleet:
 
 
 def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
-    """Read a fleet file and its scenario.
-
-    Parameters
-    ----------
-    path : path-like
-        A YAML file in UTF-8; its stem is the default of ``name``.
+    """Read a fleet file, whose stem is the default of ``name``, and its scenario.
 
     Raises
     ------

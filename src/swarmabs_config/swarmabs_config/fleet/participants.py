@@ -42,22 +42,10 @@ Role = Literal["coordinator", "robot", "server"]
 
 @dataclass(frozen=True, slots=True)
 class NodePlan:
-    """One node of a fleet.
+    """One node of a fleet: the name of node, unit and files, the module whose ``main`` it runs, and where.
 
-    Parameters
-    ----------
-    name : str
-        Name of the node, of its unit and of its files.
-    module : str
-        Module whose ``main`` it runs.
-    host : str
-        Where it runs.
-    participant : int
-        Its DDS participant id, unique on its host.
-    role : str
-        Whom it announces itself to: coordinators to everybody, robots to coordinators.
-    robot : Robot, optional
-        The robot it is the node of.
+    The DDS participant id is unique on its host. By its role it announces itself: coordinators to everybody, robots to
+    coordinators.
     """
 
     name: str

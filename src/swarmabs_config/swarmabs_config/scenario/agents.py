@@ -142,16 +142,10 @@ class Generate(Model):
         return self
 
     def agents(self) -> tuple[Agent, ...]:
-        """Draw the robots.
+        """Draw the robots, in order of their ids 1, 2, ...: single integrators first, odd ids at +p, even at -p.
 
-        With ``r = random.Random(seed)``, each robot in order of its id takes its mass from
-        ``r.uniform(*mass)`` and then, if it is a double integrator, its damping from
-        ``r.uniform(*damping)``. A single integrator has no damping and draws none.
-
-        Returns
-        -------
-        tuple of Agent
-            The robots in order of their ids 1, 2, ...: single integrators first, odd ids at +p, even at -p.
+        With ``r = random.Random(seed)``, each robot takes its mass from ``r.uniform(*mass)`` and then, if it is a
+        double integrator, its damping from ``r.uniform(*damping)``. A single integrator has no damping and draws none.
         """
         draw = random.Random(self.seed)  # noqa: S311 - reproducible, not secret
         bodies: list[tuple[float, float | None]] = []

@@ -168,15 +168,7 @@ ModelT = TypeVar("ModelT", bound=Model)
 
 @cache
 def derived(part: Part[Any, Any], base: type[ModelT]) -> type[ModelT]:
-    """Return the model of a part's settings: dotted names become nested mappings, `TRAJECTORY` a trajectory.
-
-    Parameters
-    ----------
-    part : Part
-        What a package brings.
-    base : type of Model
-        What the model is derived from.
-    """
+    """Return the model of a part's settings: dotted names become nested mappings, `TRAJECTORY` a trajectory."""
     settings = part.settings
     last: dict[str, Any] = {}
     if base is ControllerConfig and set(TRAJECTORY) <= set(settings):

@@ -77,12 +77,7 @@ class DeclaredModel(Model):
 def model_of(declaration: type, tag: str = "") -> type[Model]:
     """Return the model of a declaration, whose documentation is the first paragraph of the declaration's.
 
-    Parameters
-    ----------
-    declaration : type
-        The dataclass.
-    tag : str
-        Key by which a file chooses this declaration, which then has an attribute of this name with the key's value.
+    With a `tag`, the key by which a file chooses it, the declaration has an attribute of this name: the key's value.
     """
     text = cleandoc(declaration.__doc__ or "").partition("\n\n")[0]
     fields: dict[str, Any] = {}
@@ -128,19 +123,7 @@ def declared_field(declaration: type, description: str, alias: str | None = None
 def model_of_table(
     title: str, base: type[ModelT], settings: Iterable[Parameter], last: Mapping[str, Any], **fields: Any
 ) -> type[ModelT]:
-    """Return the model of a plug-in's settings: dotted names become nested mappings.
-
-    Parameters
-    ----------
-    title : str
-        Name of the model.
-    base : type of Model
-        What it is derived from.
-    settings : iterable of Parameter
-        The settings.
-    last, fields : object
-        Further fields, by name, behind the settings and before them.
-    """
+    """Return the model of a plug-in's settings: dotted names become nested mappings; further `fields`, then `last`."""
     return _model(title, base, [(setting.name, setting) for setting in settings], last, **fields)
 
 

@@ -11,22 +11,9 @@ _LONGEST_PART = 400
 class ScenarioError(InputError):
     """A scenario was refused.
 
-    The text is one line, ``FILE:LINE: field: problem; remedy``, without the parts that are not known.
-
-    Parameters
-    ----------
-    source : str
-        The file, or the override (``--set a.b=v``), that caused it.
-    problem : str
-        What is wrong: expected and found.
-    remedy : str
-        What to do about it.
-    line : int, optional
-        Line in the file, counted from 1.
-    field : str, optional
-        Dotted path of the field, list elements by index, as ``--set`` takes it.
-    more : int, optional
-        How many further errors the scenario has.
+    The text is one line, ``FILE:LINE: field: problem; remedy``, without the parts that are not known. The source is the
+    file or the override (``--set a.b=v``) that caused it, `field` a dotted path as ``--set`` takes it, and `more` tells
+    how many further errors the scenario has.
     """
 
     def __init__(
@@ -48,7 +35,6 @@ class ScenarioError(InputError):
         super().__init__(source, problem, remedy)
 
     def __str__(self) -> str:
-        """Return the one line."""
         source, field, problem, remedy = (
             printable(shorten(text, _LONGEST_PART)) for text in (self.source, self.field, self.problem, self.remedy)
         )

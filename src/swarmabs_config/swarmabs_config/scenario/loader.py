@@ -33,19 +33,7 @@ AnyModel = TypeVar("AnyModel", bound=Model)
 
 
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario file.
-
-    Parameters
-    ----------
-    path : path-like
-        A YAML file in UTF-8; its stem is the default of ``name``.
-    overrides : sequence of str
-        Overrides ``a.b=v`` (the arguments of ``--set``), applied in order, see `apply_overrides`.
-
-    Returns
-    -------
-    Scenario
-        The checked scenario; a swarm that is generated is left to generate, see `Scenario.resolved`.
+    """Read a scenario file in YAML, whose stem is the default of ``name``, and apply overrides ``a.b=v`` in order.
 
     Raises
     ------
@@ -67,25 +55,20 @@ def parse_scenario(
     overrides: Sequence[str] = (),
     folder: Path | None = None,
 ) -> Scenario:
-    """Read a scenario from a text.
+    """Read a scenario from a text in YAML.
 
     Parameters
     ----------
     text : str
-        The scenario in YAML.
+        The scenario.
     source : str
         What errors call it.
     default_name : str
         The scenario's name if the text has none.
     overrides : sequence of str
-        Overrides ``a.b=v``, see `load_scenario`.
+        Overrides ``a.b=v``, applied in order, see `apply_overrides`.
     folder : Path, optional
         To what the name of a trajectory's file is relative; without it a text may name none.
-
-    Returns
-    -------
-    Scenario
-        The checked scenario.
 
     Raises
     ------
@@ -131,16 +114,9 @@ def validated(model: type[AnyModel], data: Plain, root: Node) -> AnyModel:
 
 
 def upgraded(data: dict[str, Plain], upgrades: Sequence[Upgrade] = UPGRADES) -> dict[str, Plain]:
-    """Return a scenario's content as one of the newest version.
+    """Return a scenario's content as one of the newest version, by one upgrade for each older one.
 
     What has no version, or one that is not known, comes back as it is: the check of the fields refuses it.
-
-    Parameters
-    ----------
-    data : dict
-        The content of a scenario file.
-    upgrades : sequence of callable
-        One for each version but the newest.
     """
     version = data.get("schema")
     if type(version) is not int or not 1 <= version <= len(upgrades):

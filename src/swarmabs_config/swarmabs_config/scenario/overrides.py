@@ -21,13 +21,12 @@ _TYPED = {
 
 
 def apply_overrides(root: Node, overrides: Sequence[str]) -> Node:
-    """Return the tree with all overrides applied in order.
+    """Return the tree with all overrides ``path=value`` applied in order.
 
-    An override is ``path=value``: the path dotted, list elements by index (the index after the last element
-    appends), the value YAML. Mappings that are missing on the way are created; so are lists that have a
-    default. Where ``controller.type`` (or ``controller.trajectory.type``, ``swarm.law.type``) is set to another
-    type than the file's, the file's other keys of that mapping are dropped, because they belong to the old type;
-    keys that overrides have set stay.
+    The path is dotted, list elements by index (the index after the last element appends), the value YAML. Mappings that
+    are missing on the way are created; so are lists that have a default. Where the type of a controller, a trajectory,
+    a law or the observer is set to another one than the file's, the file's other keys of that mapping are dropped,
+    because they belong to the old type; keys that overrides have set stay.
 
     Raises
     ------

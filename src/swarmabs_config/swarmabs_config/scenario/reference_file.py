@@ -21,13 +21,7 @@ HEADER = ["time", "angle"]
 def with_rows(root: Node, folder: Path | None) -> Node:
     """Return the tree with the rows of ``controller.trajectory.file`` in its place, if it names a file of type csv.
 
-    Parameters
-    ----------
-    root : Node
-        The tree of a scenario, overrides applied.
-    folder : Path, optional
-        Folder of the scenario's file, to which the name is relative. A name that comes from an override is relative
-        to the current folder.
+    The name is relative to the folder of the scenario's file, one that comes from an override to the current folder.
 
     Raises
     ------

@@ -131,16 +131,7 @@ def dotted(location: Location) -> str:
 
 
 def read_tree(text: str, source: str, *, numbered: bool = True) -> Node:
-    """Read one YAML document.
-
-    Parameters
-    ----------
-    text : str
-        The document; an empty one is null.
-    source : str
-        The file or override it comes from, for errors.
-    numbered : bool
-        Whether places have line numbers.
+    """Read one YAML document; an empty one is null. Places have line numbers if it is `numbered`.
 
     Raises
     ------
