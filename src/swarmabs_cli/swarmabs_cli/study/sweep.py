@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
 
-from swarmabs_cli.options import RUNS, json_option, output_option, set_option
+from swarmabs_cli.options import A_PATH, RUNS, json_option, output_option, set_option
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
 
@@ -24,12 +24,12 @@ try:
 except ModuleNotFoundError as missing:
     raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
 
-_TERMINAL_INTERVAL = 0.1
 _LINE_INTERVAL = 5.0
+"""Time, s, between two lines."""
 
 
 @click.command()
-@click.argument("file", metavar="SWEEP.yaml", type=click.Path(path_type=Path))
+@click.argument("file", metavar="SWEEP.yaml", type=A_PATH)
 @output_option("Folder of the results.  [default: runs/NAME-NNN]")
 @set_option()
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes on this machine.  [default: one per core]")
@@ -56,16 +56,13 @@ def sweep(
     if jobs is not None and scheduler is not None:
         raise click.UsageError("--jobs is for this machine; a scheduler has workers of its own")
     study = load_sweep(file, overrides)
-    executor = _executor(jobs, scheduler)
-    try:
+    with closing(_executor(jobs, scheduler)) as executor:
         begun = resume and output is not None and output.exists() and any(output.iterdir())
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
         summary = folder.complete()
         if summary is None:
             with folder, _shown(study.sweep.name) as show:
                 summary = run_sweep(study, folder, executor, show)
-    finally:
-        executor.close()
     if as_json:
         print_json(summary)
     else:
@@ -94,32 +91,23 @@ def _shown(name: str) -> Iterator[Callable[[SweepProgress], None]]:
     if sys.stderr.isatty():
         columns = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn())
         text = TextColumn("{task.description}", markup=False)
-        with Bar(*columns, text, console=Console(stderr=True), auto_refresh=False, transient=True) as bar:
+        with Bar(*columns, text, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(name)
+            yield lambda now: bar.update(task, total=now.cases, completed=now.done, description=describe(name, now))
+        return
+    shown = -_LINE_INTERVAL
 
-            def update(progress: SweepProgress) -> None:
-                bar.update(task, total=progress.cases, completed=progress.done, description=describe(name, progress))
-                bar.refresh()
+    def update(progress: SweepProgress) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown >= _LINE_INTERVAL or progress.done == progress.cases:
+            shown = now
+            click.echo(describe(name, progress), err=True)
 
-            yield _at_most_every(_TERMINAL_INTERVAL, update)
-    else:
-        yield _at_most_every(_LINE_INTERVAL, lambda progress: click.echo(describe(name, progress), err=True))
+    yield update
 
 
 def describe(name: str, progress: SweepProgress) -> str:
     """Say in a line how far a sweep is."""
     outcomes = ", ".join(f"{count} {outcome}" for outcome, count in sorted(progress.outcomes.items()))
     return f"{name}: {progress.done} of {progress.cases} cases" + (f"; {outcomes}" if outcomes else "")
-
-
-def _at_most_every(interval: float, show: Callable[[SweepProgress], None]) -> Callable[[SweepProgress], None]:
-    shown = -interval
-
-    def update(progress: SweepProgress) -> None:
-        nonlocal shown
-        now = time.monotonic()
-        if now - shown >= interval or progress.done == progress.cases:
-            shown = now
-            show(progress)
-
-    return update

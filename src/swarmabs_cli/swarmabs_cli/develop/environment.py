@@ -1,4 +1,4 @@
-"""``swarm env`` and ``swarm doctor``."""
+"""``swarm env`` and ``swarm doctor``: what a shell needs, and whether this machine can run swarms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 
 from swarmabs_cli.options import json_option
-from swarmabs_cli.output import print_json
+from swarmabs_cli.output import print_findings, print_json
+from swarmabs_run.doctor import examine
 from swarmabs_run.orchestration.run_files import environment_of_run
 
 WORKSPACE = (
@@ -49,3 +50,10 @@ def env(run: Path | None, *, as_json: bool) -> None:
         return
     for name, value in variables.items():
         click.echo(f"export {name}={shlex.quote(value)}")
+
+
+@click.command()
+@json_option
+def doctor(*, as_json: bool) -> int:
+    """Check whether this machine can run swarms, and say what to do where it cannot."""
+    return print_findings(examine(), as_json=as_json)

@@ -1,4 +1,4 @@
-"""``swarm repair``."""
+"""``swarm info`` and ``swarm repair``: what the files of bags hold, and what can be saved of damaged ones."""
 
 from __future__ import annotations
 
@@ -7,9 +7,23 @@ from pathlib import Path
 
 import click
 
+from swarmabs_bag.info import bag_info, render
 from swarmabs_bag.repair import RepairReport, repair_bag
-from swarmabs_cli.options import bag_argument, json_option, output_option
-from swarmabs_cli.output import print_json, printable
+from swarmabs_cli.options import bag_argument, bags_argument, json_option, output_option
+from swarmabs_cli.output import print_documents, print_json, print_tables, printable
+
+
+@click.command()
+@bags_argument
+@json_option
+def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
+    """Say what bags hold; a BAG is a run's folder, its bag folder, or an .mcap file."""
+    found = [bag_info(path) for path in bags]
+    if as_json:
+        print_documents([one.to_dict() for one in found])
+    else:
+        print_tables(*map(render, found))
+    return 0 if all(one.complete for one in found) else 1
 
 
 @click.command()
