@@ -30,8 +30,7 @@ from swarmabs_bag.run_folder import new_run_folder, next_run_folder
 from swarmabs_cli import exit_code
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.interruption import terminable
-from swarmabs_run.parent_death import die_with_parent
+from swarmabs_run.ending import die_with_parent, terminable
 
 RUNS = Path("runs")
 SCHEMA = 1

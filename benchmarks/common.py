@@ -19,7 +19,7 @@ from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import RunError
-from swarmabs_run.interruption import terminable
+from swarmabs_run.ending import terminable
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.plan import Arrange
 from swarmabs_run.run import Outcome, Progress, RunOptions

@@ -21,8 +21,8 @@ from benchmarks.processes import Memory, crew_of, memory_of
 
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.errors import RunError
+from swarmabs_run.ending import die_with_parent
 from swarmabs_run.orchestration.process_run import STARTED_AGAIN
-from swarmabs_run.parent_death import die_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

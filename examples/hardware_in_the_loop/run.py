@@ -21,8 +21,8 @@ from rig import LENGTH, ROBOTS, Robot
 
 from swarmabs_config.graph import COORDINATORS
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_run.ending import die_with_parent
 from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE, claimed_domain, dds_environment, profile_xml
-from swarmabs_run.parent_death import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
 
 FOLDER = Path(__file__).parent

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from swarmabs_cli.elapsed import SETUP, setup_seconds, since_start, times
+from swarmabs_cli.runs import SETUP, setup_seconds, since_start, times
 from swarmabs_run.run import Outcome
 
 

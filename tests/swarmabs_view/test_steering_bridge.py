@@ -12,7 +12,7 @@ import pytest
 from tests.swarmabs_view.test_live import HELLO
 
 from swarmabs_bag.swarm_state import SwarmState
-from swarmabs_run.steering.place import SOCKET
+from swarmabs_run.steering.client import SOCKET
 from swarmabs_view import steering_bridge as module
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.protocol import Answer, Message, Steer, Steering

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.interrupts import interrupt_once
 from swarmabs_core.errors import InputError, SwarmabsError
+from swarmabs_run.ending import interrupt_once
 from swarmabs_run.tracing_files import tracing_files_removed
 
 SECTIONS = {

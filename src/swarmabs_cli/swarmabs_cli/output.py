@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import webbrowser
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -61,3 +62,9 @@ def printable(line: str) -> str:
 def results_folder(output: Path | None, name: str) -> RunFolder:
     """Make the folder of results that the user has named, or the next free one after a name."""
     return new_run_folder(output) if output is not None else next_run_folder(RUNS, name)
+
+
+def open_page(url: str) -> None:
+    """Show a page in the user's browser, where there is one."""
+    if not webbrowser.open(url):
+        click.echo("warning: no browser could be started; open the address yourself", err=True)

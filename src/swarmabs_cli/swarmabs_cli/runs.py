@@ -1,18 +1,19 @@
-"""What `run` and `simulate` share: their options, and the way from a scenario to its summary."""
+"""What the commands share that run something: their options, and the way from a scenario to its summary."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import click
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from swarmabs_analysis.rerun import RecordedRun, recorded_run
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run_folder import RunFolder, Split
-from swarmabs_cli.elapsed import since_start, times
-from swarmabs_cli.interrupts import no_more_interrupts
 from swarmabs_cli.options import (
     duration_option,
     json_option,
@@ -21,18 +22,22 @@ from swarmabs_cli.options import (
     set_option,
     together,
 )
-from swarmabs_cli.output import print_json, print_warnings, results_folder
+from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.run import Outcome, RunOptions
-from swarmabs_run.summary import summarise, summary_table
+from swarmabs_run.ending import no_more_interrupts
+from swarmabs_run.orchestration.run_files import start_of
+from swarmabs_run.run import Outcome, Progress, RunOptions
+from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.terminal import shown_progress
 
 Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
+SETUP = "SWARMABS_SETUP"
+"""Environment variable in which ``scripts/swarm`` says which process it became, and after how many seconds."""
 
 
 def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
@@ -106,30 +111,18 @@ def carry_out(
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
-    try:
-        loading = since_start()
-        with shown_progress(loaded) as show:
-            split = Split(max_bag_size, max_bag_duration * 10**9)
-            outcome = execute(loaded, folder, RunOptions(record=not no_bag, split=split, on_progress=show))
-            no_more_interrupts()
-        summary = summarise(
-            loaded,
-            outcome,
-            times(loading, outcome),
-            rerun_of=recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)
-            if recorded is not None
-            else None,
-        )
-        folder.write_summary(summary)
-    except OSError as error:
-        raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error
-    print_warnings(outcome.warnings)
-    if as_json:
-        print_json(summary)
-    else:
-        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
-    if outcome.reason is not None:
-        click.echo(f"error: {outcome.reason}", err=True)
+    split = Split(max_bag_size, max_bag_duration * 10**9)
+
+    def run(show: Callable[[Progress], None]) -> Outcome:
+        return execute(loaded, folder, RunOptions(record=not no_bag, split=split, on_progress=show))
+
+    def judge(outcome: Outcome) -> Mapping[str, object]:
+        if recorded is None:
+            return {}
+        return {"rerun_of": recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)}
+
+    outcome, summary = summed_up(loaded, folder, run, judge)
+    print_summary(summary, folder, outcome, as_json=as_json)
     if summary["rerun_of"] is not None and summary["rerun_of"]["same"] is False:
         click.echo(f"error: this is not the run of {scenario}; see the command compare, and warnings above", err=True)
         return 1
@@ -137,16 +130,61 @@ def carry_out(
 
 
 def _check_realtime(scenario: Scenario, recorded: RecordedRun | None) -> None:
-    """Refuse what is for lockstep only, before there is a folder.
-
-    Raises
-    ------
-    InputError
-        With what to do instead.
-    """
+    """Refuse what is for lockstep only, before there is a folder."""
     if recorded is not None:
         raise InputError(
             f"{recorded.bag}: a bag is run again in lockstep, where it can reach the same digest; for a run in real "
             "time give the scenario.yaml of its folder"
         )
     check_realtime(scenario.resolved())
+
+
+def summed_up(
+    scenario: Scenario,
+    folder: RunFolder,
+    run: Callable[[Callable[[Progress], None]], Outcome],
+    more: Callable[[Outcome], Mapping[str, object]],
+) -> tuple[Outcome, dict[str, Any]]:
+    """Run with the progress shown, and return the outcome and the summary that is written, with `more` in it."""
+    try:
+        loading = since_start()
+        with shown_progress(scenario) as show:
+            outcome = run(show)
+            no_more_interrupts()
+        summary = {**summarise(scenario, outcome, times(loading, outcome)), **more(outcome)}
+        folder.write_summary(summary)
+    except OSError as error:
+        raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error
+    return outcome, summary
+
+
+def print_summary(
+    summary: Mapping[str, Any], folder: RunFolder, outcome: Outcome, *tables: RenderableType, as_json: bool
+) -> None:
+    """Print how a run went, by its summary and what else there is to show, and why it failed if it did."""
+    print_warnings(outcome.warnings)
+    if as_json:
+        print_json(summary)
+    else:
+        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
+        if tables:
+            print_tables(*tables)
+    if outcome.reason is not None:
+        click.echo(f"error: {outcome.reason}", err=True)
+
+
+def since_start() -> float:
+    """Return the wall time since this process was started, which is when the user's command was, s."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - (start_of(os.getpid()) or 0) / os.sysconf("SC_CLK_TCK")
+
+
+def setup_seconds() -> float:
+    """Return how much of `since_start` was the set-up of the checkout, s; commands that this one starts had none."""
+    pid, _, seconds = os.environ.get(SETUP, "").partition(":")
+    return float(seconds) if pid == str(os.getpid()) else 0.0
+
+
+def times(loading: float, outcome: Outcome) -> Times:
+    """Return what has taken how long; `loading` is what `since_start` was when the run was begun, s."""
+    setup, start = setup_seconds(), outcome.start_seconds
+    return Times(since_start(), setup, None if start is None else loading - setup + start)

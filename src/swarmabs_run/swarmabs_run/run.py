@@ -81,6 +81,8 @@ class RunOptions:
 
 
 DEFAULTS = RunOptions()
+SLOWEST_STEP = 1.0
+"""Longest that `RunOptions.step_seconds` may be, s: shorter than any stall."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_core.errors import RunError
-from swarmabs_run.interruption import end_asked
+from swarmabs_run.ending import end_asked
 from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.simulation import simulated_steps
 

@@ -39,22 +39,8 @@ class Times:
     startup: float | None = None
 
 
-def summarise(
-    scenario: Scenario, outcome: Outcome, times: Times, *, rerun_of: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """Return the content of ``summary.json``.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What was run.
-    outcome : Outcome
-        How it ended.
-    times : Times
-        What took how long.
-    rerun_of : mapping, optional
-        What came of running a bag again, see `swarmabs_analysis.rerun`.
-    """
+def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, Any]:
+    """Return the content of ``summary.json``; `swarmabs_analysis.rerun` says of what a run is the repetition."""
     figures, run = outcome.figures, outcome.stepping_seconds
     complete = outcome.status == "ok" and run
     return {
@@ -70,7 +56,7 @@ def summarise(
         **{name: figures.get(name) for name in FIGURES},
         "status": outcome.status,
         "reason": outcome.reason,
-        "rerun_of": dict(rerun_of) if rerun_of is not None else None,
+        "rerun_of": None,
         **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
     }
 

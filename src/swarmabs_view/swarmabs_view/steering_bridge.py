@@ -8,9 +8,7 @@ import json
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_run.steering.client import LONGEST_ANSWER
-from swarmabs_run.steering.place import SOCKET, short_path
-from swarmabs_run.steering.protocol import STATUS
+from swarmabs_run.steering.client import LONGEST_ANSWER, SOCKET, STATUS, short_path
 from swarmabs_view.protocol import Answer, Hello, Session, Steer, Steering
 
 if TYPE_CHECKING:

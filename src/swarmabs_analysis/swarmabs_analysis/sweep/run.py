@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_analysis.sweep.picture import pictures
 from swarmabs_core.errors import RunError
-from swarmabs_run.interruption import terminable
+from swarmabs_run.ending import terminable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

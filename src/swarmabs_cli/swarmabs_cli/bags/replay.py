@@ -7,22 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
 from swarmabs_analysis.comparison.table import replay_parts
 from swarmabs_analysis.replay.playback import Pace, choose_topics, play, shown
 from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.reader import open_bag
-from swarmabs_cli.elapsed import since_start, times
-from swarmabs_cli.interrupts import no_more_interrupts
 from swarmabs_cli.options import bag_argument, json_option, namespace_option, output_option, set_option
-from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
-from swarmabs_core.errors import InputError, RunError
+from swarmabs_cli.output import print_json, print_warnings, results_folder
+from swarmabs_cli.runs import print_summary, summed_up
+from swarmabs_core.errors import InputError
 from swarmabs_core.publishers import NodeName
-from swarmabs_run.interruption import end_asked
-from swarmabs_run.summary import summarise, summary_table
-from swarmabs_view.terminal import shown_progress
+from swarmabs_run.ending import end_asked
+from swarmabs_run.run import Outcome
 
 _POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
 _WITH_NODE = ("output", "overrides", "in_process", "expect_same")
@@ -86,31 +83,14 @@ def _replay(
     made = ReplayRun(source, nodes, overrides, source.scenario(nodes, overrides))
     scenario = made.scenario
     folder = results_folder(output, f"{scenario.name}-replay")
-    try:
-        loading = since_start()
-        with shown_progress(scenario) as show:
-            outcome = (made.in_process if in_process else made.live)(folder, show)
-            no_more_interrupts()
-        summary = summarise(
-            scenario,
-            outcome,
-            times(loading, outcome),
-        )
-        result = made.result(folder, summary["digest"]) if outcome.status == "ok" else None
-        summary["replay"] = result
-        folder.write_summary(summary)
-    except OSError as error:
-        raise RunError(
-            f"{folder.path}: {error.strerror or error}; free space or choose another folder with -o"
-        ) from error
-    if as_json:
-        print_json(summary)
-    else:
-        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
-        if result is not None:
-            print_tables(*replay_parts(result))
-    if outcome.reason is not None:
-        click.echo(f"error: {outcome.reason}", err=True)
+
+    def compare(outcome: Outcome) -> dict[str, object]:
+        return {"replay": made.result(folder, outcome.figures.get("digest")) if outcome.status == "ok" else None}
+
+    run = made.in_process if in_process else made.live
+    outcome, summary = summed_up(scenario, folder, lambda show: run(folder, show), compare)
+    result = summary["replay"]
+    print_summary(summary, folder, outcome, *(replay_parts(result) if result is not None else ()), as_json=as_json)
     failed = outcome.status != "ok" or (expect_same and result is not None and not result["same"])
     return 1 if failed else 0
 

@@ -12,15 +12,14 @@ from typing import Any
 import click
 
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_cli.browser import open_page
-from swarmabs_cli.interrupts import interrupt_once
+from swarmabs_cli.output import open_page
 from swarmabs_cli.runs import carry_out, run_options
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import InputError
+from swarmabs_run.ending import interrupt_once
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
-from swarmabs_run.run import Outcome, RunOptions
-from swarmabs_run.steering.pace import SLOWEST
+from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
 from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewers import PageViewer, markers_viewer
 
@@ -131,7 +130,7 @@ def _step_seconds(scenario: Scenario, rate: float | None) -> float:
         If a run that is as slow could not be told from one that stalls.
     """
     seconds = 0.0 if rate is None else scenario.period / rate
-    slowest = min(SLOWEST, 0.5 * scenario.lockstep.stall_timeout)
+    slowest = min(SLOWEST_STEP, 0.5 * scenario.lockstep.stall_timeout)
     if seconds > slowest:
         raise InputError(
             f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s looks like a stall; use "

@@ -26,7 +26,7 @@ from swarmabs_core.messages import TOPICS
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
-from swarmabs_run.parent_death import die_with_parent
+from swarmabs_run.ending import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
 
 LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")

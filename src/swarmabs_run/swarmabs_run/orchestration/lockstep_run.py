@@ -9,7 +9,7 @@ from swarmabs_config import configure
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_run.orchestration.process_run import ProcessRun, process_state
 from swarmabs_run.run import DEFAULTS, RunOptions
-from swarmabs_run.steering.place import SOCKET
+from swarmabs_run.steering.client import SOCKET
 
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder

@@ -3,20 +3,44 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.steering.place import SOCKET, short_path
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping
     from types import TracebackType
 
     from typing_extensions import Self
 
+SOCKET = "steer.sock"
+"""Name of the socket in the folder of a run."""
 LONGEST_ANSWER = 1 << 20
+STATUS = "status"
+"""The action that only asks."""
+
+
+@contextmanager
+def short_path(folder: Path) -> Iterator[Path]:
+    """Give a path of a folder that is short, for as long as the block lasts.
+
+    The path of a socket has 107 characters at most, and that of a folder has not; so the folder is named by a
+    descriptor.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be opened.
+    """
+    directory = os.open(folder, os.O_PATH | os.O_DIRECTORY)
+    try:
+        yield Path(f"/proc/self/fd/{directory}")
+    finally:
+        os.close(directory)
 
 
 class SteeringClient:

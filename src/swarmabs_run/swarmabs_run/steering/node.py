@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 from swarmabs_config import configure
@@ -11,22 +13,24 @@ from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringControlle
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import Action
+from swarmabs_core.messages import Action, Message, Messages, PlaneState, Topic
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel
-from swarmabs_run.steering.pace import SLOWEST, Paced
-from swarmabs_run.steering.protocol import ROBOTS, VALUED
-from swarmabs_run.steering.request_queue import RequestQueue
-from swarmabs_run.steering.server import SteeringServer
+from swarmabs_run.run import SLOWEST_STEP
+from swarmabs_run.steering.server import ROBOTS, VALUED, RequestQueue, SteeringServer
 
 PARAMETERS = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
     Parameter("folder", "", "folder of the run, for the socket"),
     Parameter(
-        "step_seconds", 0.0, "shortest wall time of a step, s; 0: as fast as possible", minimum=0.0, maximum=SLOWEST
+        "step_seconds",
+        0.0,
+        "shortest wall time of a step, s; 0: as fast as possible",
+        minimum=0.0,
+        maximum=SLOWEST_STEP,
     ),
 )
 
@@ -34,6 +38,51 @@ LARGEST_OFFSET = 1.0
 """Largest offset of the reference that may be asked for, rad: a run ends at 1.5 rad."""
 
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
+
+
+class Paced:
+    """What steers a run, holding each order back until its step is due; every bit of the run is the same.
+
+    A step takes `seconds` of wall time at least; `clock` returns a time in s, and `sleep` waits for some.
+    """
+
+    def __init__(
+        self,
+        controller: SteeringController,
+        seconds: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._controller = controller
+        self._seconds = seconds
+        self._clock = clock
+        self._sleep = sleep
+        self._due = 0.0
+
+    def start(self) -> Messages:
+        """Start what steers."""
+        self._due = self._clock()
+        return self._controller.start()
+
+    def handle(self, message: Message) -> Messages:
+        """Hand a message on; with the plane's state of a new step not before the next step is due.
+
+        A run that is late is not made up for: the next step is due its time after this one.
+        """
+        if isinstance(message, PlaneState) and message.step == self._controller.step:
+            wait = self._due + self._seconds - self._clock()
+            if wait > 0.0:
+                self._sleep(wait)
+            self._due = max(self._due + self._seconds, self._clock())
+        return self._controller.handle(message)
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for what it waits for."""
+        return self._controller.awaits()
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and what is missing for it."""
+        return self._controller.missing()
 
 
 def steering_config(scenario: Scenario) -> SteeringConfig:

@@ -8,8 +8,8 @@ import sys
 import time
 from pathlib import Path
 
+from swarmabs_run.ending import die_with_parent
 from swarmabs_run.orchestration.run_files import OVER, RunOverError, environment_of_run, read_progress
-from swarmabs_run.parent_death import die_with_parent
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.viewers import MARKERS_LOG
 

@@ -1,0 +1,84 @@
+"""How a process ends: in order, whatever asks for it, and with its parent, however the parent ends."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def _handled_by(handler: Callable[..., None]) -> Iterator[None]:
+    """Have the signals that ask for an end handled so, where Python allows it: in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = {number: signal.signal(number, handler) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        for number, before in previous.items():
+            signal.signal(number, before)
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Make SIGTERM interrupt as Ctrl-C does."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with _handled_by(interrupt):
+        yield
+
+
+@contextmanager
+def end_asked() -> Iterator[Callable[[], bool]]:
+    """Note that an end is asked for instead of raising, for work that must not be cut in two; yield what tells it."""
+    asked = False
+
+    def note(*_: object) -> None:
+        nonlocal asked
+        asked = True
+
+    with _handled_by(note):
+        yield lambda: asked
+
+
+def interrupt_once() -> None:
+    """Let the first signal that asks for an end raise `KeyboardInterrupt`, and ignore all others to the last."""
+    for number in _SIGNALS:
+        signal.signal(number, _interrupt)
+
+
+def no_more_interrupts() -> None:
+    """Ignore these signals from now on, where `interrupt_once` was called: what is left to do is short."""
+    if signal.getsignal(signal.SIGINT) is _interrupt:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(*_: object) -> NoReturn:
+    no_more_interrupts()
+    raise KeyboardInterrupt
+
+
+def die_with_parent(parent: int) -> None:
+    """Have the kernel kill this process when its parent ends; to be called first thing in the child.
+
+    If the parent, given by its process id, has ended before the kernel was told, this process ends at once.
+    """
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
