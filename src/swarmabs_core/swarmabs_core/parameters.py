@@ -28,37 +28,17 @@ class SettingError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One declared parameter; its type is that of its default.
+    """One declared parameter; its type is that of its default."""
 
-    Parameters
-    ----------
-    name : str
-        Name; dots nest.
-    default : Value
-        Value where none is given.
-    description : str
-        Meaning and unit.
-    minimum, maximum : float, optional
-        Inclusive bounds of a number, or of each number of an array.
-    above, below : float, optional
-        Exclusive bounds.
-    length : int, optional
-        Length that an array must have.
-    choices : tuple of str, optional
-        The texts allowed.
-    item : Scalar
-        An item of an array whose default is empty, for its type.
-    """
-
-    name: str
+    name: str  # dots nest
     default: Value
-    description: str
-    minimum: float | None = None
+    description: str  # meaning and unit
+    minimum: float | None = None  # inclusive bounds of a number, or of each number of an array
     maximum: float | None = None
-    above: float | None = None
-    length: int | None = None
-    choices: tuple[str, ...] | None = None
-    item: Scalar = ""
+    above: float | None = None  # exclusive bound, as `below`
+    length: int | None = None  # that an array must have
+    choices: tuple[str, ...] | None = None  # the texts allowed
+    item: Scalar = ""  # an item of an array whose default is empty, for its type
     below: float | None = None
 
     def check(self, value: Value) -> Value:
@@ -67,8 +47,7 @@ class Parameter:
         Raises
         ------
         InputError
-            If type, length, choice or bounds are not met; the text names parameter, value and what is
-            allowed.
+            If type, length, choice or bounds are not met; the text names parameter, value and what is allowed.
         """
         if isinstance(self.default, tuple):
             return self._check_array(value)

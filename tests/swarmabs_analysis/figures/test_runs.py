@@ -17,7 +17,7 @@ from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import MAIN_TOPICS
-from swarmabs_run.run import Outcome
+from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
 
@@ -89,13 +89,9 @@ def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
         find_runs([tmp_path / "nothing"], NAMES)
 
 
-def simulated(scenario: Scenario, folder: RunFolder) -> Outcome:
-    return simulate_run(scenario, folder)
-
-
 def test_a_run_that_was_made_is_found_again(tmp_path: Path) -> None:
     assert find_made(tmp_path, ["pd_si_4"]) == {}
-    made = make_run(find_scenario("pd_si_4"), tmp_path, simulated)
+    made = make_run(find_scenario("pd_si_4"), tmp_path, simulate_run, RunOptions())
     assert {path.name for path in (tmp_path / "pd_si_4").iterdir()} == {"bag", "logs", "scenario.yaml", "summary.json"}
     assert [path.name for path in tmp_path.iterdir()] == ["pd_si_4"]
     assert find_made(tmp_path, ["pd_si_4", "pd_di_4"]) == {"pd_si_4": made}
@@ -111,12 +107,12 @@ def test_a_variant_or_leftovers_are_not_taken_for_the_papers_run(tmp_path: Path)
 
 
 def test_a_failed_run_leaves_nothing_and_can_be_made_again(tmp_path: Path) -> None:
-    def failing(scenario: Scenario, folder: RunFolder) -> Outcome:
-        simulate_run(scenario, folder)
+    def failing(scenario: Scenario, folder: RunFolder, options: RunOptions) -> Outcome:
+        simulate_run(scenario, folder, options)
         return Outcome("failed", "the plane turns over", {})
 
     scenario = find_scenario("pd_si_4", ["duration=0.1"])
     with pytest.raises(RunError, match="pd_si_4: the plane turns over"):
-        make_run(scenario, tmp_path, failing)
+        make_run(scenario, tmp_path, failing, RunOptions())
     assert list(tmp_path.iterdir()) == []
-    assert make_run(scenario, tmp_path, simulated).bag.exists()
+    assert make_run(scenario, tmp_path, simulate_run, RunOptions()).bag.exists()

@@ -257,8 +257,7 @@ def _manifold(axes: Axes, swarm: ConstraintSets, manifold: Manifold) -> None:
     torque = np.linspace(-manifold.torque_max, manifold.torque_max, _FINE + 1)
     inertia = [manifold.inertia(t) for t in torque.tolist()]
     axes.plot(torque, inertia, color=GREEN, linewidth=2.2, label="manifold A_c")
-    reach = swarm.manifold_reach(manifold.curvature, manifold.offset)
-    leaves = reach.admissible
+    leaves = swarm.admissible_reach(manifold.curvature, manifold.offset)
     axes.plot(
         [-leaves, leaves],
         [manifold.inertia(leaves)] * 2,

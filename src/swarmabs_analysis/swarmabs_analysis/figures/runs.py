@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +19,10 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import PLANE_STATE
-from swarmabs_run.run import Outcome
+from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.summary import Times, summarise
 
-Execute = Callable[[Scenario, RunFolder], Outcome]
+Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
 """Carries a run out and leaves its results in a folder."""
 
 _LONGEST_REASON = 400
@@ -113,7 +113,7 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
     return found
 
 
-def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
+def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOptions) -> Source:
     """Run a scenario and keep its results in a folder of its name below `folder`, which appears whole or not at all.
 
     Raises
@@ -126,20 +126,13 @@ def make_run(scenario: Scenario, folder: Path, execute: Execute) -> Source:
     target = folder / resolved.name
     with tempfile.TemporaryDirectory(dir=folder, prefix=f".{resolved.name}-") as temporary:
         made = new_run_folder(Path(temporary) / "run")
-        outcome = execute(resolved, made)
+        outcome = execute(resolved, made, options)
         if outcome.status != "ok":
             raise RunError(f"{resolved.name}: {outcome.reason}")
         times = Times(time.monotonic() - begun, startup=outcome.start_seconds)
         made.write_summary(summarise(resolved, outcome, times))
         made.path.rename(target)
     return Source(find_bag(target), resolved)
-
-
-def missing_text(missing: Iterable[str], drawn: Mapping[str, Collection[str]]) -> str:
-    """Say which scenarios have no bag, and which figures need them."""
-    return "; ".join(
-        f"{name} (for {', '.join(figure for figure, needed in drawn.items() if name in needed)})" for name in missing
-    )
 
 
 def _bags(path: Path) -> list[Path]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 
 from swarmabs_analysis.figures import FIGURES, draw_files
-from swarmabs_analysis.figures.runs import Execute, find_made, find_runs, make_run, missing_text
+from swarmabs_analysis.figures.runs import find_made, find_runs, make_run
 from swarmabs_analysis.figures.style import FORMATS, Format
 from swarmabs_analysis.report import write_file
 from swarmabs_bag.run_folder import RunFolder
@@ -19,7 +18,7 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
-from swarmabs_run.run import Outcome, Progress, RunOptions
+from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_view.terminal import shown_progress
 
@@ -69,9 +68,10 @@ def figures(
         sources = find_made(output / "runs", [name for name in needed if name not in sources]) | sources
     missing = [name for name in needed if name not in sources]
     if missing and make is None:
+        needing = {name: [figure for figure in chosen if name in chosen[figure]] for name in missing}
+        told = "; ".join(f"{name} (for {', '.join(labels)})" for name, labels in needing.items())
         raise InputError(
-            f"--from has no bag of {missing_text(missing, chosen)}; add it, name the figures to draw, "
-            "or make it with --simulate or --run"
+            f"--from has no bag of {told}; add it, name the figures to draw, or make it with --simulate or --run"
         )
     for source in sources.values():
         if source.altered:
@@ -82,7 +82,8 @@ def figures(
         for name in missing:
             scenario = find_scenario(name)
             with shown_progress(scenario) as show:
-                sources[name] = make_run(scenario, runs, _executed(make == "run", show))
+                execute = _run_processes if make == "run" else simulate_run
+                sources[name] = make_run(scenario, runs, execute, RunOptions(on_progress=show))
         files: dict[str, bytes] = {}
         for name in chosen:
             click.echo(f"drawing {name}", err=True)
@@ -101,14 +102,8 @@ def figures(
     return 0
 
 
-def _executed(processes: bool, show: Callable[[Progress], None]) -> Execute:  # noqa: FBT001
-    """Return what carries a run out: with real processes, or in this one."""
-    options = RunOptions(on_progress=show)
-
-    def execute(scenario: Scenario, folder: RunFolder) -> Outcome:
-        return LockstepRun(scenario, folder, options).run() if processes else simulate_run(scenario, folder, options)
-
-    return execute
+def _run_processes(scenario: Scenario, folder: RunFolder, options: RunOptions) -> Outcome:
+    return LockstepRun(scenario, folder, options).run()
 
 
 def _make_folder(folder: Path) -> None:

@@ -215,33 +215,13 @@ def _total_mass(agents: Iterable["Agent"]) -> float:
 def _outside_reachable_set(scenario: "Scenario") -> Iterator[str]:
     manifold, plane = scenario.manifold, scenario.plane
     sets = ConstraintSets([agent.mass for agent in scenario.agents], plane.length, plane.gravity)
-
-    def reach(torque: float) -> float:
-        inertia = manifold.curvature * torque * torque + manifold.offset
-        return sets.largest_position(torque, inertia)
-
-    leaves = _first_crossing(reach, plane.length / 2, manifold.torque_max)
-    if leaves is not None:
+    leaves = max(0.0, sets.admissible_reach(manifold.curvature, manifold.offset))
+    if leaves < manifold.torque_max:
         yield (
             f"manifold: from |tau| = {leaves:.4g} N m on, below torque_max = {manifold.torque_max!r}, "
             "some positions with the wanted torque and inertia are off the plane (the manifold leaves A_A); "
             "lower torque_max, or lengthen the plane"
         )
-
-
-def _first_crossing(function: Callable[[float], float], bound: float, end: float) -> float | None:
-    """Return the first argument in [0, end] at which `function` exceeds `bound`, None if it never does."""
-    grid = 1000
-    low = 0.0
-    for index in range(grid + 1):
-        high = end * index / grid
-        if function(high) > bound:
-            while high - low > 1e-9 * end:
-                middle = (low + high) / 2
-                low, high = (low, middle) if function(middle) > bound else (middle, high)
-            return high
-        low = high
-    return None
 
 
 def _underdamped(scenario: "Scenario") -> Iterator[str]:

@@ -172,20 +172,23 @@ class ConstraintSets:
             return StateClass.PARTIAL
         return StateClass.UNREACHABLE if inertia > bound.upper + slack else StateClass.UNDECIDED
 
+    def admissible_reach(self, curvature: float, offset: float) -> float:
+        """Return `ManifoldReach.admissible` of a manifold alone, which is quick for any number of robots."""
+        total, (rise, start, unit) = self.total, self._scaled(curvature, offset)
+        shortage = 1 / total - rise
+        spread = 1 / min(self.masses) - 1 / total
+        # (1 - s/M)^2 - spread (start - shortage s^2) >= 0, on s <= M.
+        inside = _nonnegative(1 / total**2 + spread * shortage, -2 / total, 1 - spread * start, 0.0, total)
+        return unit * min(_first_gap(inside, total), sqrt(start / shortage) if shortage > 0 else inf)
+
     def manifold_reach(self, curvature: float, offset: float) -> ManifoldReach:
         """Return how far along a manifold J = curvature tau^2 + offset its states stay in A_A, and in A_A or A_P.
 
         The curvature (kg m^2/(N m)^2) is not negative, the offset (kg m^2) positive.
         """
-        half, total = self.length / 2, self.total
-        # All over s = T/h, in kg, with inertias divided by h^2.
-        rise, start, unit = curvature * self.gravity**2, offset / half**2, self.gravity * half
-        spread = 1 / min(self.masses) - 1 / total
+        total, (rise, start, unit) = self.total, self._scaled(curvature, offset)
         shortage = 1 / total - rise
         nonempty = sqrt(start / shortage) if shortage > 0 else inf
-        # In A_A: (1 - s/M)^2 - spread (start - shortage s^2) >= 0, on s <= M.
-        inside = _nonnegative(1 / total**2 + spread * shortage, -2 / total, 1 - spread * start, 0.0, total)
-        admissible = _first_gap(inside, total)
         ceiling = total if start <= total else -inf
         if rise > 0 and start <= total:
             ceiling = min(ceiling, sqrt((total - start) / rise))
@@ -204,7 +207,13 @@ class ConstraintSets:
         )
         lower = min(_first_gap(below, total), nonempty)
         upper = lower if complete else min(ceiling, nonempty)
-        return ManifoldReach(unit * min(admissible, nonempty), Bracket(unit * lower, unit * upper), unit * nonempty)
+        admissible = self.admissible_reach(curvature, offset)
+        return ManifoldReach(admissible, Bracket(unit * lower, unit * upper), unit * nonempty)
+
+    def _scaled(self, curvature: float, offset: float) -> tuple[float, float, float]:
+        """Return a manifold over s = T/h, in kg, with inertias divided by h^2, and the torque (N m) of s = 1."""
+        half = self.length / 2
+        return curvature * self.gravity**2, offset / half**2, self.gravity * half
 
     def _chain_inertia(self, torque: float) -> float:
         """Return a lower bound of J_max (kg m^2) at a torque (N m) from one chain of edges; -inf off the plane."""
