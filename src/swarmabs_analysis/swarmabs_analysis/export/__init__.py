@@ -1,7 +1,6 @@
 """Bags as tables and arrays for notebooks and other programs: CSV, Parquet, numpy."""
 
 from swarmabs_analysis.export.arrays import export_arrays
-from swarmabs_analysis.export.columns import TABLES, Column, TableFormat
-from swarmabs_analysis.export.tables import export_tables
+from swarmabs_analysis.export.tables import TABLES, TableFormat, export_tables
 
-__all__ = ["TABLES", "Column", "TableFormat", "export_arrays", "export_tables"]
+__all__ = ["TABLES", "TableFormat", "export_arrays", "export_tables"]

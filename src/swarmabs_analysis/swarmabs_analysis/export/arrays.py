@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_analysis.export.columns import TABLES, row_of
+from swarmabs_analysis.export.tables import TABLES, row_of
 from swarmabs_bag.arrays import arrays_since, available_memory, load_tables
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import BagTooLargeError

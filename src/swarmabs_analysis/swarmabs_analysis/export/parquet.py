@@ -12,54 +12,38 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from swarmabs_analysis.export.columns import BagTable
+    from swarmabs_analysis.export.tables import AddRow, BagTable
 
 _ROWS = 16_384
 """Rows of a row group; more are never in memory."""
 
 
 @contextmanager
-def parquet_sink(folder: Path, table: BagTable) -> Iterator[_ParquetSink]:
-    """Yield what writes a table's file; each column's metadata has its unit and meaning."""
+def parquet_file(folder: Path, table: BagTable) -> Iterator[AddRow]:
+    """Yield what adds a row to a table's file; each column's metadata has its unit and meaning."""
     schema = pa.schema(
         pa.field(
             column.name,
             pa.type_for_alias(column.type),
             nullable=False,
-            metadata=_described(column.unit, column.meaning),
+            metadata={name: text for name, text in (("unit", column.unit), ("meaning", column.meaning)) if text},
         )
         for column in table.columns
     )
+    rows: list[Sequence[Any]] = []
     with pq.ParquetWriter(folder / f"{table.name}.parquet", schema, compression="zstd") as writer:
-        sink = _ParquetSink(writer, schema)
-        yield sink
-        sink.flush()
 
+        def write() -> None:
+            columns = zip(zip(*rows, strict=True), schema, strict=True)
+            arrays = [pa.array(values, field.type) for values, field in columns]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+            rows.clear()
 
-def _described(unit: str, meaning: str) -> dict[str, str]:
-    return {name: text for name, text in (("unit", unit), ("meaning", meaning)) if text}
+        def add(row: Sequence[Any]) -> None:
+            rows.append(row)
+            if len(rows) == _ROWS:
+                write()
 
-
-class _ParquetSink:
-    """Gathers rows and writes them as row groups."""
-
-    def __init__(self, writer: Any, schema: Any) -> None:
-        self._writer = writer
-        self._schema = schema
-        self._rows: list[Sequence[Any]] = []
-
-    def add(self, row: Sequence[Any]) -> None:
-        """Take the next row."""
-        self._rows.append(row)
-        if len(self._rows) == _ROWS:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what has been gathered."""
-        if self._rows:
-            columns = [
-                pa.array(values, field.type)
-                for values, field in zip(zip(*self._rows, strict=True), self._schema, strict=True)
-            ]
-            self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema))
-            self._rows = []
+        yield add
+        if rows:
+            write()

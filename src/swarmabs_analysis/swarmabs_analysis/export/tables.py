@@ -1,34 +1,110 @@
-"""A bag as a folder of tables, written row by row in bounded memory."""
+"""The tables of a bag: one per topic, one row per message; written into a folder row by row, in bounded memory."""
 
 from __future__ import annotations
 
 import csv
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, Protocol
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from swarmabs_analysis.export.columns import TABLES, row_of
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    Field,
+    Topic,
+    fields_of,
+    said,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from swarmabs_analysis.export.columns import BagTable, TableFormat
+    from swarmabs_core.messages import Message
+
+    AddRow = Callable[[Sequence[Any]], object]
 
 COLUMNS_FILE = "columns.csv"
+TableFormat = Literal["csv", "parquet"]
 
 
-class Sink(Protocol):
-    """Where the rows of a table go."""
+class Column(NamedTuple):
+    """A column: name, type, unit (1 for numbers without one, empty for texts) and, where the name is short, meaning."""
 
-    def add(self, row: Sequence[Any], /) -> object:
-        """Take the next row."""
-        ...
+    name: str
+    type: str
+    unit: str
+    meaning: str = ""
+
+
+class BagTable(NamedTuple):
+    """A topic as a table; the columns are time, stamp, and fields of the message by their names."""
+
+    name: str
+    topic: Topic
+    columns: tuple[Column, ...]
+
+
+_TIME = Column("time", "float64", "s", "time of the step; in real time the stamp")
+
+
+def _table(name: str, topic: Topic) -> BagTable:
+    """Return a topic as a table: step, time, robot, then the fields of the message in their order, last the stamp."""
+    stamp, *others = _columns(topic)
+    columns = {column.name: column for column in (_TIME, *others, stamp)}
+    first = [columns.pop(key) for key in ("step", "time", "agent_id") if key in columns]
+    return BagTable(name, topic, (*first, *columns.values()))
+
+
+def _columns(topic: Topic) -> Iterator[Column]:
+    for name, field in fields_of(topic.message).items():
+        assert isinstance(field, Field)  # noqa: S101 - no message that is recorded consists of others
+        if field.ros_type == "time":
+            yield Column(name, "float64", "s", field.meaning)
+        else:
+            constants = ", ".join(f"{value.value}: {said(value)}" for value in field.constants or ())
+            yield Column(name, field.ros_type, field.unit, constants or field.meaning)
+
+
+TABLES = (
+    _table("agents", AGENT_STATE),
+    _table("plane", PLANE_STATE),
+    _table("abstract", ABSTRACT_STATE),
+    _table("auxiliary", AUXILIARY_STATE),
+    _table("desired", DESIRED_ABSTRACT_STATE),
+    _table("events", EVENTS),
+)
+"""All tables, in the order of a bag."""
+
+
+def row_of(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:
+    """Return what makes a row of a message.
+
+    Its time is that of its step, for in lockstep a robot's clock may be wrong; where there is no period (ns), as in
+    real time, it is the stamp.
+    """
+    fields = table.topic.message._fields
+    names = [column.name for column in table.columns]
+    time, stamp = names.index("time"), names.index("stamp")
+    pick = itemgetter(*(0 if name in {"time", "stamp"} else fields.index(name) for name in names))
+
+    def row(message: Message) -> Sequence[Any]:
+        picked = list(pick(message))
+        picked[time] = (message.stamp if period is None else message.step * period) / 1e9
+        picked[stamp] = message.stamp / 1e9
+        return picked
+
+    return row
 
 
 def export_tables(
@@ -59,36 +135,31 @@ def export_tables(
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
     opened = _parquet() if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
-        sinks = {table.topic: stack.enter_context(opened(part, table)) for table in TABLES}
         period = step_period(bag)
-        rows = {table.topic: row_of(table, period) for table in TABLES}
-        for topic, _, message in bag.decoded(tuple(sinks)):
-            sinks[topic].add(rows[topic](message))
+        files = {table.topic: (stack.enter_context(opened(part, table)), row_of(table, period)) for table in TABLES}
+        for topic, _, message in bag.decoded(tuple(files)):
+            add, row = files[topic]
+            add(row(message))
         _write_columns(part / COLUMNS_FILE)
     return tuple(sorted(folder.iterdir()))
 
 
 @contextmanager
-def _csv(folder: Path, table: BagTable) -> Iterator[Sink]:
+def _csv(folder: Path, table: BagTable) -> Iterator[AddRow]:
     with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([column.name for column in table.columns])
-        yield _CsvSink(writer.writerow)
+        yield writer.writerow
 
 
-class _CsvSink:
-    def __init__(self, write: Callable[[Sequence[Any]], object]) -> None:
-        self.add = write
-
-
-def _parquet() -> Callable[[Path, BagTable], AbstractContextManager[Sink]]:
+def _parquet() -> Callable[[Path, BagTable], AbstractContextManager[AddRow]]:
     try:
-        from swarmabs_analysis.export.parquet import parquet_sink  # noqa: PLC0415 - pyarrow may be missing
+        from swarmabs_analysis.export.parquet import parquet_file  # noqa: PLC0415 - pyarrow may be missing
     except ImportError as error:
         raise InputError(
             f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
         ) from error
-    return parquet_sink
+    return parquet_file
 
 
 def _write_columns(path: Path) -> None:
