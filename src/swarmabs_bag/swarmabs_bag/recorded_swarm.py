@@ -60,25 +60,11 @@ _DRAWABLE = 1e100
 
 @dataclass(frozen=True)
 class RecordedSwarm:
-    """A swarm as its bag holds it.
+    """A swarm as its bag holds it, with how the run ended, and its namespace if that tells it from others.
 
-    Attributes
-    ----------
-    bag : Path
-        The MCAP file.
-    scenario : Scenario
-        What was run.
-    arrays : RunArrays
-        The recorded steps; what cannot be drawn, such as infinity, is NaN in them.
-    events : tuple of SwarmEvent
-        In the order of their steps.
-    law_time : ndarray, (n+1,)
-        Time of the parent controller's law at each step, s; in real time it begins again with each reset, and is NaN
-        where the controller has not answered.
-    status, reason : str, str or None
-        How the run ended, as far as the bag says.
-    name : str or None
-        Namespace of the swarm; None where it is in none, and the bag holds no other.
+    What cannot be drawn, such as infinity, is NaN in the arrays. `law_time`, (n+1,), is the time of the parent
+    controller's law at each step, s; in real time it begins again with each reset, and is NaN where the controller has
+    not answered.
     """
 
     bag: Path
@@ -213,14 +199,9 @@ class RecordedSwarm:
 
 
 def column_points(column: Integers, values: Floats) -> Integers:
-    """Return which points of a line stand for it in a picture, ascending.
+    """Return which points of a line stand for it in a picture, ascending, by the column in which each lies.
 
-    Parameters
-    ----------
-    column : ndarray of int, (n,)
-        The column of the picture in which each point lies, ascending.
-    values : ndarray, (n,)
-        Their heights; NaN is a gap, whose borders are kept.
+    Columns ascend; NaN is a gap, whose borders are kept.
     """
     begins = np.flatnonzero(np.diff(column, prepend=column[0] - 1))
     ends = np.append(begins[1:], len(column))
@@ -239,12 +220,8 @@ def column_points(column: Integers, values: Floats) -> Integers:
 def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
     """Read the swarm of a bag, also of one that has lost its end, as far as it goes.
 
-    Raises
-    ------
-    InputError
-        If it is no bag of a swarm, or holds no valid scenario.
-    DamagedBagError
-        If it cannot be read, or holds a robot of an unknown kind.
+    An `InputError` if it is no bag of a swarm, or holds no valid scenario; a `DamagedBagError` if it cannot be read,
+    or holds a robot of an unknown kind.
     """
     bag = open_bag(path, namespace=namespace, damaged=True)
     tables = load_tables(bag)

@@ -104,20 +104,10 @@ class Abstract(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """What is shown of the whole swarm in a step; None is what is not known or not finite.
+    """What is shown of the whole swarm in a step.
 
-    Parameters
-    ----------
-    step, stamp : int
-        Of the plane's state; the stamp in ns.
-    time : float
-        Of the step, s.
-    angle, angular_velocity : float, optional
-        Of the plane, rad and rad/s.
-    reference : float, optional
-        The angle wanted, with its offsets, rad.
-    abstract, desired : Abstract
-        The abstract state, actual and wanted.
+    The stamp is in ns, the time in s, angle and reference in rad, the angular velocity in rad/s. The reference is the
+    angle wanted, with its offsets. None is what is not known or not finite.
     """
 
     step: int
@@ -152,16 +142,9 @@ def is_silent(heard: int | Integers, step: int | Integers) -> bool | Flags:
 
 
 def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRobot:
-    """Return what is shown of a robot in a step: what it has said last, unless it is out.
+    """Return what is shown of a robot in a step: what it has said last up to then, unless it is out.
 
-    Parameters
-    ----------
-    out : Out, optional
-        How it is out: a dead one stands still at its place, whatever its process still says.
-    state : AgentState, optional
-        What it has said last up to that step; None if it was not heard.
-    step : int
-        The step.
+    A dead one stands still at its place, whatever its process still says.
     """
     if out is not None and out.status == "dead":
         return ShownRobot(finite(out.place), 0.0, None, "dead")
@@ -181,17 +164,7 @@ def instant_of(
     time: float,
     reference: float | None,
 ) -> Instant:
-    """Return what is shown of the whole swarm by the messages of a step.
-
-    Parameters
-    ----------
-    plane, abstract, desired : PlaneState, AbstractState, DesiredAbstractState
-        The messages; None for one that is not there.
-    time : float
-        Of the step, s.
-    reference : float, optional
-        The angle wanted, rad.
-    """
+    """Return what is shown of the whole swarm by the messages of a step, its time (s) and the angle wanted (rad)."""
     return Instant(
         plane.step,
         plane.stamp,
@@ -210,16 +183,9 @@ class RobotHistory:
     Events may come in any order, and more than once. Only the observer knows which robots are dead, and announces when
     one is back. What a robot says of itself after its end changes nothing, except that it leaves and joins.
 
-    Parameters
-    ----------
-    robots : iterable of int
-        Ids of the robots that are known beforehand.
-    absent : iterable of int
-        Those of them that take part only from when they have joined.
-    states : int
-        States that are kept of a robot, the latest.
-    changes : int, optional
-        How often a robot is in and out that is remembered, the latest times, and of how many robots is limited then.
+    Of the robots that are known beforehand some are `absent`: they take part only from when they have joined. The
+    latest `states` and `changes` (in or out) of a robot are kept; without a number of these, all of any number of
+    robots.
     """
 
     def __init__(
@@ -337,24 +303,12 @@ class _Events:
 class SwarmState:
     """What is known of a swarm now.
 
-    It shows the latest step of which plane, observer and controller were heard, with each robot as it was last heard up
-    to then. If observer or controller is silent, it shows the plane's latest step without it.
+    It shows the latest step of which plane, observer and controller were heard, with each robot as it was last heard
+    up to then. If observer or controller is silent, it shows the plane's latest step without it.
 
-    Parameters
-    ----------
-    robots : sequence of RobotIdentity
-        Those that are known beforehand; others are added when they are heard.
-    reference : OffsetReference, optional
-        The angle wanted (rad) at a time (s) of the law; it gets the offsets that are announced.
-    period_ns : int, optional
-        The control period, ns. Times are then those of the steps, whatever the clocks say that stamp the messages.
-
-    Attributes
-    ----------
-    robots : list of RobotIdentity
-        All that are known, by id where they were not known beforehand.
-    version : int
-        Changes with everything that comes.
+    Robots that are not known beforehand are added when they are heard. The reference gets the offsets that are
+    announced. With a control period, times are those of the steps, whatever the clocks say that stamp the messages.
+    `version` changes with everything that comes.
     """
 
     def __init__(

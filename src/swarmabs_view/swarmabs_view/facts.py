@@ -68,20 +68,9 @@ def regions(
 ) -> Regions | None:
     """Sample the boundaries of A_A and A_P: of the states that robots give, and weights that stand still among them.
 
-    These add a constant torque and a constant inertia to what the robots give.
-
-    Parameters
-    ----------
-    masses : sequence of float
-        Of all robots that are commanded, kg; there are no sets of fewer than two.
-    length : float
-        Of the plane, m.
-    gravity : float
-        m/s^2.
-    torque_max : float
-        Of the manifold, N m: the sets are shown somewhat beyond, but never further than robots on the plane reach.
-    standing : sequence of tuple of float
-        Mass (kg) and place (m) of each weight that stands still.
+    These, by mass (kg) and place (m), add a constant torque and a constant inertia to what the robots of some masses
+    (kg, at least two) give on a plane of some length (m). Gravity is in m/s^2. The sets are shown somewhat beyond the
+    torque of the manifold (N m), but never further than robots on the plane reach.
     """
     if len(masses) < 2 or not all(map(isfinite, (*masses, *chain.from_iterable(standing)))):
         return None
@@ -120,20 +109,7 @@ def in_background(work: Work) -> Thread:
 
 
 class Shading:
-    """What the page shades, by who takes part.
-
-    Parameters
-    ----------
-    hello : Hello
-        What is shown, with the sets of those who take part at first.
-    run : callable
-        Has a computation done, by default in the background.
-
-    Attributes
-    ----------
-    first : Sets
-        What stands in the hello.
-    """
+    """What the page shades, by who takes part: `first` is what stands in the hello, and `run` has others computed."""
 
     def __init__(self, hello: Hello, run: Callable[[Work], Thread | None] = in_background) -> None:
         self._hello = hello

@@ -36,20 +36,7 @@ class Heard(NamedTuple):
 
 
 class Listener:
-    """Listens to a swarm.
-
-    Parameters
-    ----------
-    node : SwarmNode
-        Whose subscriptions they are.
-    robots : int
-        How many there are, as far as that is known.
-
-    Attributes
-    ----------
-    malformed : int
-        How many payloads were no messages of a swarm.
-    """
+    """Listens to a swarm of so many robots, as far as known; payloads that are no messages of one are counted."""
 
     def __init__(self, node: SwarmNode, robots: int) -> None:
         # The robots last: the states of a step are there when its broadcasts are.

@@ -64,10 +64,7 @@ class StepRate:
 class CurveBuffer:
     """Keeps the points of curves that grow: those whose step is a multiple of a stride that doubles when needed.
 
-    Attributes
-    ----------
-    epoch : int
-        Changes whenever points that were there are gone.
+    `epoch` changes whenever points that were there are gone.
     """
 
     def __init__(self, most: int = MOST_POINTS) -> None:
@@ -97,25 +94,9 @@ class CurveBuffer:
 
 
 class LiveView:
-    """What is known of a running swarm, for all pages.
+    """What is known of a running swarm, for all pages: its state and curves, how it and its processes are doing.
 
-    Parameters
-    ----------
-    hello : Hello
-        What is known of it before anything is heard; its robots are then those of the state.
-    state : SwarmState
-        What is shown.
-
-    Attributes
-    ----------
-    state : SwarmState
-        What is shown.
-    curves : CurveBuffer
-        The curves so far.
-    health : Health or None
-        Its processes, as far as they are known.
-    phase, text : str
-        How it is doing.
+    The hello says what is known of it before anything is heard; its robots are then those of the state.
     """
 
     def __init__(self, hello: Hello, state: SwarmState) -> None:
@@ -176,15 +157,7 @@ class LiveView:
 
 
 class LiveSession(Session):
-    """What one page has received of a running swarm, and what it still lacks.
-
-    Parameters
-    ----------
-    live : LiveView
-        The swarm.
-    after : callable
-        Makes what the page sees when the run is over; None as long as it is not.
-    """
+    """What one page sees of a running swarm; `after` makes what it sees when the run is over, and None before."""
 
     def __init__(self, live: LiveView, after: Callable[[], Session | None] = lambda: None) -> None:
         super().__init__()

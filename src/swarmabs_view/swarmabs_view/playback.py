@@ -39,13 +39,7 @@ COLUMNS = 1000
 
 
 class Recording:
-    """A bag, read once, in the messages of the page.
-
-    Parameters
-    ----------
-    swarm : RecordedSwarm
-        The swarm of the bag.
-    """
+    """A bag, read once, in the messages of the page."""
 
     def __init__(self, swarm: RecordedSwarm) -> None:
         self.swarm = swarm
@@ -114,13 +108,7 @@ def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
 
 
 class PlaybackSession(Session):
-    """What one page sees of a bag: pure, on any clock that does not jump.
-
-    Parameters
-    ----------
-    recording : Recording
-        The bag.
-    """
+    """What one page sees of a bag: pure, on any clock that does not jump."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__()
@@ -181,18 +169,7 @@ class PlaybackSession(Session):
 
 
 def view_bag(path: Path, *, namespace: str | None, port: int, ready: Callable[[str], None]) -> None:
-    """Show a bag until the user has seen enough.
-
-    Parameters
-    ----------
-    path : Path
-        A run folder, its ``bag/``, or an MCAP file.
-    namespace : str, optional
-        Which swarm to show if the bag holds several.
-    port : int
-        0 for any free one.
-    ready : callable
-        Told the address of the page.
+    """Show a bag until the user has seen enough; `ready` is told the address of the page.
 
     Raises
     ------

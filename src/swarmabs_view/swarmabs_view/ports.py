@@ -12,13 +12,7 @@ ADDRESS = "127.0.0.1"
 
 
 def need_package(module: str, package: str, user: str) -> None:
-    """Refuse where a package is not installed that only some need.
-
-    Raises
-    ------
-    InputError
-        If so.
-    """
+    """Refuse by an `InputError` where a package is not installed that only some need."""
     if find_spec(module) is None:
         raise InputError(
             f"{user} needs the Python package {package}, which ./scripts/swarm installs by itself; "
@@ -37,32 +31,13 @@ def need_foxglove() -> None:
 
 
 def check_foxglove(port: int) -> None:
-    """Refuse what could not be served to Foxglove.
-
-    Raises
-    ------
-    InputError
-        If the package foxglove-sdk is not installed, or the port is taken.
-    """
+    """Refuse by an `InputError` what could not be served: the package is not installed, or the port is taken."""
     need_foxglove()
     bound(port, "choose another --foxglove-port").close()
 
 
 def bound(port: int, remedy: str = "choose another, or 0 for a free one") -> socket.socket:
-    """Return a listening socket on 127.0.0.1.
-
-    Parameters
-    ----------
-    port : int
-        0 for any free one.
-    remedy : str
-        What to do if it cannot be had.
-
-    Raises
-    ------
-    InputError
-        If the port is taken or not allowed.
-    """
+    """Return a socket that listens on a port of 127.0.0.1, 0 for any free one; an `InputError` if it cannot be had."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         # A port is free again as soon as who had it has ended.

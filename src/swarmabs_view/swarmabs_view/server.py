@@ -46,16 +46,9 @@ def hosts(port: int) -> frozenset[str]:
 
 
 def refusal(headers: Mapping[str, str], port: int, *, websocket: bool) -> str | None:
-    """Say why a request is refused; None if it is not.
+    """Say why a request to this port is refused; None if it is not.
 
-    Parameters
-    ----------
-    headers : mapping
-        Of the request; names in any case.
-    port : int
-        On which the server listens.
-    websocket : bool
-        Whether it asks for the connection over which the data go; browsers name the asking page there always.
+    A `websocket` is the connection over which the data go: browsers always name the page that asks for it.
     """
     allowed = hosts(port)
     if headers.get("Host", "").lower() not in allowed:
@@ -100,15 +93,7 @@ def load_files() -> dict[str, tuple[str, bytes]]:
 
 
 class ViewServer:
-    """Serves pages until it is told to stop.
-
-    Parameters
-    ----------
-    listener : socket
-        Bound to a port on 127.0.0.1.
-    session : callable
-        Makes what a new page sees.
-    """
+    """Serves pages until it is told to stop, on a socket of 127.0.0.1; `session` makes what a new page sees."""
 
     def __init__(self, listener: socket, session: Callable[[], Session]) -> None:
         self._listener = listener
@@ -216,16 +201,7 @@ def serve(
 ) -> None:
     """Serve pages until this process is asked to end, by a signal or by a task that is done.
 
-    Parameters
-    ----------
-    listener : socket
-        Bound to a port on 127.0.0.1.
-    session : callable
-        Makes what a new page sees.
-    *tasks : callable
-        What happens meanwhile, as coroutines; the first that is done ends all.
-    ready : callable, optional
-        Told the address of the page once it is served.
+    The tasks are coroutines that happen meanwhile; `ready` is told the address of the page once it is served.
     """
 
     async def main() -> None:

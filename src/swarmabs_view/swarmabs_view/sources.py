@@ -55,12 +55,9 @@ SUMMARY_SECONDS = 10.0
 
 
 class ProcessWatch:
-    """Watches processes by their ids.
+    """How the processes of a run are doing, as the operating system sees them.
 
-    Parameters
-    ----------
-    processes : mapping
-        Process ids by name. An id that another process has got meanwhile does not count as the one meant.
+    An id that another process has got meanwhile does not count as the one meant.
     """
 
     def __init__(self, processes: Mapping[str, int]) -> None:
@@ -91,15 +88,7 @@ class ProcessWatch:
 
 
 class RunView:
-    """A run, from before its start to its bag.
-
-    Parameters
-    ----------
-    folder : Path
-        Its folder.
-    token : str, optional
-        What a page must know to steer it; without one, pages only look.
-    """
+    """A run, from before its start to its bag; a page that knows the token, if there is one, can steer it."""
 
     def __init__(self, folder: Path, token: str | None = None) -> None:
         self._folder = RunFolder(folder)
@@ -200,13 +189,7 @@ class RunView:
 
 
 class SwarmView:
-    """A swarm in a namespace of the ROS domain of the environment.
-
-    Parameters
-    ----------
-    namespace : str
-        Its namespace.
-    """
+    """A swarm in a namespace of the ROS domain of the environment."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
@@ -250,13 +233,7 @@ async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> No
 
 
 def check_running(folder: Path) -> None:
-    """Refuse the folder of a run that is over.
-
-    Raises
-    ------
-    InputError
-        If it is over, or no run's folder.
-    """
+    """Refuse by an `InputError` the folder of a run that is over, and one that is no run's."""
     try:
         environment_of_run(folder)
     except RunOverError as error:

@@ -28,20 +28,7 @@ OVER = "the run takes no requests: it has not begun, or is over"
 
 
 class SteeringBridge:
-    """What steers a run on behalf of all pages.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run.
-    token : str
-        What a page must know.
-
-    Attributes
-    ----------
-    status : Steering
-        What holds now.
-    """
+    """What steers a run on behalf of all pages that know the token; `status` is what holds now."""
 
     def __init__(self, folder: Path, token: str) -> None:
         self._folder = folder
@@ -100,15 +87,7 @@ class SteeringBridge:
 
 
 class SteeredSession(Session):
-    """What one page sees of a run that can be steered.
-
-    Parameters
-    ----------
-    session : Session
-        What it sees without that.
-    bridge : SteeringBridge
-        What steers.
-    """
+    """What one page sees of a run that can be steered: what another session says, and answers to requests."""
 
     def __init__(self, session: Session, bridge: SteeringBridge) -> None:
         super().__init__()

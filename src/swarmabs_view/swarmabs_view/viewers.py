@@ -24,16 +24,9 @@ MARKERS_LOG = "markers.log"
 
 
 def view_live(target: str, *, port: int, ready: Callable[[str], None]) -> None:
-    """Show a running swarm until the user has seen enough.
+    """Show a running swarm until the user has seen enough: a run by its folder, or a namespace of the ROS domain.
 
-    Parameters
-    ----------
-    target : str
-        Folder of a run, or a namespace of the ROS domain of the environment.
-    port : int
-        0 for any free one.
-    ready : callable
-        Told the address of the page.
+    `ready` is told the address of the page.
 
     Raises
     ------
@@ -50,16 +43,8 @@ def view_live(target: str, *, port: int, ready: Callable[[str], None]) -> None:
 class ViewerProcess:
     """A process that shows a run until its standard input ends.
 
-    Parameters
-    ----------
-    module : str
-        What it executes.
-    arguments : sequence of str
-        Of its command line, which other users can see.
-    secret : str
-        The first line that it reads.
-    descriptors : sequence of int
-        Files that it inherits.
+    Other users can see its arguments, but not the secret, which is the first line that it reads. It inherits the files
+    behind the descriptors.
     """
 
     def __init__(
@@ -97,19 +82,8 @@ class ViewerProcess:
 class PageViewer:
     """The page of a run: holds its port from the beginning, so that a taken one is refused in time.
 
-    Parameters
-    ----------
-    port : int
-        0 for any free one.
-    steered : bool
-        Whether the run can be steered from the page, by those who know the token.
-
-    Attributes
-    ----------
-    url : str
-        Address of the page.
-    steering_url : str or None
-        Address with the token, which stands behind the `#`: browsers keep that part for themselves.
+    A run can be `steered` by the page whose address is `steering_url`: its token stands behind the `#`, and browsers
+    keep that part for themselves.
 
     Raises
     ------
@@ -157,16 +131,8 @@ class PageViewer:
 def markers_viewer(folder: Path, *, ros: bool, foxglove_port: int | None, clock: bool) -> Iterator[None]:
     """Show the run in a folder, which is about to begin, to RViz and Foxglove for the time of the block.
 
-    Parameters
-    ----------
-    folder : Path
-        The run's folder.
-    ros : bool
-        Whether to publish on topics of ROS.
-    foxglove_port : int, optional
-        Port for Foxglove; without it nothing is served.
-    clock : bool
-        Whether to publish the time of the steps as clock, where it is not that of the machine.
+    `ros` publishes on topics of ROS, `clock` the time of the steps too, where it is not the machine's; Foxglove is
+    served on its port, if there is one.
     """
     port = -1 if foxglove_port is None else foxglove_port
     parameters = [f"ros:={str(ros).lower()}", f"clock:={str(clock).lower()}", f"foxglove_port:={port}"]

@@ -33,19 +33,9 @@ _EVENT_BYTES = 500
 def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
     """Write the arrays of a bag (`load_arrays`) and its events into a new ``.npz`` file, whole or not at all.
 
-    Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape
-    (n+1, N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of
-    shape (E,), texts as fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled. Returned
-    is the file.
-
-    Parameters
-    ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
-    file : Path
-        The file, which must not exist.
-    namespace : str, optional
-        Which swarm to export if the bag holds several.
+    Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape (n+1,
+    N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape
+    (E,), texts as fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled.
 
     Raises
     ------

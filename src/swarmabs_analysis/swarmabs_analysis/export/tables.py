@@ -112,16 +112,7 @@ def export_tables(
 ) -> tuple[Path, ...]:
     """Write the tables of a bag into a new folder, whole or not at all, and return the files.
 
-    Parameters
-    ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
-    folder : Path
-        What must not exist, or be empty.
-    table_format : {"csv", "parquet"}
-        Kind of the files. Numbers in CSV have the digits that lead back to the same float64.
-    namespace : str, optional
-        Which swarm to export if the bag holds several.
+    Numbers in CSV have the digits that lead back to the same float64.
 
     Raises
     ------

@@ -26,19 +26,7 @@ _MARKS = (f'content="{GENERATOR}"'.encode(), PNG_MARK.encode())
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A report, not written yet.
-
-    Attributes
-    ----------
-    bag : Path
-        The MCAP file.
-    html : str
-        The page.
-    png : bytes
-        The overview.
-    numbers : dict
-        What the page is about, for JSON.
-    """
+    """A report, not written yet: page, overview as PNG, and what the page is about, for JSON."""
 
     bag: Path
     html: str
@@ -82,25 +70,13 @@ def _numbers(recorded: Recorded) -> dict[str, Any]:
 
 
 def default_folder(bag: Path) -> Path:
-    """Return the folder of the run that a bag is of, or the one in which a lone MCAP file lies.
-
-    Raises
-    ------
-    NotABagError
-        If there is no bag.
-    """
+    """Return the folder of the run that a bag is of, or the one in which a lone MCAP file lies."""
     folder = find_bag(bag).parent
     return folder.parent if folder.name == "bag" else folder
 
 
 def check_target(path: Path) -> None:
-    """Make sure that a file can be written, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        If there is something else than an earlier report, or its folder cannot be made or written.
-    """
+    """Refuse by an `InputError` what is no earlier report, or cannot be written, before anything is computed."""
     try:
         if path.exists() and not _is_report(path):
             raise InputError(
@@ -117,13 +93,7 @@ def check_target(path: Path) -> None:
 
 
 def write_file(path: Path, content: bytes) -> bool:
-    """Write a file of a report and return whether it took the place of an earlier one.
-
-    Raises
-    ------
-    RunError
-        If it cannot be written; what was there before is kept.
-    """
+    """Write a file of a report, whole or not at all (`RunError`); return whether it replaced an earlier one."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replaced = path.exists()

@@ -91,20 +91,9 @@ def lines_over_time(
     moment: Mark | None = None,
     positive: bool = False,
 ) -> Draw:
-    """Return what draws lines over time.
+    """Return what draws lines over time, with a value (`level`) and a time (`moment`, s) to mark.
 
-    Parameters
-    ----------
-    recorded : Recorded
-        The run.
-    label : str
-        Of the vertical axis, with the unit.
-    lines : sequence of Line
-        What to draw.
-    level, moment : Mark, optional
-        A value, and a time (s), to mark.
-    positive : bool
-        Whether only values above 0 are drawn, by decades if they ask for it.
+    With `positive`, only values above 0 are drawn, by decades if they ask for it.
     """
 
     def draw(figure: FigureBase) -> None:

@@ -30,21 +30,8 @@ _QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | Patch]:
     """Draw bands that hold 50 and 90 % of the robots, the outermost ones, the median, and three named robots.
 
-    Robots that start on different sides of the axis have bands of their own: they go different ways.
-
-    Parameters
-    ----------
-    axes : Axes
-        With its time axis set.
-    recorded : Recorded
-        The run.
-    values : ndarray, (n+1, N)
-        What is drawn of each robot; NaN where it has none.
-
-    Returns
-    -------
-    list
-        What stands for it in a legend.
+    Robots that start on different sides of the axis have bands of their own: they go different ways. The values are of
+    shape (n+1, N), NaN where a robot has none; the time axis is set. Returned is what stands for it in a legend.
     """
     there = np.isfinite(values).any(axis=0)
     legend: list[Line2D | Patch] = []

@@ -40,18 +40,11 @@ _MOST_ROWS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How far a run is from its constraints.
+    """How far a run is from its constraints; negative beyond.
 
-    Attributes
-    ----------
-    end : ndarray, (n+1,)
-        From the outermost robot to the plane's end, m; negative beyond it.
-    spread : ndarray, (n+1,)
-        S3/S0^2, m^2; the swarm is singular at 0.
-    rows : ndarray of int, (r,)
-        The rows at which the following two are given.
-    actual, desired : ndarray, (r,)
-        Distance of the abstract state, and of the desired one, to the upper boundary J_A of A_A; negative beyond it.
+    Over all steps: `end`, from the outermost robot to the plane's end, m; `spread`, S3/S0^2, m^2, at 0 of which the
+    swarm is singular. At `rows`: the distance of the `actual` and the `desired` abstract state to the upper boundary
+    J_A of A_A.
     """
 
     end: Floats
@@ -65,23 +58,10 @@ class Margins:
 class Recorded:
     """A bag as a report shows it.
 
-    Attributes
-    ----------
-    swarm : RecordedSwarm
-        What is shown of the swarm.
-    metrics : dict
-        ``settled_at``, ``final_error``, ``rms_error``, ``max_abs_position``, ``messages`` as in ``summary.json``, and
-        ``digest``; computed from the bag's messages.
-    counts : dict
-        Number of messages by topic.
-    provenance : dict
-        What the bag says of its origin, empty if nothing.
-    summary : dict or None
-        The ``summary.json`` beside the bag, if it is of this run.
-    summary_note : str
-        Where the timing comes from, or why there is none.
-    realtime : dict or None
-        Figures that only a run in real time has, as under ``realtime`` in ``summary.json``.
+    The metrics are those of `summary.json` and the digest, computed from the bag's messages; `counts` are messages by
+    topic. The provenance is empty if the bag says nothing of it. The summary is the ``summary.json`` beside the bag if
+    it is of this run; the note says where the timing comes from, or why there is none. `realtime` is what a run in
+    real time has under that name in its summary.
     """
 
     swarm: RecordedSwarm
@@ -191,15 +171,7 @@ class Recorded:
 
 
 def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
-    """Read a bag for a report; one that has lost its end too, as far as it goes.
-
-    Raises
-    ------
-    InputError
-        If it is no bag of a swarm, or holds no valid scenario.
-    DamagedBagError
-        If it cannot be read, or holds a robot of an unknown kind.
-    """
+    """Read a bag for a report; one that has lost its end too, as far as it goes. Errors as of `make_report`."""
     bag = open_bag(path, namespace=namespace, damaged=True)
     tables = load_tables(bag)
     arrays = arrays_of(bag, tables)

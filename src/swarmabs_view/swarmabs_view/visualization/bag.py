@@ -38,16 +38,7 @@ _TOLERANCE = 1e-6
 def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: str | None = None) -> Path:
     """Write a copy of a bag with frames in between, whole or not at all, and return its folder.
 
-    Parameters
-    ----------
-    path : Path
-        A run folder, its ``bag/``, or an MCAP file.
-    folder : Path
-        What must not exist, or be empty.
-    rate : float
-        Most frames per second of recorded time.
-    namespace : str, optional
-        Which swarm, if the bag holds several.
+    There are at most `rate` frames per second of recorded time. The folder must not exist, or be empty.
 
     Raises
     ------

@@ -62,19 +62,9 @@ _SLICE = 0.05
 
 
 def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = None) -> int:
-    """Run the node until it is told to stop.
+    """Run the node until it is told to stop, and return its exit code as of `run_program`.
 
-    Parameters
-    ----------
-    args : list of str, optional
-        Command line without the program's name.
-    wait : callable, optional
-        Waits for a time (s) and returns True if the node is to end; by default until SIGINT or SIGTERM.
-
-    Returns
-    -------
-    int
-        Exit code: 0 fine, 1 failed, 2 a parameter or the Fast DDS profile was refused.
+    `wait` waits for a time (s) and returns True if the node is to end; by default until SIGINT or SIGTERM.
     """
 
     def body(node: SwarmNode, _: StatusChannel) -> None:
@@ -103,16 +93,9 @@ def ros_publisher(node: SwarmNode) -> Publish:
 
 
 class FoxgloveServer:
-    """Serves to Foxglove, on the loopback interface, what is published on topics of ROS, and the swarm's own topics.
+    """Serves to Foxglove, on the loopback interface, what is published on topics of ROS, and the swarm's own `topics`.
 
-    Parameters
-    ----------
-    port : int
-        TCP port, 0 for any that is free.
-    namespace : str
-        Of the swarm.
-    topics : iterable of Topic
-        The swarm's own topics that will be forwarded.
+    The port is any that is free for 0.
 
     Raises
     ------
