@@ -27,7 +27,6 @@ from swarmabs_core.messages import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from swarmabs_core.messages import Message
@@ -35,6 +34,8 @@ if TYPE_CHECKING:
     AddRow = Callable[[Sequence[Any]], object]
 
 COLUMNS_FILE = "columns.csv"
+_PARQUET_ROWS = 16_384
+"""Rows of a row group of Parquet; more are never in memory."""
 TableFormat = Literal["csv", "parquet"]
 
 
@@ -124,7 +125,7 @@ def export_tables(
     bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
-    opened = _parquet() if table_format == "parquet" else _csv
+    opened = _parquet if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
         period = step_period(bag)
         files = {table.topic: (stack.enter_context(opened(part, table)), row_of(table, period)) for table in TABLES}
@@ -143,14 +144,42 @@ def _csv(folder: Path, table: BagTable) -> Iterator[AddRow]:
         yield writer.writerow
 
 
-def _parquet() -> Callable[[Path, BagTable], AbstractContextManager[AddRow]]:
+@contextmanager
+def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
+    """Yield what adds a row to a table's file; each column's metadata has its unit and meaning."""
     try:
-        from swarmabs_analysis.export.parquet import parquet_file  # noqa: PLC0415 - pyarrow may be missing
+        import pyarrow as pa  # noqa: PLC0415 - it may be missing
+        from pyarrow.parquet import ParquetWriter  # noqa: PLC0415 - it may be missing
     except ImportError as error:
         raise InputError(
             f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
         ) from error
-    return parquet_file
+    schema = pa.schema(
+        pa.field(
+            column.name,
+            pa.type_for_alias(column.type),
+            nullable=False,
+            metadata={name: text for name, text in (("unit", column.unit), ("meaning", column.meaning)) if text},
+        )
+        for column in table.columns
+    )
+    rows: list[Sequence[Any]] = []
+    with ParquetWriter(folder / f"{table.name}.parquet", schema, compression="zstd") as writer:
+
+        def write() -> None:
+            columns = zip(zip(*rows, strict=True), schema, strict=True)
+            arrays = [pa.array(values, field.type) for values, field in columns]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+            rows.clear()
+
+        def add(row: Sequence[Any]) -> None:
+            rows.append(row)
+            if len(rows) == _PARQUET_ROWS:
+                write()
+
+        yield add
+        if rows:
+            write()
 
 
 def _write_columns(path: Path) -> None:
