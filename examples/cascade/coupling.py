@@ -11,7 +11,7 @@ from math import cos, exp
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import StepAheadError, refuse_conflict
-from swarmabs_core.command_filter import CommandFilter
+from swarmabs_core.desired_state import CommandFilter
 from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     PLANE_STATE,

@@ -9,7 +9,6 @@ from tests.swarmabs_ros.nodes import settings_from
 from abstraction_observer.node import PARAMETERS, make
 from swarmabs_config.graph import LOCKSTEP, OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig
-from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -20,6 +19,7 @@ from swarmabs_core.messages import (
     EventKind,
     SwarmEvent,
 )
+from swarmabs_core.plant import Friction
 from swarmabs_ros.status import StatusChannel
 
 CHANNEL = StatusChannel("abstraction_observer")

@@ -21,10 +21,9 @@ from tests.errata.paper import (
 )
 
 from swarmabs_core.behaviours import Agent, AgentConfig
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import AbstractState, AgentState, AuxiliaryState, DesiredAbstractState, Kind, PlaneState
-from swarmabs_core.plant import Plane, PlaneDynamics, standing, straight, swarm_load
+from swarmabs_core.plant import Friction, Plane, PlaneDynamics, standing, straight, swarm_load
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 
 PAPER = Friction(*FRICTION)

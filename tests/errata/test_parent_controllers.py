@@ -11,10 +11,9 @@ from scipy.integrate import quad
 from tests.errata.paper import FRICTION, INERTIA, OFFSET, PD_PRINTED, slope
 
 from swarmabs_core.controllers import CONTROLLERS, Arise, AriseGains, ParentContext, lqr_gains, regressor
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
-from swarmabs_core.plant import Plane, PlaneDynamics, swarm_load
+from swarmabs_core.plant import Friction, Plane, PlaneDynamics, swarm_load
 from swarmabs_core.trajectory import Sine
 
 VISCOUS = FRICTION[5]

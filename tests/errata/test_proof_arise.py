@@ -31,7 +31,7 @@ from tests.errata.paper import (
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.controllers import AriseGains, regressor
-from swarmabs_core.friction import Friction
+from swarmabs_core.plant import Friction
 from swarmabs_core.theory.arise import error_gradient
 from swarmabs_core.theory.report import Condition, Verdict
 

@@ -29,10 +29,9 @@ from swarmabs_config.theory import check_scenario, setting
 from swarmabs_core.abstraction import Weight, abstraction
 from swarmabs_core.behaviours import Controller, ControllerConfig
 from swarmabs_core.controllers import StateFeedback
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
-from swarmabs_core.plant import Plane, PlaneDynamics, SwarmLoad
+from swarmabs_core.plant import Friction, Plane, PlaneDynamics, SwarmLoad
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_core.theory.state_feedback import estimate, matrix_eigenvalues, potential, radius_squared
 

@@ -9,10 +9,9 @@ from tests.swarmabs_ros.nodes import settings_from
 from plane_sim.node import PARAMETERS, make
 from swarmabs_config.graph import LOCKSTEP, PLANE
 from swarmabs_core.behaviours import Plane, PlaneConfig
-from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE
-from swarmabs_core.plant import Disturbance
+from swarmabs_core.plant import Disturbance, Friction
 from swarmabs_core.sensing import PlaneSensor
 from swarmabs_ros.status import StatusChannel
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from tests.swarmabs_ros.nodes import realtime_settings_from
 
 from plane_sim.realtime import PARAMETERS
-from swarmabs_core.friction import Friction
-from swarmabs_core.plant import STEEPEST, Disturbance, Plane
+from swarmabs_core.plant import STEEPEST, Disturbance, Friction, Plane
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_core.realtime.validation import Bounds

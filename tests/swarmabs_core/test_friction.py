@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from swarmabs_core.friction import Friction
+from swarmabs_core.plant import Friction
 
 PAPER = Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0)
 

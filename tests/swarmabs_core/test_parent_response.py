@@ -7,9 +7,9 @@ from scipy.integrate import solve_ivp
 from tests.swarmabs_core.helpers import Run, builtin
 
 from swarmabs_config.scenario import Scenario
-from swarmabs_core.friction import Friction
 from swarmabs_core.messages import AbstractState, PlaneState
 from swarmabs_core.parent_response import TorqueEstimator
+from swarmabs_core.plant import Friction
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 from swarmabs_core.errors import RunError
-from swarmabs_core.friction import Friction
 from swarmabs_core.plant import (
     Disturbance,
+    Friction,
     Plane,
     PlaneDynamics,
     RobotPath,

@@ -14,8 +14,8 @@ from tests.plugin_packages import BANG_BANG, install
 from swarmabs_config.scenario import json_schema, parse_scenario
 from swarmabs_core.controllers import CONTROLLERS, PD, ControllerType, ParentContext, ParentController, StateFeedback
 from swarmabs_core.errors import InputError
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.plant import Friction
 from swarmabs_core.registry import PluginError, Registry
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.simulation import simulate

@@ -11,11 +11,10 @@ from math import cos, sqrt, tanh
 from typing import Protocol, runtime_checkable
 
 from swarmabs_core.declaration import choice, made_of, parameters_of, same, setting
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.parameters import SettingError, Settings
-from swarmabs_core.plant import Plane
+from swarmabs_core.plant import Friction, Plane
 from swarmabs_core.registry import Part, Registry
 from swarmabs_core.trajectory import TRAJECTORY, Derivatives, Trajectory, make_trajectory
 

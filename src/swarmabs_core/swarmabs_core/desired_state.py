@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import exp, isfinite
 from typing import TYPE_CHECKING
 
-from swarmabs_core.command_filter import CommandFilter
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
@@ -22,6 +21,8 @@ FALLEN = (
 """Why a run ends at `STEEPEST`, and what helps."""
 TORQUE_LIMITED = "torque limited to torque_max"
 """What the controller says of a torque that it limits."""
+BANDWIDTH = 50.0
+"""Corner frequency of the filter between parent controller and manifold, rad/s."""
 
 
 def fallen(plane: PlaneState) -> str:
@@ -29,6 +30,23 @@ def fallen(plane: PlaneState) -> str:
     if abs(plane.angle) < STEEPEST:
         return ""
     return f"step {plane.step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: {FALLEN}"
+
+
+class CommandFilter:
+    """Critically damped filter, x'' = w^2 (u - x) - 2 w x', exact for a command u that is held; period s, w rad/s."""
+
+    def __init__(self, period: float, bandwidth: float = BANDWIDTH) -> None:
+        wt = bandwidth * period
+        decay = exp(-wt)
+        self._a11 = (1.0 + wt) * decay
+        self._a12 = period * decay
+        self._a21 = -bandwidth * wt * decay
+        self._a22 = (1.0 - wt) * decay
+
+    def advance(self, value: float, rate: float, command: float) -> tuple[float, float]:
+        """Return value and rate one period later, with the command held."""
+        offset = value - command  # the filter moves towards the command: integrate the distance to it
+        return command + self._a11 * offset + self._a12 * rate, self._a21 * offset + self._a22 * rate
 
 
 class DesiredStateGenerator:

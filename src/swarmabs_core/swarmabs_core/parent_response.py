@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 from swarmabs_core.declaration import setting
 
 if TYPE_CHECKING:
-    from swarmabs_core.friction import Friction
+    from swarmabs_core.plant import Friction
 
 
 @dataclass(frozen=True, slots=True)

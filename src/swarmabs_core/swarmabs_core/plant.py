@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.declaration import part, setting
 from swarmabs_core.errors import RunError
-from swarmabs_core.friction import Friction
 from swarmabs_core.sensing import PlaneSensor
 from swarmabs_core.summation import exact_sum, term_columns
 
@@ -103,6 +102,30 @@ def summed_load(
     y0, y1, y3, y4, y5, y6 = [exact_sum(numbers(column)) for column in (j0, j1, *higher)]
     y2 = exact_sum([*numbers(j2), *numbers(j2_cubic)])
     return SwarmLoad((x0, x1, x2, x3), (y0, y1, y2, y3, y4, y5, y6))
+
+
+class Friction(NamedTuple):
+    """Friction of the bearing (eq. frictionModel), f_f(w) = g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w.
+
+    Amplitudes of the Stribeck and of the Coulomb term are in N m, steepness of the hyperbolic tangents is in s/rad,
+    viscous friction in N m s/rad.
+    """
+
+    g1: float
+    g2: float
+    g3: float
+    g4: float
+    g5: float
+    g6: float
+
+    def torque(self, angular_velocity: float) -> float:
+        """Return the friction torque, N m, at an angular velocity in rad/s."""
+        w = angular_velocity
+        return self.g1 * (tanh(self.g2 * w) - tanh(self.g3 * w)) + self.g4 * tanh(self.g5 * w) + self.g6 * w
+
+    def slope_at_rest(self) -> float:
+        """Return df_f/dw at w = 0, N m s/rad: it sets how stiff the plane is near rest."""
+        return self.g1 * (self.g2 - self.g3) + self.g4 * self.g5 + self.g6
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from swarmabs_analysis.verification.base import Ending
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
-from swarmabs_core import command_filter, controllers, desired_state, drive, plant
+from swarmabs_core import controllers, desired_state, drive, plant
 from swarmabs_core.behaviours import Agent, AgentConfig, Observer
 from swarmabs_core.cdr import agent_id_of, decode, encode
 from swarmabs_core.errors import MalformedMessageError, RunError
@@ -500,7 +500,7 @@ def last_bit_wrong(function: Callable[[float], float]) -> Callable[[float], floa
 def test_another_mathematical_library_needs_a_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = world("arise_het_4", "duration=2")
     with monkeypatch.context() as patch:
-        for module in (plant, drive, command_filter, controllers):
+        for module in (plant, drive, desired_state, controllers):
             for name in ("tanh", "cos", "sin", "exp", "expm1"):
                 if hasattr(module, name):
                     patch.setattr(module, name, last_bit_wrong(getattr(math, name)))

@@ -8,7 +8,6 @@ from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
 from swarmabs_core.behaviours import Observer, ObserverConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
-from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -21,6 +20,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.parent_response import TorqueEstimator
+from swarmabs_core.plant import Friction
 
 MODEL = (0.5, Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), 50.0)
 

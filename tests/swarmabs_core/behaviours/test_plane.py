@@ -15,7 +15,6 @@ from swarmabs_core import plant
 from swarmabs_core.behaviours import Plane, PlaneConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.errors import RunError
-from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -29,7 +28,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
-from swarmabs_core.plant import Disturbance
+from swarmabs_core.plant import Disturbance, Friction
 from swarmabs_core.sensing import Sensor
 
 FRICTION = Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0)

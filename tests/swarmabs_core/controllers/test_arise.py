@@ -9,8 +9,8 @@ from hypothesis import given, strategies as st
 from tests.swarmabs_core.helpers import taylor
 
 from swarmabs_core.controllers import Arise, AriseGains, regressor
-from swarmabs_core.friction import Friction
 from swarmabs_core.messages import PlaneState
+from swarmabs_core.plant import Friction
 from swarmabs_core.trajectory import Constant, Sine
 
 PAPER = Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0)

@@ -4,9 +4,9 @@ import pytest
 
 from swarmabs_core.controllers import CONTROLLERS, Arise, ParentContext, StateFeedback
 from swarmabs_core.errors import InputError
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
+from swarmabs_core.plant import Friction
 
 CONTEXT = ParentContext(0.01, 0.5, Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0), Manifold(0.0125, 0.025, 5.0))
 

@@ -12,7 +12,7 @@ from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_config.theory import check_scenario
-from swarmabs_core.friction import Friction
+from swarmabs_core.plant import Friction
 from swarmabs_core.theory.arise import error_gradient
 from swarmabs_core.theory.report import Condition, Report, Theorem, Verdict
 

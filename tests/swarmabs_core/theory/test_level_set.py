@@ -7,8 +7,8 @@ from math import cos, sin, sqrt
 import numpy as np
 import pytest
 
-from swarmabs_core.friction import Friction
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.plant import Friction
 from swarmabs_core.theory.error_dynamics import first_order
 from swarmabs_core.theory.state_feedback import Loop, level_set, matrix_eigenvalues, potential
 

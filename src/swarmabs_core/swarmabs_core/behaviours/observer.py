@@ -9,7 +9,6 @@ from swarmabs_core.abstraction import Weight, observed
 from swarmabs_core.behaviours.base import Gathering, Run, UnexpectedMessageError, is_new
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import RunError
-from swarmabs_core.friction import Friction
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -25,7 +24,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.parent_response import ParentResponse, TorqueEstimator
-from swarmabs_core.plant import Plane
+from swarmabs_core.plant import Friction, Plane
 from swarmabs_core.steering import change_of
 from swarmabs_core.swarm_law import SwarmGains
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from swarmabs_core.command_filter import BANDWIDTH
 from swarmabs_core.controllers import Arise, StateFeedback
+from swarmabs_core.desired_state import BANDWIDTH
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.messages import Kind
 from swarmabs_core.theory.report import Condition, Form

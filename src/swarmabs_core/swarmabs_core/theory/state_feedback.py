@@ -33,8 +33,8 @@ from swarmabs_core.theory.error_dynamics import gain_conditions, initial_energy,
 from swarmabs_core.theory.report import Condition, Form, ParentCheck
 
 if TYPE_CHECKING:
-    from swarmabs_core.friction import Friction
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.plant import Friction
     from swarmabs_core.theory.error_dynamics import ErrorDynamics
     from swarmabs_core.theory.report import Number
     from swarmabs_core.theory.setting import Setting

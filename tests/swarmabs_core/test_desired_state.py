@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from swarmabs_core.command_filter import BANDWIDTH, CommandFilter
+from swarmabs_core.desired_state import BANDWIDTH, CommandFilter
 
 values = st.floats(-5.0, 5.0)
 periods = st.floats(1e-4, 0.3)
