@@ -11,8 +11,10 @@ from tests.soak.trial import not_repeated, violations
 from tests.virtual_fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
+from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import realtime as configure
+from swarmabs_config.configure import members
 from swarmabs_config.scenario import AriseConfig, Constant, Scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
@@ -120,7 +122,8 @@ class FollowsFromItsBasis(Invariant):
     """Every message is, bit for bit, what follows from what it says that it was computed from."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._verification = RealtimeVerification(scenario, configure.schedule(scenario, EPOCH))
+        world = RealtimeWorld(configure.schedule(scenario, EPOCH), members(scenario), plane=True)
+        self._verification = RealtimeVerification(scenario, world)
         self._period_ns = scenario.step_ns
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
@@ -132,7 +135,7 @@ class FollowsFromItsBasis(Invariant):
     def finish(self) -> Iterator[Violation]:
         """Yield the first message that does not follow."""
         self._verification.finish()
-        difference = self._verification.difference
+        difference = self._verification.found.difference
         if difference is not None:
             yield Violation("verification", difference.step, difference.agent, str(difference))
 

@@ -25,13 +25,16 @@ from swarmabs_analysis.replay.source import open_source
 from swarmabs_analysis.report import make_report
 from swarmabs_analysis.report.record import read_recorded
 from swarmabs_analysis.rerun import recorded_run
+from swarmabs_analysis.verification.base import Verdict
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_analysis.verify import BagToVerify, Verdict
+from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.info import bag_info, render
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.repair import repair_bag
 from swarmabs_config import realtime as configure
+from swarmabs_config.configure import members
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Message, PlaneState
@@ -75,11 +78,13 @@ def test_a_bag_is_verified(tmp_path: Path, name: str, *, since_1970: bool) -> No
 
 def test_a_message_published_at_another_time_than_its_stamp_is_named() -> None:
     recorded = world("quiet")
-    verification = RealtimeVerification(recorded.scenario, configure.schedule(recorded.scenario, EPOCH))
+    clock = configure.schedule(recorded.scenario, EPOCH)
+    simulated = RealtimeWorld(clock, members(recorded.scenario), plane=True)
+    verification = RealtimeVerification(recorded.scenario, simulated)
     for number, stored in enumerate(recorded.bag):
         verification.add(stored.topic, stored.time, stored.payload, stored.message.stamp + (number == 500))
     changed = recorded.bag[500]
-    found = verification.difference
+    found = verification.found.difference
     assert found is not None
     assert (found.topic, found.step, found.field) == (changed.topic.name, changed.message.step, "publish_time")
     assert (found.a, found.b) == (changed.message.stamp + 1, changed.message.stamp)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import Ending
+from swarmabs_analysis.verification.base import Ending, Verdict
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.attached import (
@@ -30,7 +29,7 @@ from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
     from swarmabs_analysis.verification.base import Verification
@@ -41,80 +40,6 @@ DRIVERS = ("lockstep", "simulate", REALTIME.value)
 """What moved the state machines of a bag that can be verified, as its provenance says."""
 NOT_VERIFIED = "events, and when within its step a robot was measured, do not follow from other messages"
 """What is never verified of a run in real time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What was found out about a bag.
-
-    Attributes
-    ----------
-    bag : str
-        The MCAP file.
-    scenario : str or None
-        Name of its scenario; None if nothing of the bag can be read.
-    difference : Difference or None
-        The first difference between what is recorded and what is recomputed.
-    problem : str or None
-        What is wrong with the file.
-    steps, messages : int
-        How many of them were found right.
-    expected_steps : int or None
-        How many steps a whole run of the scenario has: 0 to n are n + 1.
-    ended_early : str or None
-        Why the run ended before its last step.
-    digest : str or None
-        Digest of the run, if the whole bag was found right.
-    tolerance : float
-        As given to `BagToVerify.verify`.
-    notes : tuple of str
-        What people should know besides.
-    not_checkable : mapping of str to int
-        How many messages of a run in real time could not be checked, by the reason.
-    """
-
-    bag: str
-    scenario: str | None
-    difference: Difference | None
-    problem: str | None
-    steps: int = 0
-    messages: int = 0
-    expected_steps: int | None = None
-    ended_early: str | None = None
-    digest: str | None = None
-    tolerance: float = 0.0
-    notes: tuple[str, ...] = ()
-    not_checkable: Mapping[str, int] = field(default_factory=dict)
-
-    @property
-    def ok(self) -> bool:
-        """Whether nothing is wrong."""
-        return self.difference is None and self.problem is None
-
-    @property
-    def complete(self) -> bool:
-        """Whether all of the run is there and right; in real time the bag says itself whether it ended early."""
-        whole = self.ended_early is None if self.expected_steps is None else self.steps == self.expected_steps
-        return self.ok and whole
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain data for JSON."""
-        return {
-            "ok": self.ok,
-            "first_difference": self.difference and self.difference.to_dict("recorded", "recomputed"),
-            "problem": self.problem,
-            "bag": self.bag,
-            "scenario": self.scenario,
-            "complete": self.complete,
-            "ended_early": self.ended_early,
-            "steps": self.steps,
-            "expected_steps": self.expected_steps,
-            "messages": self.messages,
-            "digest": self.digest,
-            "tolerance": self.tolerance,
-            "notes": list(self.notes),
-            "not_checkable": dict(self.not_checkable),
-        }
 
 
 class BagToVerify:
@@ -156,53 +81,33 @@ class BagToVerify:
         Parameters
         ----------
         tolerance : float
-            A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
+            As of `Verdict`.
         on_step : callable, optional
             Told the first step that is not verified yet, at every message.
         """
-        verification = self._verification(tolerance)
-        problem, aborted = self._follow(verification, on_step), None
-        cut = problem is not None
+        verification: Verification = (
+            LockstepVerification(self.scenario, tolerance=tolerance)
+            if self._realtime is None
+            else RealtimeVerification(self.scenario, self._realtime, tolerance=tolerance)
+        )
+        found = verification.found
+        found.bag, found.scenario = str(self._bag.path), self.scenario.name
+        found.problem = self._follow(verification, on_step)
+        cut = found.problem is not None
         if not cut:
             try:
-                aborted = self._bag.aborted()
+                found.ended_early = self._bag.aborted()
                 self._bag.check()
             except DamagedBagError as error:
-                problem = str(error)
-        verification.finish(Ending.CUT if cut else Ending.WHOLE if aborted is None else Ending.EARLY)
-        difference, digest = verification.difference, None
-        if difference is None and not cut:
-            digest = verification.digest()
-            difference = None if digest is None else _other_digest(self._bag, digest)
+                found.problem = str(error)
+        verification.finish(Ending.CUT if cut else Ending.WHOLE if found.ended_early is None else Ending.EARLY)
+        if cut or found.difference is not None:
+            found.digest = None
+        elif found.digest is not None:
+            found.difference = _other_digest(self._bag, found.digest)
         notes = self._not_recomputed() if self._realtime else (*self._from_outside, *self._unsaid())
-        return Verdict(
-            bag=str(self._bag.path),
-            scenario=self.scenario.name,
-            difference=difference,
-            problem=problem,
-            steps=verification.steps,
-            messages=verification.messages,
-            expected_steps=verification.expected_steps,
-            ended_early=aborted,
-            digest=digest,
-            tolerance=tolerance,
-            notes=(*notes, *(() if difference is None else self._elsewhere())),
-            not_checkable=dict(verification.not_checkable.most_common()),
-        )
-
-    def _verification(self, tolerance: float) -> Verification:
-        """Return what recomputes the messages of the bag, by the way in which its run kept time."""
-        world = self._realtime
-        if world is None:
-            return LockstepVerification(self.scenario, tolerance=tolerance)
-        return RealtimeVerification(
-            self.scenario,
-            world.schedule,
-            simulated=world.robots,
-            simulated_plane=world.plane,
-            own_limits=world.own_limits,
-            tolerance=tolerance,
-        )
+        found.notes = (*notes, *(() if found.difference is None else self._elsewhere()))
+        return found
 
     def _not_recomputed(self) -> tuple[str, ...]:
         """Return what of a run in real time is not verified."""
@@ -266,7 +171,7 @@ def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify |
     try:
         return BagToVerify(path, namespace=namespace)
     except DamagedBagError as error:
-        return Verdict(str(path), None, None, str(error))
+        return Verdict(str(path), problem=str(error))
 
 
 def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:

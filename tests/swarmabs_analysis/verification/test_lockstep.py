@@ -18,7 +18,7 @@ from tests.plugin_packages import SCALED, install
 from tests.swarmabs_core.helpers import builtin, digest
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import Ending
+from swarmabs_analysis.verification.base import Ending, Verdict
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
@@ -106,14 +106,12 @@ def recorded(*named: str) -> tuple[Stored, ...]:
     return tuple(record(world(*named)))
 
 
-def verify(
-    scenario: Scenario, bag: Iterable[Stored], ending: Ending = Ending.WHOLE, tolerance: float = 0.0
-) -> LockstepVerification:
+def verify(scenario: Scenario, bag: Iterable[Stored], ending: Ending = Ending.WHOLE, tolerance: float = 0.0) -> Verdict:
     verification = LockstepVerification(scenario, tolerance=tolerance)
     for stored in bag:
         verification.add(*stored)
     verification.finish(ending)
-    return verification
+    return verification.found
 
 
 def first_difference(scenario: Scenario, bag: Iterable[Stored], **options: Any) -> Difference:
@@ -137,8 +135,8 @@ def test_a_right_run_is_found_right_and_has_its_digest(name: str) -> None:
     bag = [Stored(*stored) for step in steps for stored in step.stored()]
     found = verify(scenario, bag)
     assert found.difference is None
-    assert (found.step, found.messages) == (scenario.steps + 1, len(bag))
-    assert found.digest() == digest(steps)
+    assert (found.steps, found.messages) == (scenario.steps + 1, len(bag))
+    assert found.digest == digest(steps)
 
 
 def test_the_worlds_have_what_they_are_there_for() -> None:
@@ -402,7 +400,7 @@ def test_a_run_that_ended_early_is_verified_as_far_as_it_goes() -> None:
     scenario, bag = world(*named), recorded(*named)
     early = [stored for stored in bag if stored.message.step <= 40]
     found = verify(scenario, early, Ending.EARLY)
-    assert (found.difference, found.step) == (None, 41)
+    assert (found.difference, found.steps) == (None, 41)
     unsaid = first_difference(scenario, early)
     assert place(unsaid) == ("swarm/agent_state", 41, None, "message")
     assert "does not say why" in unsaid.reason
@@ -414,7 +412,7 @@ def test_a_bag_that_is_cut_off_anywhere_is_verified_up_to_there() -> None:
     for length in range(0, len(bag), 7):
         found = verify(scenario, bag[:length], Ending.CUT)
         assert found.difference is None
-        rest = [s for s in bag[:length] if s.message.step >= found.step]
+        rest = [s for s in bag[:length] if s.message.step >= found.steps]
         assert found.messages >= length - len(rest)
         assert len({s.message.step for s in rest}) <= 1
     changed = [*bag[:200], bag[200].changed(stamp=1), *bag[201:203]]
@@ -429,8 +427,8 @@ def test_a_bag_that_says_so_may_break_off_within_its_last_step(ending: Ending) -
     for length in range(9):
         found = verify(scenario, bag[: begin + length], ending)
         assert found.difference is None
-        assert (found.step, found.messages) == (40 + (length == 8), begin + length)
-        assert found.digest() == verify(scenario, bag[: begin + 8 * (length == 8)], Ending.EARLY).digest()
+        assert (found.steps, found.messages) == (40 + (length == 8), begin + length)
+        assert found.digest == verify(scenario, bag[: begin + 8 * (length == 8)], Ending.EARLY).digest
     for n in range(begin, begin + 7):  # what is there of it is still compared
         part = [*bag[:n], bag[n].changed(stamp=1), *bag[n + 1 : begin + 7]]
         found_there = first_difference(scenario, part, ending=ending)

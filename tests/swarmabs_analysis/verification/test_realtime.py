@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from random import Random
 from typing import Any
 
@@ -15,8 +16,11 @@ from tests.swarmabs_core.realtime.bags import WORLDS, Recorded, Stored, messages
 from tests.virtual_fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.difference import Difference
+from swarmabs_analysis.verification.base import Verdict
 from swarmabs_analysis.verification.realtime import RealtimeVerification
+from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_config import realtime as configure
+from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
@@ -46,17 +50,23 @@ SIMULATED_BY_THE_WORLD = {"clocks": (2, 3, 4)}
 """Robots whose bodies follow the clock of their node; the virtual bodies follow that of the world."""
 
 
-def verify(scenario: Scenario, bag: Iterable[Stored], **options: Any) -> RealtimeVerification:
-    verification = RealtimeVerification(scenario, configure.schedule(scenario, EPOCH), **options)
+def started(scenario: Scenario, schedule: Schedule, *, tolerance: float = 0.0, **differs: Any) -> RealtimeVerification:
+    simulated = replace(RealtimeWorld(schedule, members(scenario), plane=True), **differs)
+    return RealtimeVerification(scenario, simulated, tolerance=tolerance)
+
+
+def verify(scenario: Scenario, bag: Iterable[Stored], **options: Any) -> Verdict:
+    verification = started(scenario, configure.schedule(scenario, EPOCH), **options)
     for stored in bag:
         verification.add(*stored)
     verification.finish()
-    return verification
+    return verification.found
 
 
-def verified(name: str, **options: float) -> tuple[Recorded, RealtimeVerification]:
+def verified(name: str, **options: float) -> tuple[Recorded, Verdict]:
     recorded = world(name, **options)
-    return recorded, verify(recorded.scenario, recorded.bag, simulated=SIMULATED_BY_THE_WORLD.get(name))
+    robots = SIMULATED_BY_THE_WORLD.get(name, members(recorded.scenario))
+    return recorded, verify(recorded.scenario, recorded.bag, robots=robots)
 
 
 def of_main_topics(bag: Iterable[Stored]) -> int:
@@ -293,11 +303,11 @@ def test_without_bases_only_the_robots_are_checked() -> None:
 def test_a_measured_plane_and_driven_robots_are_not_recomputed() -> None:
     recorded = world("quiet")
     bag = edited(recorded.bag, PlaneState, 150, stamp=EPOCH)
-    found = verify(recorded.scenario, bag, simulated=(), simulated_plane=False)
+    found = verify(recorded.scenario, bag, robots=(), plane=False)
     assert found.difference is None
     assert found.not_checkable["it was measured"] == sum(s.topic is PLANE_STATE for s in bag)
     moved = edited(recorded.bag, AgentState, 150, position=0.2)
-    found = verify(recorded.scenario, moved, simulated=(), simulated_plane=False)
+    found = verify(recorded.scenario, moved, robots=(), plane=False)
     assert place(found.difference)[3] == "torque"
 
 
@@ -345,12 +355,12 @@ def test_the_epoch_of_1970_gives_large_steps() -> None:
         if isinstance(message, Basis):
             changes["state_steps"] = tuple(step + first for step in message.state_steps)
         moved.append(stored._replace(payload=encode(message._replace(**changes))))
-    verification = RealtimeVerification(recorded.scenario, Schedule(period))
+    verification = started(recorded.scenario, Schedule(period))
     for stored in moved:
         verification.add(*stored)
     verification.finish()
-    assert verification.difference is None
-    assert verification.messages == of_main_topics(recorded.bag)
+    assert verification.found.difference is None
+    assert verification.found.messages == of_main_topics(recorded.bag)
 
 
 def test_a_clock_that_is_set_years_ahead_takes_no_time() -> None:

@@ -136,7 +136,7 @@ class LockstepVerification(Verification):
 
     def __init__(self, scenario: Scenario, *, tolerance: float = 0.0) -> None:
         super().__init__(tolerance, scenario.step_ns)
-        self.expected_steps = scenario.steps + 1
+        self.found.expected_steps = scenario.steps + 1
         self._scenario = scenario
         self._window = Window(scenario.step_ns, len(scenario.agents))
         self._digest = Digest()
@@ -154,50 +154,48 @@ class LockstepVerification(Verification):
     @property
     def step(self) -> int:
         """The first step that is not verified."""
-        return self.steps
+        return self.found.steps
 
     @property
     def decided(self) -> bool:
         """Whether no further message can change what is found."""
-        return self.difference is not None and not self._late
-
-    def digest(self) -> str:
-        """Return the digest of the verified steps."""
-        return self._digest.hexdigest()
+        return self.found.difference is not None and not self._late
 
     def _take(self, found: Record | Difference) -> None:
         step = self._window.step_of(found)
-        if self.difference is not None:
+        if self.found.difference is not None:
             if isinstance(found, Record):
                 self._late.pop(found.payload, None)
         elif step < self.step:
             self._take_late(found, step)
         elif self._ended:
-            self.difference = _unasked(found, step, self._failure)
+            self.found.difference = _unasked(found, step, self._failure)
         elif step > self._scenario.steps:
             if self._beyond is None or step < self._beyond[0]:
                 self._beyond = (step, found)
         else:
             self._window.add(step, found)
-            while self.difference is None and self._ready():
+            while self.found.difference is None and self._ready():
                 self._judge_step(last=False)
 
     def finish(self, ending: Ending) -> None:
         """Judge what is left at the end of the bag."""
-        early = ending is not Ending.WHOLE
-        while self.difference is None and len(self._window) and not self._ended:
+        found, early = self.found, ending is not Ending.WHOLE
+        while found.difference is None and len(self._window) and not self._ended:
             self._judge_step(last=early and self._window.newest == self.step)
-        if self.difference is None and self.step <= self._scenario.steps and ending is Ending.WHOLE:
+        if found.difference is None and self.step <= self._scenario.steps and not early:
             reason = "the bag ends here and does not say why"
-            self.difference = Difference(AGENT_STATE.name, self.step, None, MESSAGE, None, None, reason)
-        if self.difference is None and self._beyond is not None:
-            step, found = self._beyond
-            self.difference = _unasked(found, step, "it is not a step of the run")
-        expected = [event for event in self._late.values() if ending is Ending.WHOLE or event.step < self.step - WINDOW]
-        if expected:
-            first = min(expected, key=lambda event: event.step)
-            if self.difference is None or self.difference.step is None or first.step < self.difference.step:
-                self.difference = missing(first)
+            found.difference = Difference(AGENT_STATE.name, self.step, None, MESSAGE, None, None, reason)
+        if found.difference is None and self._beyond is not None:
+            step, beyond = self._beyond
+            found.difference = _unasked(beyond, step, "it is not a step of the run")
+        late = [event for event in self._late.values() if not early or event.step < self.step - WINDOW]
+        if late:
+            first = min(late, key=lambda event: event.step)
+            known = found.difference
+            if known is None or known.step is None or first.step < known.step:
+                found.difference = missing(first)
+        found.digest = self._digest.hexdigest()
 
     def _ready(self) -> bool:
         """Tell whether all messages of the step are there, or can no longer come."""
@@ -210,22 +208,22 @@ class LockstepVerification(Verification):
     def _judge_step(self, *, last: bool) -> None:
         slot = self._window.take(self.step)
         self._judge(self._findings(slot, last=last))
-        if self.difference is None and not self._ended:
+        if self.found.difference is None and not self._ended:
             stored = (*slot.get(AGENT_STATE), *(slot.found[topic][0] for topic in MAIN_TOPICS[1:]))
             self._digest.update(RecordedStep(self.step, stored))
-            self.steps += 1
+            self.found.steps += 1
 
     def _take_late(self, found: Record | Difference, step: int) -> None:
         """Take a message of a step that was judged: only an event may be that late."""
         if isinstance(found, Record) and found.payload in self._late and self._is(found, self._late[found.payload]):
             del self._late[found.payload]
-            self.messages += 1
+            self.found.messages += 1
         else:
-            self.difference = _unasked(found, step, "it stands there again, or in the wrong place")
+            self.found.difference = _unasked(found, step, "it stands there again, or in the wrong place")
 
     def _differs(self, stored: Record, expected: Message) -> Difference | None:
         """Compare a message; its log time is that of its step, whatever its robot's clock says."""
-        return judge(stored, expected, self._tolerance, expected.step * self._scenario.step_ns)
+        return judge(stored, expected, self.found.tolerance, expected.step * self._scenario.step_ns)
 
     def _is(self, stored: Record, expected: Message) -> bool:
         return self._differs(stored, expected) is None

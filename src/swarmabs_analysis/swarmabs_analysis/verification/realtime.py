@@ -19,11 +19,11 @@ from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, Basis, Desi
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from swarmabs_analysis.verification.base import Finding
+    from swarmabs_bag.realtime import RealtimeWorld
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.realtime.base import Schedule
 
 LATE = "it was received too late to be judged"
 MEASURED = "it was measured"
@@ -36,44 +36,27 @@ class RealtimeVerification(Verification):
     ----------
     scenario : Scenario
         The scenario of the run.
-    schedule : Schedule
-        How time became steps.
-    simulated : iterable of int, optional
-        Robots whose bodies were simulated, so that their motion follows from their commands; by default all.
-    simulated_plane : bool
-        Whether the plane was simulated.
-    own_limits : iterable of int
-        Robots whose limits were not those of the scenario.
+    world : RealtimeWorld
+        How time became steps, and what was simulated: the motion of other robots, and of another plane, is not checked.
     tolerance : float
-        As of `Verification`.
+        As of `Verdict`.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        schedule: Schedule,
-        *,
-        simulated: Iterable[int] | None = None,
-        simulated_plane: bool = True,
-        own_limits: Iterable[int] = (),
-        tolerance: float = 0.0,
-    ) -> None:
+    def __init__(self, scenario: Scenario, world: RealtimeWorld, *, tolerance: float = 0.0) -> None:
         super().__init__(tolerance)
-        self._schedule = schedule
+        self._world = world
+        self._schedule = schedule = world.schedule
         self._history = history = History()
         self._judged: int | None = None
         self._newest = -1
-        bodies = lockstep.members(scenario) if simulated is None else frozenset(simulated)
-        starts = {agent.id: (agent.position, agent.velocity) for agent in scenario.agents if agent.id in bodies}
-        limited = frozenset(own_limits)
+        starts = {agent.id: (agent.position, agent.velocity) for agent in scenario.agents if agent.id in world.robots}
         self._robots = {
             config.agent_id: RobotCheck(
-                config, history, tolerance, starts.get(config.agent_id), own_limits=config.agent_id in limited
+                config, history, tolerance, starts.get(config.agent_id), own_limits=config.agent_id in world.own_limits
             )
             for config in configure.agent_configs(scenario, schedule)
         }
         self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, tolerance)
-        self._simulated_plane = simulated_plane
         self._observer = ObserverCheck(configure.observer_config(scenario, schedule), history, tolerance)
         controller = configure.controller_config(scenario, schedule)
         self._controller = ControllerCheck(controller, history, tolerance, lambda: lockstep.parent_controller(scenario))
@@ -85,15 +68,15 @@ class RealtimeVerification(Verification):
 
     def _take(self, found: Record | Difference) -> None:
         if isinstance(found, Difference):
-            self.difference = found
+            self.found.difference = found
             return
         now = self._schedule.step(found.time or 0)
         self._newest = max(self._newest, now)
         stamp = max(0, found.message.stamp)  # a bag has no time before 1970
         if found.published not in {None, stamp}:
-            self.difference = Difference.of(found.message, PUBLISH_TIME, found.published, stamp)
+            self.found.difference = Difference.of(found.message, PUBLISH_TIME, found.published, stamp)
             return
-        self.difference = self._keep(found, now)
+        self.found.difference = self._keep(found, now)
         if self._judged is None:
             self._judged = now - MEMORY
         self._judge_until(self._newest - WAIT)
@@ -114,7 +97,7 @@ class RealtimeVerification(Verification):
             ):
                 return wrong
             if self._judged is not None and message.step < self._judged:
-                self.not_checkable[LATE] += 1
+                self.found.not_checkable[LATE] += 1
                 return None
         if self._history.add(stored):
             return None
@@ -128,15 +111,15 @@ class RealtimeVerification(Verification):
         few = end - begin <= len(self._history.steps)
         steps = range(begin, end) if few else sorted(s for s in self._history.steps if begin <= s < end)
         for step in steps:
-            if self.difference is None:
+            if self.found.difference is None:
                 self._judge_step(step)
         self._judged = end
 
     def _judge_step(self, step: int) -> None:
         """Judge what there is of a step, in the order in which the nodes tick."""
         judged = self._judge(self._findings(step))
-        if self.difference is None:
-            self.steps += judged > 0
+        if self.found.difference is None:
+            self.found.steps += judged > 0
             self._history.forget(step)
 
     def _findings(self, step: int) -> Iterator[Finding]:
@@ -146,7 +129,7 @@ class RealtimeVerification(Verification):
                 yield surplus(stored, step, "the scenario has no such robot")
             else:
                 yield robot.check(stored)
-        if self._simulated_plane:
+        if self._world.plane:
             yield from self._plane.check(step)
         else:
             yield from [MEASURED] * len(self._history.on(PLANE_STATE, step))

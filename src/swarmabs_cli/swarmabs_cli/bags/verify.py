@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from swarmabs_analysis.verify import Verdict, open_to_verify
+from swarmabs_analysis.verification.base import Verdict
+from swarmabs_analysis.verify import open_to_verify
 from swarmabs_cli.options import bags_argument, json_option, namespace_option
 from swarmabs_cli.output import print_documents, printable
 
@@ -56,7 +57,7 @@ def describe(verdict: Verdict) -> str:
         lines.append(f"  {verdict.messages} messages of {verdict.steps}{of} steps {how}")
     if verdict.not_checkable:
         lines.append(f"  not checkable: {sum(verdict.not_checkable.values())} messages")
-        lines.extend(f"    {number}: {reason}" for reason, number in verdict.not_checkable.items())
+        lines.extend(f"    {number}: {reason}" for reason, number in verdict.not_checkable.most_common())
     if verdict.difference is not None:
         lines.append(f"  first difference: {verdict.difference}")
     if verdict.problem is not None:
