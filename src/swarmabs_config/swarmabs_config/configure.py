@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, cast
 
 from swarmabs_config.graph import recording_window as window_of
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
+from swarmabs_core.behaviours.base import Run
 from swarmabs_core.controllers import ParentLaw
+from swarmabs_core.declaration import gathered
 from swarmabs_core.faults import Falsification, InjectedFault, LieFault, MembershipFault, RobotFault, SettingFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
-from swarmabs_core.parent_response import ParentResponse
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import Agent, Scenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.parameters import Settings, Value
 
@@ -73,35 +75,30 @@ def recording_window(scenario: Scenario) -> int:
     return window_of(len(scenario.agents))
 
 
+def declared(scenario: Scenario) -> tuple[object, ...]:
+    """Return what a scenario declares, of which the configurations of the nodes are made."""
+    run = Run(
+        period_ns=scenario.step_ns,
+        last_step=scenario.steps,
+        members=members(scenario),
+        schedule=schedule(scenario),
+        seed=scenario.seed,
+        actuator_lag=scenario.swarm.actuator_lag,
+    )
+    swarm = scenario.swarm
+    of_plane = scenario.plane, scenario.manifold, parent_law(scenario), scenario.observer
+    return run, *of_plane, swarm.gains, swarm.sensor, scenario.limits, scenario.realtime
+
+
 def observer_config(scenario: Scenario) -> ObserverConfig:
     """Return the observer's configuration."""
-    observer = scenario.observer
-    return ObserverConfig(
-        members=members(scenario),
-        period_ns=scenario.step_ns,
-        gravity=scenario.plane.gravity,
-        ksd=scenario.swarm.gains.ksd,
-        schedule=schedule(scenario),
-        last_step=scenario.steps,
-        type=observer.type,
-        inertia=scenario.plane.inertia,
-        friction=scenario.plane.friction,
-        bandwidth=observer.bandwidth if isinstance(observer, ParentResponse) else ParentResponse().bandwidth,
-    )
+    return gathered(ObserverConfig, *declared(scenario), type=scenario.observer.type)
 
 
 def plane_config(scenario: Scenario) -> PlaneConfig:
     """Return the simulated plane's configuration."""
-    return PlaneConfig(
-        members=members(scenario),
-        period_ns=scenario.step_ns,
-        plane=scenario.plane,
-        schedule=schedule(scenario),
-        last_step=scenario.steps,
-        seed=scenario.seed,
-        actuator_lag=scenario.swarm.actuator_lag,
-        lies=falsifications(scenario),
-        torques=step_changes(scenario, DISTURBANCE),
+    return gathered(
+        PlaneConfig, *declared(scenario), lies=falsifications(scenario), torques=step_changes(scenario, DISTURBANCE)
     )
 
 
@@ -113,14 +110,8 @@ def parent_law(scenario: Scenario) -> ParentLaw:
 
 def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig:
     """Return the configuration of the parent controller's node."""
-    return ControllerConfig(
-        period_ns=scenario.step_ns,
-        manifold=scenario.manifold,
-        recording_window=recording_window,
-        last_step=scenario.steps,
-        offsets=step_changes(scenario, REFERENCE),
-        law=parent_law(scenario),
-    )
+    offsets = step_changes(scenario, REFERENCE)
+    return gathered(ControllerConfig, *declared(scenario), recording_window=recording_window, offsets=offsets)
 
 
 def controller_settings(scenario: Scenario) -> Settings:
@@ -160,7 +151,6 @@ def reference(scenario: Scenario) -> OffsetReference:
 
 def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
-    law = law_settings(scenario)
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
         life = lives.get(change.agent_id, LifeSpan())
@@ -168,28 +158,30 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
             lives[change.agent_id] = LifeSpan(change.step, life.end, life.end_step)
         else:
             lives[change.agent_id] = LifeSpan(life.first_step, change.kind, change.step)
+    common = gathered(AgentConfig, *declared(scenario), **swarm_law(scenario))
     return tuple(
-        AgentConfig(
-            agent_id=agent.id,
-            kind=Kind[agent.kind.upper()],
-            mass=agent.mass,
-            damping=agent.damping,
-            position=agent.position,
-            velocity=agent.velocity,
-            gravity=scenario.plane.gravity,
-            plane_length=scenario.plane.length,
-            gains=scenario.swarm.gains,
-            limits=scenario.limits,
-            law=scenario.swarm.law.type,
-            law_settings=law,
-            period_ns=scenario.step_ns,
+        replace(
+            common,
+            **robot(agent),
             life=lives.get(agent.id, LifeSpan()),
             faults=robot_faults(scenario, agent.id),
-            seed=scenario.seed,
-            feels_gravity=scenario.plane.robot_gravity,
-            last_step=scenario.steps,
-            sensor=scenario.swarm.sensor,
-            actuator_lag=scenario.swarm.actuator_lag,
         )
         for agent in scenario.agents
     )
+
+
+def swarm_law(scenario: Scenario) -> dict[str, Any]:
+    """Return the fields of a robot's configuration that say by which law it is moved."""
+    return {"law": scenario.swarm.law.type, "law_settings": law_settings(scenario)}
+
+
+def robot(agent: Agent) -> dict[str, Any]:
+    """Return the fields of a robot's configuration that say what it is."""
+    return {
+        "agent_id": agent.id,
+        "kind": Kind[agent.kind.upper()],
+        "mass": agent.mass,
+        "damping": agent.damping,
+        "position": agent.position,
+        "velocity": agent.velocity,
+    }

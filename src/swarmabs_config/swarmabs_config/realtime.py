@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_core.behaviours.agent import RobotConfig
+from swarmabs_core.declaration import gathered
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
@@ -57,58 +57,29 @@ def swarm_mass(scenario: Scenario) -> float:
 
 def agent_configs(scenario: Scenario, clock: Schedule) -> tuple[RealtimeAgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
-    limits = scenario.realtime
-    shared = {field.name for field in fields(RobotConfig)}
-    return tuple(
-        RealtimeAgentConfig(
-            **{name: getattr(config, name) for name in shared},
-            schedule=clock,
-            swarm_mass=swarm_mass(scenario),
-            lane_margin=limits.lane_margin,
-            broadcast_age_limit=limits.broadcast_age_limit,
-            clock_tolerance=limits.clock_tolerance,
-        )
-        for config in configure.agent_configs(scenario)
-    )
+    common = gathered(RealtimeAgentConfig, *_declared(scenario, clock), **configure.swarm_law(scenario))
+    return tuple(replace(common, **configure.robot(agent)) for agent in scenario.agents)
 
 
 def observer_config(scenario: Scenario, clock: Schedule) -> RealtimeObserverConfig:
     """Return the observer's configuration."""
-    members, limits = configure.members(scenario), scenario.realtime
-    return RealtimeObserverConfig(
-        members=members,
-        schedule=clock,
-        gravity=scenario.plane.gravity,
-        ksd=scenario.swarm.gains.ksd,
-        plane_length=scenario.plane.length,
-        swarm_mass=swarm_mass(scenario),
-        state_age_limit=limits.state_age_limit,
-        start=limits.start,
-        quorum=None if limits.quorum is None else min(limits.quorum, len(members)),
-        clock_tolerance=limits.clock_tolerance,
+    quorum, robots = scenario.realtime.quorum, len(scenario.agents)
+    return gathered(
+        RealtimeObserverConfig,
+        *_declared(scenario, clock),
+        quorum=None if quorum is None else min(quorum, robots),
     )
 
 
 def plane_config(scenario: Scenario, clock: Schedule) -> RealtimePlaneConfig:
     """Return the simulated plane's configuration."""
-    return RealtimePlaneConfig(
-        members=configure.members(scenario),
-        schedule=clock,
-        plane=scenario.plane,
-        seed=scenario.seed,
-        clock_tolerance=scenario.realtime.clock_tolerance,
-    )
+    return gathered(RealtimePlaneConfig, *_declared(scenario, clock))
 
 
 def controller_config(scenario: Scenario, clock: Schedule, start_mode: Mode = Mode.RUN) -> RealtimeControllerConfig:
     """Return the configuration of the parent controller's node."""
-    return RealtimeControllerConfig(
-        schedule=clock,
-        manifold=scenario.manifold,
-        law=configure.parent_law(scenario),
-        gravity=scenario.plane.gravity,
-        plane_length=scenario.plane.length,
-        start_mode=start_mode,
-        plane_age_limit=scenario.realtime.plane_age_limit,
-        clock_tolerance=scenario.realtime.clock_tolerance,
-    )
+    return gathered(RealtimeControllerConfig, *_declared(scenario, clock), start_mode=start_mode)
+
+
+def _declared(scenario: Scenario, clock: Schedule) -> tuple[object, ...]:
+    return *configure.declared(scenario), clock, bounds(scenario)

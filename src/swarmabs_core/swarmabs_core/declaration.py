@@ -17,6 +17,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, SettingError, Settings, Value
 
 _KEY = "declared"
+_ORIGIN = "same"
 LONGEST_TIME = 2**31 - 1
 """Longest time, s: what the seconds of a ROS time stamp hold."""
 DeclarationT = TypeVar("DeclarationT")
@@ -143,7 +144,26 @@ def choice(find: Callable[[str], Any], built_in: Mapping[str, object], default: 
 def same(declaration: type, attribute: str, *, name: str | None = None) -> Any:
     """Declare a field as another declaration has declared one of its own, perhaps by another name."""
     declared = setting_of(declaration, attribute)
-    return dataclasses.field(default=declared.default, metadata={_KEY: (name, declared)})
+    metadata = {_KEY: (name, declared), _ORIGIN: (declaration, attribute)}
+    return dataclasses.field(default=declared.default, metadata=metadata)
+
+
+def gathered(declaration: type[DeclarationT], *sources: object, **own: object) -> DeclarationT:
+    """Return the instance of a declaration whose parts, and whose fields that are the `same`, are those of sources.
+
+    Sources are instances of other declarations, at most one of each. What has no source has its default.
+    """
+    by_type = {type(source): source for source in sources}
+    for field in dataclasses.fields(declaration):  # type: ignore[arg-type]  # it is a dataclass
+        declared = field.metadata.get(_KEY, (None, None))[1]
+        origin, attribute = field.metadata.get(_ORIGIN, (None, ""))
+        if field.name in own:
+            continue
+        if isinstance(declared, Part) and declared.declaration in by_type:
+            own[field.name] = by_type[declared.declaration]
+        elif origin in by_type:
+            own[field.name] = getattr(by_type[origin], attribute)
+    return declaration(**own)
 
 
 def setting_of(declaration: type, attribute: str) -> Setting:
