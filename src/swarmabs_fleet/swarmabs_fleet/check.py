@@ -23,6 +23,9 @@ from swarmabs_run.doctor import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_run.doctor import Verdict
+
 _MADE_THERE = ("complete", "workspace.env")
 """What install.sh adds to a bundle."""
 _EXPIRING = timedelta(days=30)
@@ -44,38 +47,29 @@ def check(paths: Sequence[Path], host: str | None) -> list[Finding]:
     InputError
         If something is neither, or invalid, or there is no such host.
     """
-    fleets: list[LoadedFleet] = []
+    given: list[LoadedFleet] = []
     bundles: dict[Path, Manifest] = {}
     for path in paths:
         if path.is_dir():
-            found = _bundles(path)
+            folders = [path, *sorted(path.iterdir())]
+            found = {folder: read_manifest(folder) for folder in folders if (folder / MANIFEST).is_file()}
             bundles |= found
             if (path / FLEET_FILE).is_file():
-                fleets.append(load_fleet(path / FLEET_FILE))
+                given.append(load_fleet(path / FLEET_FILE))
             elif not found:
                 raise InputError(f"{path} holds no bundle; give a fleet file, or what 'swarm deploy' has written")
         else:
-            fleets.append(load_fleet(path))
-    findings = [finding for loaded in _different(fleets) for finding in _fleet(loaded)]
-    findings += [finding for one, other in combinations(_different(fleets), 2) for finding in _together(one, other)]
-    for folder, manifest in bundles.items():
-        findings += _bundle(folder, manifest)
-        if folder.parent.joinpath(FLEET_FILE).is_file():
-            findings += _still_made(folder, manifest, load_fleet(folder.parent / FLEET_FILE))
+            given.append(load_fleet(path))
+    # Without repetition, as of a file and the bundles made from it.
+    fleets = list({(loaded.fleet_text, loaded.scenario_text): loaded for loaded in given}.values())
+    verdicts = [(f"fleet {loaded.fleet.name}", _alone(loaded)) for loaded in fleets]
+    pairs = [(one.fleet, other.fleet) for one, other in combinations(fleets, 2)]
+    verdicts += [(f"fleets {one.name} and {other.name}", _together(one, other)) for one, other in pairs]
+    verdicts += [(f"bundle {made.fleet}/{made.host}", _bundle(folder, made)) for folder, made in bundles.items()]
+    findings = [Finding(what, *verdict) for what, each in verdicts for verdict in each]
     if host is not None:
-        findings += check_host(_known(host, fleets, bundles))
+        findings += check_host(_known(host, given, bundles))
     return findings
-
-
-def _different(fleets: list[LoadedFleet]) -> list[LoadedFleet]:
-    """Return fleets without repetition, as of a file and the bundles made from it."""
-    return list({(loaded.fleet_text, loaded.scenario_text): loaded for loaded in fleets}.values())
-
-
-def _bundles(path: Path) -> dict[Path, Manifest]:
-    """Return the bundles in a folder, which may be one itself."""
-    folders = [path, *sorted(path.iterdir())]
-    return {folder: read_manifest(folder) for folder in folders if (folder / MANIFEST).is_file()}
 
 
 def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) -> Manifest:
@@ -98,59 +92,56 @@ def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) 
     return named[0]
 
 
-def _fleet(loaded: LoadedFleet) -> Iterator[Finding]:
+def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
     fleet = loaded.fleet
     used = sum(bool(HostPlan(fleet, host.name).nodes) for host in fleet.hosts)
-    text = f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
-    yield Finding(f"fleet {fleet.name}", "ok", text)
+    yield "ok", f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
     for warning in (*fleet.warnings(), *loaded.scenario.warnings()):
-        yield Finding(f"fleet {fleet.name}", "note", warning)
+        yield "note", warning
 
 
-def _together(one: LoadedFleet, other: LoadedFleet) -> Iterator[Finding]:
+def _together(one: Fleet, other: Fleet) -> Iterator[Verdict]:
     """Say where two fleets get into each other's way."""
-    first, second = one.fleet, other.fleet
-    what = f"fleets {first.name} and {second.name}"
     found = []
-    if first.network.domain == second.network.domain:
-        found.append(f"both have the ROS domain {first.network.domain}; give one another network.domain")
-    shared = sorted({host.address for host in first.hosts} & {host.address for host in second.hosts})
-    if shared and first.name == second.name:
+    if one.network.domain == other.network.domain:
+        found.append(f"both have the ROS domain {one.network.domain}; give one another network.domain")
+    shared = sorted({host.address for host in one.hosts} & {host.address for host in other.hosts})
+    if shared and one.name == other.name:
         found.append(f"both have this name on {shared[0]}, where one would replace the other; name one otherwise")
-    if shared and first.tunnel is not None and second.tunnel is not None:
-        if first.tunnel.interface == second.tunnel.interface:
-            found.append(f"both have the tunnel {first.tunnel.interface} on {shared[0]}; name one otherwise")
-        if first.tunnel.port == second.tunnel.port:
-            found.append(f"both tunnels have the port {first.tunnel.port} on {shared[0]}; give one another port")
+    if shared and one.tunnel is not None and other.tunnel is not None:
+        if one.tunnel.interface == other.tunnel.interface:
+            found.append(f"both have the tunnel {one.tunnel.interface} on {shared[0]}; name one otherwise")
+        if one.tunnel.port == other.tunnel.port:
+            found.append(f"both tunnels have the port {one.tunnel.port} on {shared[0]}; give one another port")
     for text in found:
-        yield Finding(what, "bad", text)
+        yield "bad", text
     if not found:
-        yield Finding(what, "ok", "they do not get into each other's way")
+        yield "ok", "they do not get into each other's way"
 
 
-def _bundle(folder: Path, manifest: Manifest) -> Iterator[Finding]:
-    """Compare a bundle with its manifest, and with this version."""
-    what = f"bundle {manifest.fleet}/{manifest.host}"
+def _bundle(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
+    """Compare a bundle with its manifest, with this version, and with the fleet file beside it."""
     here = versions()
-    differing = [name for name, text in here.items() if manifest.versions.get(name) != text]
-    if differing:
-        name = differing[0]
-        made = manifest.versions.get(name, "none")
-        yield Finding(
-            what, "bad", f"made with {name} {made}, here is {here[name]}; bring all hosts to one version, deploy again"
-        )
+    differing = next((name for name, text in here.items() if manifest.versions.get(name) != text), None)
+    if differing is not None:
+        made = manifest.versions.get(differing, "none")
+        text = f"made with {differing} {made}, here is {here[differing]}"
+        yield "bad", f"{text}; bring all hosts to one version, deploy again"
     problems = list(_files(folder, manifest))
-    for text in problems:
-        yield Finding(what, "bad", text)
-    if not problems and not differing:
-        yield Finding(what, "ok", f"{len(manifest.files)} files as in the manifest, version {here['swarmabs']}")
-    yield from _certificates(folder, manifest, what)
-    installed = str(folder.resolve()) == manifest.installed
-    if installed and not (folder / "complete").is_file():
-        yield Finding(what, "bad", "its installation was interrupted; start install.sh of the bundle again")
+    for problem in problems:
+        yield "bad", problem
+    if not problems and differing is None:
+        yield "ok", f"{len(manifest.files)} files as in the manifest, version {here['swarmabs']}"
+    yield from _certificates(folder, manifest)
+    if str(folder.resolve()) == manifest.installed and not (folder / "complete").is_file():
+        yield "bad", "its installation was interrupted; start install.sh of the bundle again"
+    file = folder.parent / FLEET_FILE
+    if file.is_file():
+        yield from _still_made(file, manifest)
 
 
 def _files(folder: Path, manifest: Manifest) -> Iterator[str]:
+    """Say which files are not as the manifest says."""
     for path, facts in manifest.files.items():
         file = folder / path
         if Path(path).is_absolute() or ".." in Path(path).parts:
@@ -169,13 +160,12 @@ def _files(folder: Path, manifest: Manifest) -> Iterator[str]:
         elif mode != facts.mode:
             yield f"{file} has the mode {mode:04o}, not {facts.mode:04o}; chmod {facts.mode:04o} {file}"
     known = {*manifest.files, MANIFEST, *_MADE_THERE}
-    found = sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir())
-    for path in found:
-        if path not in known:
-            yield f"{folder / path} does not belong there; remove it"
+    found = {str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir()}
+    for path in sorted(found - known):
+        yield f"{folder / path} does not belong there; remove it"
 
 
-def _certificates(folder: Path, manifest: Manifest, what: str) -> Iterator[Finding]:
+def _certificates(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
     """Say when permissions end; certificates end with them."""
     now = datetime.now(timezone.utc)
     for path in manifest.files:
@@ -190,18 +180,18 @@ def _certificates(folder: Path, manifest: Manifest, what: str) -> Iterator[Findi
         last = datetime.fromisoformat(f"{found[1].decode()}+00:00")
         if last - now < _EXPIRING:
             text = f"{path}: valid until {last:%Y-%m-%d}; remove its folder among the keys, and deploy again"
-            yield Finding(what, "bad" if last < now else "note", text)
+            yield "bad" if last < now else "note", text
 
 
-def _still_made(folder: Path, manifest: Manifest, loaded: LoadedFleet) -> Iterator[Finding]:
-    """Say whether this version would make the same bundle, but for what has keys in it."""
-    what = f"bundle {manifest.fleet}/{manifest.host}"
+def _still_made(file: Path, manifest: Manifest) -> Iterator[Verdict]:
+    """Say whether this version would make the same bundle of a fleet file, but for what has keys in it."""
+    loaded = load_fleet(file)
     if manifest.host not in {host.name for host in loaded.fleet.hosts}:
-        yield Finding(what, "bad", f"{folder.parent / FLEET_FILE} has no such host; deploy again into a new folder")
+        yield "bad", f"{file} has no such host; deploy again into a new folder"
         return
     made = host_bundle(loaded, HostPlan(loaded.fleet, manifest.host), None)
     listed = manifest.files
-    same = {path for path, file in made.items() if path in listed and file.mode != SECRET} - {SUMS}
+    same = {path for path, one in made.items() if path in listed and one.mode != SECRET} - {SUMS}
     differing = sorted(path for path in same if made[path].sha256 != listed[path].sha256)
     if differing:
-        yield Finding(what, "note", f"this version makes another {differing[0]}; deploy again if that is wanted")
+        yield "note", f"this version makes another {differing[0]}; deploy again if that is wanted"

@@ -11,7 +11,7 @@ import socket
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import psutil
 
@@ -19,11 +19,9 @@ from swarmabs_run.doctor import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from typing import TypeAlias
 
     from swarmabs_fleet.bundle import Manifest
-
-    Found: TypeAlias = tuple[Literal["ok", "note", "bad"], str]
+    from swarmabs_run.doctor import Verdict
 
 _NEEDED_SYSTEMD = 250
 """The first version that knows RestrictNetworkInterfaces."""
@@ -37,7 +35,7 @@ def check_host(manifest: Manifest) -> list[Finding]:
     return [Finding(name, *check(manifest)) for name, check in _CHECKS.items()]
 
 
-def _interface(manifest: Manifest) -> Found:
+def _interface(manifest: Manifest) -> Verdict:
     interfaces = psutil.net_if_addrs()
     if manifest.interface not in interfaces:
         there = ", ".join(sorted(interfaces))
@@ -53,7 +51,7 @@ def _interface(manifest: Manifest) -> Found:
     return "ok", f"{manifest.interface} has the address {manifest.address}"
 
 
-def _ports(manifest: Manifest) -> Found:
+def _ports(manifest: Manifest) -> Verdict:
     held = []
     if not any(entry.address == manifest.address for found in psutil.net_if_addrs().values() for entry in found):
         return "note", f"not tried: {manifest.address} is not here"
@@ -70,7 +68,7 @@ def _ports(manifest: Manifest) -> Found:
     return "bad", f"UDP {held[0]} cannot be had; see 'ss -ulnp', end what holds it or choose another domain"
 
 
-def _clock(manifest: Manifest) -> Found:
+def _clock(manifest: Manifest) -> Verdict:
     state, limit = clock_state(), manifest.max_offset
     if state is None:
         return "bad", "nothing synchronises it; install chrony, and let all hosts follow one server"
@@ -146,7 +144,7 @@ def read_timedatectl(text: str) -> ClockState | None:
     return ClockState("systemd", synchronised=answer == "yes") if answer in {"yes", "no"} else None
 
 
-def _packages(manifest: Manifest) -> Found:
+def _packages(manifest: Manifest) -> Verdict:
     for module in (*manifest.modules, "rclpy", "swarmabs_msgs"):
         try:
             found = importlib.util.find_spec(module) is not None
@@ -157,7 +155,7 @@ def _packages(manifest: Manifest) -> Found:
     return "ok", f"{len(manifest.modules)} modules of nodes are there"
 
 
-def _checkout(manifest: Manifest) -> Found:
+def _checkout(manifest: Manifest) -> Verdict:
     program = Path(manifest.checkout) / "scripts" / "swarm"
     if not os.access(program, os.X_OK):
         return "bad", f"there is no {program}; put the checkout there, or correct the fleet file"
@@ -166,7 +164,7 @@ def _checkout(manifest: Manifest) -> Found:
     return "ok", manifest.checkout
 
 
-def _account(manifest: Manifest) -> Found:
+def _account(manifest: Manifest) -> Verdict:
     user = manifest.user
     try:
         entry = pwd.getpwnam(user)
@@ -177,7 +175,7 @@ def _account(manifest: Manifest) -> Found:
     return "ok", user
 
 
-def _access(manifest: Manifest) -> Found:
+def _access(manifest: Manifest) -> Verdict:
     """Say whether the account of the nodes can read its installed bundle and start the checkout's interpreter.
 
     What decides are owners and modes; access control lists are not looked at.
@@ -257,7 +255,7 @@ def _python(manifest: Manifest) -> Path:
     return Path(manifest.checkout) / ".venv" / "bin" / "python"
 
 
-def _systemd(manifest: Manifest) -> Found:
+def _systemd(manifest: Manifest) -> Verdict:
     found = re.match(r"systemd (\d+)", _answer("systemctl", "--version"))
     if found is None:
         return "bad", "there is none; bundles are for hosts with systemd"
@@ -285,7 +283,7 @@ def _answer(*command: str) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
-_CHECKS: Mapping[str, Callable[[Manifest], Found]] = {
+_CHECKS: Mapping[str, Callable[[Manifest], Verdict]] = {
     "interface": _interface,
     "ports": _ports,
     "clock": _clock,

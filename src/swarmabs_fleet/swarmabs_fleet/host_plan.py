@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import NodePlan, nodes_on
@@ -12,8 +11,6 @@ from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
-
     from swarmabs_config.fleet.model import Fleet
 
 
@@ -94,11 +91,4 @@ class HostPlan:
         jinja2.UndefinedError
             If the template names a value that is not given.
         """
-        return _templates().get_template(f"{template}.j2").render(values, host=self, fleet=self.fleet)
-
-
-@cache
-def _templates() -> Environment:
-    environment = templates("swarmabs_fleet")
-    environment.filters["quote"] = shlex.quote
-    return environment
+        return templates("swarmabs_fleet").get_template(f"{template}.j2").render(values, host=self, fleet=self.fleet)

@@ -10,7 +10,7 @@ import shutil
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import psutil
 
@@ -40,43 +40,43 @@ class Finding:
     text: str
 
 
+Verdict: TypeAlias = tuple[Literal["ok", "note", "bad"], str]
+"""What a check finds: the last two fields of its `Finding`."""
+
+
 def examine() -> list[Finding]:
     """Carry out all checks; none of them changes anything or leaves anything behind."""
-    return [check() for check in _CHECKS]
+    return [Finding(name, *check()) for name, check in _CHECKS.items()]
 
 
-def _python() -> Finding:
+def _python() -> Verdict:
     found = ", ".join(f"{name} {text}" for name, text in versions().items())
-    return Finding("versions", "ok", f"{found}; libm {libm_fingerprint()}")
+    return "ok", f"{found}; libm {libm_fingerprint()}"
 
 
-def _ros() -> Finding:
+def _ros() -> Verdict:
     try:
         rclpy = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
         direct = hasattr(rclpy, "WaitSet") and hasattr(rclpy.Subscription, "take_message")
     except ImportError as error:
-        return Finding(
-            "rclpy", "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy"
-        )
+        return "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy"
     if not direct:
-        return Finding("rclpy", "note", "cannot be waited on directly; nodes need the parameter receive:=executor")
-    return Finding("rclpy", "ok", f"imported; middleware {os.environ.get('RMW_IMPLEMENTATION', 'default')}")
+        return "note", "cannot be waited on directly; nodes need the parameter receive:=executor"
+    return "ok", f"imported; middleware {os.environ.get('RMW_IMPLEMENTATION', 'default')}"
 
 
-def _messages() -> Finding:
+def _messages() -> Verdict:
     try:
         module = importlib.import_module("swarmabs_msgs.msg")
         missing = [topic.ros_type for topic in TOPICS if not hasattr(module, topic.message.__name__)]
     except ImportError as error:
-        return Finding("messages", "bad", f"swarmabs_msgs cannot be imported ({error}); build the workspace")
+        return "bad", f"swarmabs_msgs cannot be imported ({error}); build the workspace"
     if missing:
-        return Finding(
-            "messages", "bad", f"swarmabs_msgs is too old: {missing[0]} is missing; build the workspace again"
-        )
-    return Finding("messages", "ok", f"{len(TOPICS)} types")
+        return "bad", f"swarmabs_msgs is too old: {missing[0]} is missing; build the workspace again"
+    return "ok", f"{len(TOPICS)} types"
 
 
-def _loopback() -> Finding:
+def _loopback() -> Verdict:
     try:
         with (
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
@@ -87,11 +87,11 @@ def _loopback() -> Finding:
             sender.sendto(b"swarmabs", receiver.getsockname())
             receiver.recv(16)
     except OSError as error:
-        return Finding("loopback", "bad", f"UDP on 127.0.0.1 does not work ({error}); bring up the interface lo")
-    return Finding("loopback", "ok", "UDP on 127.0.0.1 works")
+        return "bad", f"UDP on 127.0.0.1 does not work ({error}); bring up the interface lo"
+    return "ok", "UDP on 127.0.0.1 works"
 
 
-def _buffers() -> Finding:
+def _buffers() -> Verdict:
     sizes = {}
     for name in ("rmem_max", "wmem_max"):
         try:
@@ -100,73 +100,67 @@ def _buffers() -> Finding:
             continue
     small = [f"net.core.{name}={_BUFFER}" for name, size in sizes.items() if size < _BUFFER]
     if small:
-        return Finding(
-            "socket buffers", "note", f"large swarms start and run faster with: sudo sysctl -w {' '.join(small)}"
-        )
-    return Finding("socket buffers", "ok", "4 MiB and more")
+        return "note", f"large swarms start and run faster with: sudo sysctl -w {' '.join(small)}"
+    return "ok", "4 MiB and more"
 
 
-def _domain() -> Finding:
+def _domain() -> Verdict:
     try:
         with claimed_domain() as domain:
-            return Finding("ROS domain", "ok", f"{domain} is free")
+            return "ok", f"{domain} is free"
     except SwarmabsError as error:
-        return Finding("ROS domain", "bad", str(error))
+        return "bad", str(error)
 
 
-def _memory() -> Finding:
+def _memory() -> Verdict:
     free = psutil.virtual_memory().available
-    return Finding("memory", "ok", f"{free / 2**30:.1f} GiB free, enough for some {free // _AGENT_MEMORY} robots")
+    return "ok", f"{free / 2**30:.1f} GiB free, enough for some {free // _AGENT_MEMORY} robots"
 
 
-def _cores() -> Finding:
-    return Finding("processor", "ok", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}")
+def _cores() -> Verdict:
+    return "ok", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}"
 
 
-def _descriptors() -> Finding:
+def _descriptors() -> Verdict:
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < _DESCRIPTORS:
-        return Finding("open files", "note", f"limit {soft}; raise it with: ulimit -n {_DESCRIPTORS}")
-    return Finding("open files", "ok", "no limit" if soft == resource.RLIM_INFINITY else f"limit {soft}")
+        return "note", f"limit {soft}; raise it with: ulimit -n {_DESCRIPTORS}"
+    return "ok", "no limit" if soft == resource.RLIM_INFINITY else f"limit {soft}"
 
 
-def _disk() -> Finding:
+def _disk() -> Verdict:
     free = shutil.disk_usage(Path.cwd()).free
     if free < 2**30:
-        return Finding("disk", "note", f"only {free / 2**20:.0f} MiB free here; a bag takes 1 MB and more")
-    return Finding("disk", "ok", f"{free / 2**30:.1f} GiB free here")
+        return "note", f"only {free / 2**20:.0f} MiB free here; a bag takes 1 MB and more"
+    return "ok", f"{free / 2**30:.1f} GiB free here"
 
 
-def _scenarios() -> Finding:
+def _scenarios() -> Verdict:
     try:
         names = [load_scenario(path).name for path in builtin_scenarios().values()]
     except SwarmabsError as error:
-        return Finding("scenarios", "bad", f"{error}; build the workspace again")
+        return "bad", f"{error}; build the workspace again"
     if not names:
-        return Finding("scenarios", "bad", "the built-in scenarios are missing; build the workspace again")
-    return Finding("scenarios", "ok", f"{len(names)} built in")
+        return "bad", "the built-in scenarios are missing; build the workspace again"
+    return "ok", f"{len(names)} built in"
 
 
-def _visibility() -> Finding:
-    return Finding(
-        "stock ROS tools",
-        "note",
-        f"a run lives on loopback in a domain of its own (up to {LARGEST_DOMAIN}); "
-        'to look in: eval "$(./scripts/swarm env RUN)"',
-    )
+def _visibility() -> Verdict:
+    text = f"a run lives on loopback in a domain of its own (up to {LARGEST_DOMAIN}); to look in: "
+    return "note", f'{text}eval "$(./scripts/swarm env RUN)"'
 
 
-_CHECKS: tuple[Callable[[], Finding], ...] = (
-    _python,
-    _ros,
-    _messages,
-    _scenarios,
-    _loopback,
-    _buffers,
-    _domain,
-    _cores,
-    _memory,
-    _descriptors,
-    _disk,
-    _visibility,
-)
+_CHECKS: dict[str, Callable[[], Verdict]] = {
+    "versions": _python,
+    "rclpy": _ros,
+    "messages": _messages,
+    "scenarios": _scenarios,
+    "loopback": _loopback,
+    "socket buffers": _buffers,
+    "ROS domain": _domain,
+    "processor": _cores,
+    "memory": _memory,
+    "open files": _descriptors,
+    "disk": _disk,
+    "stock ROS tools": _visibility,
+}
