@@ -84,19 +84,8 @@ class Receiver(Protocol):
 class WaitSetReceiver:
     """Waits on a wait set of just the topics in question and takes serialised messages directly.
 
-    Parameters
-    ----------
-    node : Node
-        Node to which the subscriptions belong.
-    subscriptions : mapping
-        Requested quality of service by topic.
-    group : CallbackGroup, optional
-        Group of the subscriptions; where an executor runs for the same node, one that keeps it off them.
-
-    Raises
-    ------
-    ImportError
-        If this rclpy has no such interface; the text names the alternative.
+    Where an executor runs for the same node, `group` keeps it off the subscriptions. Raises `ImportError` if this rclpy
+    has no such interface; the text names the alternative.
     """
 
     def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], group: CallbackGroup | None = None) -> None:
@@ -155,15 +144,7 @@ class LoopGroup(CallbackGroup):
 
 
 class ExecutorReceiver:
-    """The same by rclpy's public executor; several times slower.
-
-    Parameters
-    ----------
-    node : Node
-        Node to which the subscriptions belong.
-    subscriptions : mapping
-        Requested quality of service by topic.
-    """
+    """The same by rclpy's public executor; several times slower."""
 
     def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
         self._arrived: dict[Topic, deque[bytes]] = {topic: deque() for topic in subscriptions}

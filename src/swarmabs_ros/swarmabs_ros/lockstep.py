@@ -43,8 +43,6 @@ class NodeSpec:
 
     Parameters
     ----------
-    behaviour : Behaviour
-        Its state machine.
     endpoints : Endpoints, optional
         What it publishes and reads, if that does not follow from the graph and its parameters.
     on_stall : callable, optional
@@ -73,21 +71,14 @@ class NodeSpec:
 
 
 class Repeater:
-    """Decides on repetitions from the times at which there was progress.
+    """Decides on repetitions from the times at which there was progress, s, of any clock that does not jump.
 
     The first repetition comes after four usual step times and repeats one step; if it does not help, ever more steps
     are repeated at ever longer intervals, because what somebody lacks may be older than the current step. The fifth
-    repetition covers them all, and comes before the silence counts as a stall.
+    repetition covers them all, `most`, and comes before the silence counts as a stall.
 
-    Parameters
-    ----------
-    now : float
-        Current time, s, of any clock that does not jump.
-    first : float
-        Shortest wait before a repetition, s. In a large swarm a step takes longer than a small one's patience, and
-        whoever repeats itself before it can be answered adds to what makes the step long.
-    most : int
-        Most steps that are repeated.
+    The shortest wait before a repetition is `first`. In a large swarm a step takes longer than a small one's patience,
+    and whoever repeats itself before it can be answered adds to what makes the step long.
     """
 
     def __init__(self, now: float, *, first: float = FIRST, most: int = WINDOW) -> None:
@@ -132,18 +123,7 @@ class Repeater:
 class Lockstep:
     """Takes what the behaviour awaits, publishes what it answers, repeats itself when nothing comes.
 
-    Parameters
-    ----------
-    spec : NodeSpec
-        What the node is made of.
-    receiver, publishers : Receiver, mapping
-        Its endpoints.
-    status : StatusChannel
-        Where stalls are reported.
-    stall_timeout : float
-        Silence, s, that counts as a stall; 0 for never.
-    repeat_after, repeat_steps : float, int
-        As of `Repeater`.
+    Stalls are reported to `status`: silence of `stall_timeout`, s; 0 for never. Repetitions are as of `Repeater`.
     """
 
     def __init__(
@@ -180,11 +160,6 @@ class Lockstep:
         """Drive the behaviour until `stop` is called, or until it has finished if it does not linger.
 
         A lingering behaviour that has finished goes on repeating its last messages, in case somebody still lacks one.
-
-        Raises
-        ------
-        RunError
-            If the behaviour refuses to go on.
         """
         behaviour, receiver = self._behaviour, self._receiver
         repeater = Repeater(time.monotonic(), first=self._repeat_after, most=self._repeat_steps)

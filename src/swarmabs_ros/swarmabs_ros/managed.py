@@ -56,8 +56,6 @@ class RealtimeSpec:
 
     Parameters
     ----------
-    behaviour : RealtimeBehaviour
-        Its state machine.
     phase : float
         Share of the period that is over when its step is due.
     endpoints : Endpoints, optional
@@ -76,13 +74,7 @@ class RealtimeSpec:
 
 
 class RealtimeNode(LifecycleNode):
-    """A lifecycle node around a `RealtimeLoop`.
-
-    Parameters
-    ----------
-    name : str
-        Its name, where none is remapped.
-    """
+    """A lifecycle node around a `RealtimeLoop`."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)

@@ -32,21 +32,9 @@ def given_values(node: Node) -> dict[str, object]:
 def table_of(
     given: Mapping[str, object], common: tuple[Parameter, ...], own: tuple[Parameter | type, ...]
 ) -> tuple[Parameter, ...]:
-    """Return the parameters of a node.
+    """Return the parameters of a node: those that all nodes have, its own, and those that follow from declarations.
 
-    Parameters
-    ----------
-    given : mapping
-        Values that were given, by which parts are chosen that have parameters of their own.
-    common : tuple of Parameter
-        Parameters that all nodes have.
-    own : tuple of Parameter or type
-        Its own parameters, and declarations from which further ones follow.
-
-    Raises
-    ------
-    InputError
-        If what is chosen cannot be had.
+    Values that were given choose parts that have parameters of their own. Raises `InputError` if there is no such part.
     """
     found = {parameter.name: parameter for parameter in common}
     for each in own:
@@ -58,17 +46,8 @@ def table_of(
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
     """Declare all of a node's parameters, described and read-only, and return their checked values.
 
-    Parameters
-    ----------
-    node : Node
-        The node; it has declared automatically what it was given, which is declared anew.
-    table : tuple of Parameter
-        All its parameters.
-
-    Raises
-    ------
-    InputError
-        If a value that was given is refused, or there is no such parameter.
+    The node has declared automatically what it was given, which is declared again. Raises `InputError` if a value is
+    refused, or there is no such parameter.
     """
     given = given_values(node)
     names = {parameter.name for parameter in table}

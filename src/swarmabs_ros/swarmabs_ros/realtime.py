@@ -58,16 +58,10 @@ class Engine:
 
     Parameters
     ----------
-    behaviour : RealtimeBehaviour
-        The node's state machine.
     clock : StepClock
-        When its steps are due.
-    receiver : Receiver
-        Its subscriptions.
+        When the behaviour's steps are due.
     depths : mapping
         How many messages of each topic may wait.
-    publishers : mapping
-        Its publishers by topic.
     wakes : tuple of Topic
         Topics whose messages are heard at once; all others are heard when a step is due.
     """
@@ -81,13 +75,7 @@ class Engine:
 
 
 class Watchdog(threading.Thread):
-    """Notices that something does not end in time, whatever the thread hangs in that does it.
-
-    Parameters
-    ----------
-    on_hang : callable
-        Told, in this thread, that it has not ended.
-    """
+    """Notices that something does not end in time, whatever the thread hangs in that does it, and tells `on_hang`."""
 
     def __init__(self, on_hang: Callable[[], None]) -> None:
         super().__init__(name="watchdog", daemon=True)
@@ -171,10 +159,7 @@ class RealtimeLoop:
     def call(self, work: Callable[[], T], timeout: float = ANSWER_WITHIN) -> T:
         """Have something done in the loop's thread, between two passes, and return what it returns.
 
-        Raises
-        ------
-        RunError
-            If it was not begun in time (s), and then it will not be done either; or if the loop is lost.
+        Raises `RunError` if it was not begun in time (s), and then it will not be done either; or if the loop is lost.
         """
         if threading.get_ident() == self._thread:
             return work()
@@ -204,23 +189,11 @@ class RealtimeLoop:
         self.call(self._activate)
 
     def deactivate(self) -> None:
-        """Halt the behaviour, and be silent.
-
-        Raises
-        ------
-        RunError
-            If the behaviour does not halt in time.
-        """
+        """Halt the behaviour, and be silent; raises `RunError` if it does not halt in time."""
         self._halting(self._deactivate)
 
     def command(self, work: Callable[[int], Messages]) -> None:
-        """Have an operator's command done, given the time in ns since 1970, and publish what it answers.
-
-        Raises
-        ------
-        RunError
-            If nothing is active.
-        """
+        """Have an operator's command done, given the time in ns since 1970, and publish what it answers."""
         self.call(lambda: self._command(work))
 
     def health(self, timeout: float = ANSWER_WITHIN) -> Health:

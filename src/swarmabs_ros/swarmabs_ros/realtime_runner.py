@@ -81,7 +81,7 @@ def run_realtime(
     make: Callable[[Settings, RealtimeNode], RealtimeSpec],
     args: list[str] | None = None,
 ) -> int:
-    """Run a node in real time until it is told to stop (SIGINT, SIGTERM).
+    """Run a node in real time until it is told to stop (SIGINT, SIGTERM); return its exit code, as of `run_program`.
 
     Parameters
     ----------
@@ -91,13 +91,6 @@ def run_realtime(
         Its parameters beyond the common ones, and the declarations from which further ones follow.
     make : callable
         Makes behaviour and endpoints from the parameters, each time the node is configured.
-    args : list of str, optional
-        Command line without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code: 0 fine, 1 something failed, 2 a parameter or the Fast DDS profile was refused.
     """
 
     def body(node: RealtimeNode, status: StatusChannel) -> None:
@@ -169,11 +162,7 @@ def schedule_threads(name: str, priority: int) -> None:
     """Give all threads of this process a scheduling class, the calling one a higher priority; `other` changes nothing.
 
     The others matter: they bring the messages, and one that has the interpreter keeps the calling thread waiting.
-
-    Raises
-    ------
-    InputError
-        If this process may not; the text says what it needs.
+    Raises `InputError` if this process may not; the text says what it needs.
     """
     if name not in _CLASSES:
         return
@@ -193,10 +182,7 @@ def schedule_threads(name: str, priority: int) -> None:
 def lock_memory() -> None:
     """Keep all memory of this process, present and future, from being paged out.
 
-    Raises
-    ------
-    InputError
-        If this process may not; the text says what it needs.
+    Raises `InputError` if this process may not; the text says what it needs.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
@@ -207,15 +193,7 @@ def lock_memory() -> None:
 
 
 class Server(threading.Thread):
-    """The thread that serves ROS; an error of one callback does not end it.
-
-    Parameters
-    ----------
-    node : RealtimeNode
-        Whose callbacks; it logs their errors.
-    executor : SingleThreadedExecutor
-        Runs them.
-    """
+    """The thread that serves ROS; an error of one callback is logged and does not end it."""
 
     def __init__(self, node: RealtimeNode, executor: SingleThreadedExecutor) -> None:
         super().__init__(name="ros", daemon=True)
@@ -231,13 +209,7 @@ class Server(threading.Thread):
                 self._node.notes.error(f"a request failed: {one_line(error)}")
 
     def end(self) -> None:
-        """Serve no more, once what is being served is done.
-
-        Raises
-        ------
-        RunError
-            If it does not end.
-        """
+        """Serve no more, once what is being served is done; raises `RunError` if it does not end."""
         self._ending = True
         self._executor.wake()
         self.join(_ENDS_WITHIN)

@@ -48,13 +48,7 @@ STEERED = Parameter(
 
 
 class Settings:
-    """Checked parameter values, read by name and type.
-
-    Attributes
-    ----------
-    namespace : str
-        Namespace of the node, which is that of the swarm.
-    """
+    """Checked parameter values, read by name and type, and the namespace of the node, which is that of the swarm."""
 
     def __init__(self, values: Mapping[str, Value], namespace: str = "/") -> None:
         self._values = values
@@ -76,15 +70,6 @@ class Settings:
         """Return a boolean."""
         return cast("bool", self._values[name])
 
-    def numbers(self, name: str) -> tuple[float, ...]:
-        """Return numbers."""
-        return cast("tuple[float, ...]", self._values[name])
-
-    def pair(self, name: str) -> tuple[float, float]:
-        """Return the numbers of an array of two."""
-        first, second = self.numbers(name)
-        return first, second
-
     def integers(self, name: str) -> tuple[int, ...]:
         """Return integers."""
         return cast("tuple[int, ...]", self._values[name])
@@ -99,31 +84,17 @@ class Settings:
         return None if step < 0 else step
 
     def made(self, declaration: type[DeclarationT]) -> DeclarationT:
-        """Return a declaration whose parameters have these values.
-
-        Raises
-        ------
-        InputError
-            If they contradict each other.
-        """
+        """Return a declaration with these values; raises `InputError` if they contradict each other."""
         try:
             return made_of(declaration, self._values)
         except SettingError as error:
             raise InputError(f"parameter {error}") from error
 
     def endpoints(self, node: str, driver: Driver, *also: Option, robots: int | None = None) -> Endpoints:
-        """Return what a node with these parameters publishes and reads.
+        """Return what a node publishes and reads that has these parameters, by its name in the graph.
 
-        Parameters
-        ----------
-        node : str
-            Its name in the graph.
-        driver : Driver
-            What makes its steps.
-        also : Option
-            What it is asked for beside what its parameters say.
-        robots : int, optional
-            How many robots ever take part, by default the members that the parameters name.
+        The options `also` are asked for in addition to what the parameters say. `robots` is how many robots ever take
+        part, by default the members that the parameters name.
         """
         known = len(cast("tuple[int, ...]", self._values.get("members", ()))) if robots is None else robots
         return endpoints(node, driver, options_of(self._values) | {*also}, robots=known)
@@ -135,7 +106,7 @@ def run_node(
     make: Callable[[Settings, StatusChannel], NodeSpec],
     args: list[str] | None = None,
 ) -> int:
-    """Run a node until it is told to stop (SIGINT, SIGTERM).
+    """Run a node in lockstep until it is told to stop (SIGINT, SIGTERM); return its exit code, as of `run_program`.
 
     Parameters
     ----------
@@ -145,13 +116,6 @@ def run_node(
         Its parameters beyond the common ones, and the declarations from which further ones follow.
     make : callable
         Makes behaviour and endpoints from the parameters.
-    args : list of str, optional
-        Command line without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code: 0 fine, 1 the run failed, 2 a parameter or the Fast DDS profile was refused.
     """
 
     def body(node: Node, status: StatusChannel) -> None:

@@ -29,20 +29,10 @@ TYPES: dict[str, Any] = {"odometry": OdometryMessage, "joint_state": JointState,
 
 
 class SensorSubscription:
-    """What a sensor has said and nobody has taken yet.
+    """What a sensor (``odometry``, ``joint_state`` or ``imu``) has said and nobody has taken yet.
 
-    Parameters
-    ----------
-    node : Node
-        Node to which it belongs.
-    source : str
-        ``odometry``, ``joint_state`` or ``imu``.
-    topic : str
-        Name of the topic; ``~`` is the node.
-    group : CallbackGroup, optional
-        Group that no executor serves; it would take the messages away.
-    arrival : bool
-        Whether a reading's stamp is the time of its arrival instead of its header's.
+    In the name of the topic ``~`` is the node. No executor may serve `group`; it would take the messages away. With
+    `arrival` a reading's stamp is the time of its arrival instead of its header's.
     """
 
     def __init__(
@@ -63,15 +53,7 @@ class SensorSubscription:
 
 
 def reading(message: Any, stamp: int | None = None) -> Reading:
-    """Return what a message of one of `TYPES` says.
-
-    Parameters
-    ----------
-    message : Odometry, JointState or Imu of ROS
-        The message.
-    stamp : int, optional
-        Time of the reading, ns since 1970, if not that of the header.
-    """
+    """Return what a message of one of `TYPES` says, at a time (ns since 1970) if that is not its header's."""
     if stamp is None:
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
     if isinstance(message, JointState):

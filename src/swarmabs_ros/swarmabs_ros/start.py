@@ -51,22 +51,9 @@ def run_program(
 ) -> int:
     """Run a node from the start of the middleware to its end.
 
-    Parameters
-    ----------
-    name : str
-        The node's name, where none is remapped.
-    make_node : callable
-        Makes the node.
-    body : callable
-        What the node does, until it is over.
-    args : list of str, optional
-        Command line without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code: 0 fine, 1 something failed, 2 a parameter or the Fast DDS profile was refused. The reason goes to
-        standard error and to whoever started the node.
+    The node has this name where none is remapped, and ends when `body` returns. The exit code is 0 fine, 1 something
+    failed, 2 a parameter or the Fast DDS profile was refused. The reason goes to standard error and to whoever started
+    the node.
     """
     try:
         initialise(name, args)
@@ -90,17 +77,8 @@ def run_program(
 def initialise(name: str, args: list[str] | None) -> None:
     """Start rclpy for a node that handles signals by itself.
 
-    Parameters
-    ----------
-    name : str
-        What errors call the node.
-    args : list of str, optional
-        Command line without the program's name.
-
-    Raises
-    ------
-    InputError
-        If the profile cannot be used, or the command line is not understood; nothing has been started then.
+    Raises `InputError`, which names the node, if the profile cannot be used, or the command line is not understood;
+    nothing has been started then.
     """
     check_profiles(os.environ)
     try:
@@ -110,13 +88,7 @@ def initialise(name: str, args: list[str] | None) -> None:
 
 
 def check_profiles(environment: Mapping[str, str]) -> None:
-    """Check that the profiles which an environment names can be read and are XML; none named is none to check.
-
-    Raises
-    ------
-    InputError
-        If not.
-    """
+    """Raise `InputError` if a Fast DDS profile that an environment names cannot be read, or is no XML."""
     for variable in PROFILES:
         if path := environment.get(variable):
             _check(variable, Path(path))

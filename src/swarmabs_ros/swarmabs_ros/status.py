@@ -26,13 +26,7 @@ Report = Literal["ready", "stalled", "recovered", "failed", "progress", "written
 
 
 class StatusChannel:
-    """Reports to the orchestrator, if there is one.
-
-    Parameters
-    ----------
-    node : str
-        Name under which to report.
-    """
+    """Reports to the orchestrator under the name of a node, if there is an orchestrator."""
 
     def __init__(self, node: str) -> None:
         self._node = node
@@ -59,12 +53,7 @@ class StatusChannel:
     def wait_for_epoch(self) -> int:
         """Wait for the start and return the time, ns since 1970, that it comes with.
 
-        Raises
-        ------
-        InputError
-            If nobody has started this node who could tell it.
-        RunError
-            If whoever has started it has gone.
+        Raises `InputError` if nobody has started this node who could tell it, and `RunError` if whoever did has gone.
         """
         if self._start is None:
             raise InputError("parameter await_epoch: nobody is there to tell the epoch; give epoch_ns instead")

@@ -25,12 +25,7 @@ class Reading(NamedTuple):
 class Lateness:
     """Histogram with a bin for every power of two: bin 0 is below 1 us, bin n from 2^(n-1) us to below 2^n us.
 
-    Attributes
-    ----------
-    count : int
-        Number of values.
-    longest : int
-        Largest value, ns.
+    `count` is the number of values, `longest` the largest, ns.
     """
 
     def __init__(self) -> None:

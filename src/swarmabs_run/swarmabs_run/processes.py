@@ -58,18 +58,7 @@ class Snapshot(NamedTuple):
 
 
 class RunProcesses:
-    """Watches the processes of a run.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of a run that is going on.
-
-    Raises
-    ------
-    InputError
-        If it is none, or the run is over.
-    """
+    """Watches the processes of a run in a folder; raises `InputError` if no run goes on there."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -131,10 +120,7 @@ class RunProcesses:
 def newest_run(runs: Path) -> Path:
     """Return the folder of the run in a folder of runs that was begun last and goes on.
 
-    Raises
-    ------
-    InputError
-        If none goes on.
+    Raises `InputError` if none goes on.
     """
     found = sorted(runs.glob(f"*/logs/{NETWORK_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in found:

@@ -41,20 +41,9 @@ def record_steps(
     on_progress: Callable[[Progress], None] | None = None,
     ended: Callable[[], bool] = lambda: False,
 ) -> Outcome:
-    """Record steps that are computed in this process.
+    """Record steps that are computed in this process while they are iterated over.
 
-    Parameters
-    ----------
-    steps : iterator of Step
-        The steps, computed while they are iterated over.
-    scenario : Scenario
-        What they are steps of.
-    recording : Recording
-        Where they go; it is completed, however they end.
-    on_progress : callable, optional
-        Told how the run goes, some ten times a second.
-    ended : callable
-        Tells whether an end was asked for before.
+    The recording is completed, however they end; `ended` tells whether an end was asked for before.
     """
     begun = told = time.monotonic()
 

@@ -66,14 +66,8 @@ def _node(behaviour: Behaviour, name: str, *options: Option) -> NodeInProcess:
 class Simulation:
     """Nodes connected by a queue: those of a scenario, or some of them and what stands in for the others.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What to simulate.
-    nodes : iterable of NodeInProcess, optional
-        The nodes, in the order in which they start and answer; by default all of the scenario.
-    ends : iterable of Change
-        Ends of robots that the scenario does not plan.
+    The nodes start and answer in their order, by default all of the scenario. Robots may have ends that the scenario
+    does not plan.
     """
 
     def __init__(
@@ -90,17 +84,8 @@ class Simulation:
     def steps(self, on_idle: Callable[[], Messages] = tuple, name: str = "run") -> Iterator[RecordedStep]:
         """Run, and yield every step as a bag would hold it.
 
-        Parameters
-        ----------
-        on_idle : callable
-            Returns what is said when no node has an answer any more; the run ends where that is nothing.
-        name : str
-            What the error of a stall calls it.
-
-        Raises
-        ------
-        RunError
-            If the run fails, such as by a plane that turns over, or stalls.
+        When no node has an answer any more, `on_idle` returns what is said; the run ends where that is nothing. Raises
+        `RunError` if the run fails, such as by a plane that turns over, or stalls; that error calls it by a name.
         """
         queue: deque[Message] = deque()
         for node in self._nodes:
@@ -120,20 +105,7 @@ class Simulation:
 def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     """Simulate a scenario, on arrays where all robots do the same all the time; the bits do not depend on it.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What to simulate.
-
-    Yields
-    ------
-    Step
-        Every step of the run, in order.
-
-    Raises
-    ------
-    RunError
-        If the run fails, such as by a plane that turns over.
+    Raises `RunError` if the run fails, such as by a plane that turns over.
     """
     done = 0
     if vectorisable(scenario):

@@ -22,17 +22,7 @@ FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messag
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """What took how long.
-
-    Parameters
-    ----------
-    wall : float
-        The whole command, s.
-    setup : float
-        Of this, the set-up of the checkout, s.
-    startup : float, optional
-        From the end of the set-up to the first step, s.
-    """
+    """What took how long, s: the whole command, of it the set-up of the checkout, and from there to the first step."""
 
     wall: float
     setup: float = 0.0

@@ -21,10 +21,7 @@ def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
     The files wake processes when a tracing session starts; without them a process is merely not traced. A process maps
     them when it loads rclpy and keeps them mapped, so a file that is mapped is in use and one that is not is left over.
 
-    Parameters
-    ----------
-    if_orphaned : bool
-        Whether to leave that to the process that started this one, as long as it lives.
+    With `if_orphaned` that is left to the process that started this one, as long as it lives.
     """
     before, parent = _files(), os.getppid()
     try:

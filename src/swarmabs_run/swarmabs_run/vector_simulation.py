@@ -208,13 +208,7 @@ class _Swarm:
 
 
 class VectorSimulation:
-    """Simulates a scenario whose robots all do the same.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        A scenario for which `vectorisable` holds.
-    """
+    """Simulates a scenario whose robots all do the same: one for which `vectorisable` holds."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -228,12 +222,8 @@ class VectorSimulation:
     def steps(self) -> Iterator[ArrayStep]:
         """Run, and yield every step.
 
-        Raises
-        ------
-        NotVectorisableError
-            If a robot has to do something of its own; the steps up to there are right.
-        RunError
-            If the run fails, such as by a plane that turns over.
+        Raises `NotVectorisableError` if a robot has to do something of its own; the steps up to there are right. Raises
+        `RunError` if the run fails, such as by a plane that turns over.
         """
         scenario, swarm = self._scenario, self._swarm
         angle, angular_velocity = scenario.plane.angle, scenario.plane.angular_velocity

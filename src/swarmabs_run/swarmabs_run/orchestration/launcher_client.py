@@ -41,8 +41,6 @@ class LauncherClient:
         How many nodes there will be.
     controller, law : str
         Names of the parent controller and of the swarm law, which the launcher loads before it forks.
-    driver : Driver
-        What makes the steps of the nodes.
 
     Attributes
     ----------

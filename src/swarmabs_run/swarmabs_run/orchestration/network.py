@@ -52,17 +52,8 @@ _SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
 def claimed_domain(spacing: int = ports.SPACING) -> Iterator[int]:
     """Hold a free ROS domain, and yield its id, for the time of the block; no other run gets it meanwhile.
 
-    The claim is a bound TCP port on loopback: the kernel gives it up however this process ends.
-
-    Parameters
-    ----------
-    spacing : int
-        How many domains the run's ports reach over.
-
-    Raises
-    ------
-    RunError
-        If there is none left.
+    The claim is a bound TCP port on loopback: the kernel gives it up however this process ends. The run's ports reach
+    over `spacing` domains. Raises `RunError` if there is none left.
     """
     held: list[socket.socket] = []
     try:
@@ -167,8 +158,6 @@ def profile_xml(
 
     Parameters
     ----------
-    domain : int
-        ROS domain of the run.
     peers : iterable of int
         Ids of the participants to which this one announces itself. The coordinators suffice for a member of the swarm;
         a tool that wants to see everybody needs everybody.

@@ -43,16 +43,7 @@ STARTED_AGAIN = "did not come up: again"
 class ProcessRun:
     """Starts a scenario's processes, waits until all are ready, lets them run as a subclass says, and ends them all.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario; generated robots are listed.
-    folder : RunFolder
-        An empty folder for the results.
-    options : RunOptions
-        How it is run.
-    arrange : callable
-        Changes the processes before any is started, such as their order or parameters.
+    The scenario's generated robots are listed, and the folder is empty.
     """
 
     _driver: ClassVar[Driver] = LOCKSTEP
@@ -80,10 +71,7 @@ class ProcessRun:
     def run(self) -> Outcome:
         """Run to the end, whatever it is; afterwards no process, port or shared memory of the run is left.
 
-        Raises
-        ------
-        RunError
-            If the run cannot even be begun, such as when no ROS domain is free.
+        Raises `RunError` if the run cannot even be begun, such as when no ROS domain is free.
         """
         participants = 1 + max(process.participant for process in self._plan)
         self._folder.fill(self._scenario)

@@ -60,18 +60,10 @@ def write_network(logs: Path, domain: int, participants: int, *, realtime: bool 
 
 
 class Told(NamedTuple):
-    """What the file of a run's progress says.
+    """What the file of a run's progress says: the phase is that of `Progress`, or `OVER`.
 
-    Parameters
-    ----------
-    phase : str
-        That of `Progress`, or `OVER`.
-    step, steps : int
-        Steps recorded, and steps in all.
-    step_rate : float, optional
-        Steps per second of wall time since the version before; None if there was no other.
-    told_at : float
-        When it was written, s on the machine's monotonic clock.
+    The step rate counts per second of wall time since the version before; None if there was no other. It was told at a
+    time, s, on the machine's monotonic clock.
     """
 
     phase: str
@@ -145,7 +137,7 @@ def start_of(pid: int) -> int | None:
 def orchestrator_of(run: Path) -> psutil.Process | None:
     """Return the process that has started a run, None if it is gone.
 
-    An `InputError` is raised if this is not the folder of a run with processes, as by all functions that follow.
+    Raises `InputError` if this is not the folder of a run with processes, as do all functions that follow.
     """
     network = _network(run)
     pid = network["orchestrator"]
@@ -169,13 +161,7 @@ def is_realtime(run: Path) -> bool:
 
 
 def environment_of_run(run: Path) -> dict[str, str]:
-    """Return the environment variables with which a tool sees the nodes of a run.
-
-    Raises
-    ------
-    RunOverError
-        If the run is over.
-    """
+    """Return the environment variables with which a tool sees the nodes of a run, unless it is over."""
     if not goes_on(run):
         raise RunOverError(run)
     return dds_environment(_network(run)["domain"], str((run / "logs" / TOOL_PROFILE).resolve()))

@@ -42,8 +42,6 @@ class Supervision:
 
     Parameters
     ----------
-    names : tuple of str
-        Names of all processes.
     dispensable : frozenset of str
         Names of those whose end the run survives: the robots, where the scenario says that silent ones are dropped.
     hosts : mapping
@@ -144,10 +142,7 @@ class Supervision:
     def diagnose(self, states: Mapping[str, str]) -> Failure:
         """Conclude from the nodes' reports of stalls who does not answer.
 
-        Parameters
-        ----------
-        states : mapping
-            What the operating system says of each process, such as ``stopped``.
+        What the operating system says of each process, such as ``stopped``, is in `states`.
         """
         culprits = self._silent()
         silence = max((stall.silence for stall in self.stalls.values()), default=0.0)

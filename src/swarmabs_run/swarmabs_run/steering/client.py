@@ -26,15 +26,10 @@ STATUS = "status"
 
 @contextmanager
 def short_path(folder: Path) -> Iterator[Path]:
-    """Give a path of a folder that is short, for as long as the block lasts.
+    """Give a path of a folder that is short, for as long as the block lasts; raises `OSError` if it cannot be opened.
 
     The path of a socket has 107 characters at most, and that of a folder has not; so the folder is named by a
     descriptor.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be opened.
     """
     directory = os.open(folder, os.O_PATH | os.O_DIRECTORY)
     try:
@@ -44,19 +39,9 @@ def short_path(folder: Path) -> Iterator[Path]:
 
 
 class SteeringClient:
-    """A connection to a run.
+    """A connection to the run in a folder; `timeout` is the longest time for an answer, s.
 
-    Parameters
-    ----------
-    run : Path
-        Folder of the run.
-    timeout : float
-        Longest time for an answer, s.
-
-    Raises
-    ------
-    InputError
-        If there is no run there that can be steered.
+    Raises `InputError` if there is no run there that can be steered.
     """
 
     def __init__(self, run: Path, timeout: float = 30.0) -> None:
@@ -90,10 +75,7 @@ class SteeringClient:
     def ask(self, asked: Mapping[str, object]) -> dict[str, Any]:
         """Ask for something, and return the answer (docs/steering.md).
 
-        Raises
-        ------
-        RunError
-            If the run ends before it answers, or does not answer in time.
+        Raises `RunError` if the run ends before it answers, or does not answer in time.
         """
         try:
             self._socket.sendall(json.dumps(asked).encode() + b"\n")

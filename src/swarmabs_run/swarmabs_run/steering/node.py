@@ -109,12 +109,7 @@ def in_words(decision: Decision) -> str:
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     """Return the behaviour, and what it does when it is idle.
 
-    Raises
-    ------
-    InputError
-        If there is no scenario, or no folder.
-    RunError
-        If the folder cannot hold a socket.
+    Raises `InputError` if there is no scenario, or no folder, and `RunError` if the folder cannot hold a socket.
     """
     if not settings.text("scenario_file") or not settings.text("folder"):
         raise InputError("parameters scenario_file and folder: give the resolved scenario and the folder of the run")

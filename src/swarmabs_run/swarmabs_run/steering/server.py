@@ -108,16 +108,8 @@ def refusal(reason: str) -> dict[str, Any]:
 class RequestQueue:
     """Takes lines from any thread, and answers them when the node's loop has the time.
 
-    Parameters
-    ----------
-    controller : SteeringController
-        What steers.
-    period_ns : int
-        Control period, ns.
-    facts : dict
-        What does not change, for those who ask for the status.
-    on_decision : callable
-        Told every request that was granted.
+    The control period is in ns; `facts` are what does not change, for those who ask for the status. Every request that
+    was granted is told to `on_decision`.
     """
 
     def __init__(
@@ -206,20 +198,7 @@ class _Connection(socketserver.StreamRequestHandler):
 
 
 class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
-    """Listens in the folder of a run, in threads of its own.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run.
-    requests : RequestQueue
-        Who answers.
-
-    Raises
-    ------
-    RunError
-        If the folder cannot hold a socket.
-    """
+    """Listens in the folder of a run, in threads of its own; raises `RunError` if the folder cannot hold a socket."""
 
     daemon_threads = True
     block_on_close = False
