@@ -13,7 +13,7 @@ from swarmabs_view.visualization.scene import Scene, plane_urdf, tilt
 
 def described(*overrides: str) -> tuple[str, float]:
     scenario = find_scenario("pd_het_4", overrides).resolved()
-    return plane_urdf(Scene.of(scenario).layout, scenario.plane.inertia), scenario.plane.inertia
+    return plane_urdf(Scene.of(scenario), scenario.plane.inertia), scenario.plane.inertia
 
 
 def test_it_is_a_plate_on_a_level_joint() -> None:

@@ -26,9 +26,10 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
-from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Layout, Scene, Shape, Vector, tilt, tilted
+from swarmabs_view.visualization.scene import GREY, KINDS, SAFE_STOP, Frame, Scene, Shape, Vector, tilt, tilted
 
-LAYOUT = Layout.of(2.0, [(3, Kind.DOUBLE_INTEGRATOR, 0.5), (1, Kind.SINGLE_INTEGRATOR, 4.0)])
+ROBOTS = [(3, Kind.DOUBLE_INTEGRATOR, 0.5), (1, Kind.SINGLE_INTEGRATOR, 4.0)]
+SCENE = Scene(2.0, ROBOTS, torque_max=5.0)
 PERIOD = 10_000_000
 
 
@@ -55,7 +56,7 @@ def by_time() -> OffsetReference:
 
 
 def new() -> tuple[Scene, SwarmState]:
-    return Scene(LAYOUT, torque_max=5.0), SwarmState(reference=by_time(), period_ns=PERIOD)
+    return Scene(2.0, ROBOTS, torque_max=5.0), SwarmState(reference=by_time(), period_ns=PERIOD)
 
 
 def drawn(
@@ -84,15 +85,15 @@ def test_robots_stand_on_the_tilted_plane_in_lanes_of_their_own() -> None:
     for agent_id, position in ((1, -0.7), (3, 0.4)):
         shape = shapes["robots", agent_id]
         # In the vertical plane a point (along, up) of the tilted plane is turned by the angle.
-        height = LAYOUT.thickness / 2.0 + shape.size.z / 2.0
+        height = SCENE.thickness / 2.0 + shape.size.z / 2.0
         turned = (position + 1j * height) * cmath.exp(1j * angle)
         assert (shape.pose.position.x, shape.pose.position.z) == pytest.approx((turned.real, turned.imag))
         assert shape.pose.orientation == tilt(angle)
         assert frame.places[agent_id] == pytest.approx((position, shape.pose.position.y, height))
     first, second = (shapes["robots", agent_id] for agent_id in (1, 3))
-    assert second.pose.position.y - first.pose.position.y == pytest.approx(LAYOUT.lane_width)
+    assert second.pose.position.y - first.pose.position.y == pytest.approx(SCENE.lane_width)
     assert first.pose.position.y == -second.pose.position.y
-    assert LAYOUT.lane_width > first.size.y  # the heaviest is the widest
+    assert SCENE.lane_width > first.size.y  # the heaviest is the widest
     assert (first.size.x / second.size.x) ** 3 == pytest.approx(4.0 / 0.5)  # volumes as masses
     assert (first.kind, second.kind) == ("cylinder", "cube")
     assert (first.colour, second.colour) == (KINDS[Kind.SINGLE_INTEGRATOR], KINDS[Kind.DOUBLE_INTEGRATOR])
@@ -102,7 +103,7 @@ def test_robots_stand_on_the_tilted_plane_in_lanes_of_their_own() -> None:
 def test_the_plate_and_the_reference() -> None:
     _, shapes = drawn(plane(30, 0.2))
     plate = shapes["plane", 0]
-    assert (plate.size, plate.pose.position) == ((2.0, LAYOUT.width, LAYOUT.thickness), (0.0, 0.0, 0.0))
+    assert (plate.size, plate.pose.position) == ((2.0, SCENE.width, SCENE.thickness), (0.0, 0.0, 0.0))
     assert plate.pose.orientation == tilt(0.2)
     assert len(shapes["lanes", 0].points) == 2 * 2
     assert shapes["reference", 0].pose.orientation == tilt(0.3)  # the reference is the time
@@ -213,7 +214,7 @@ def test_by_a_clock_the_reference_begins_with_the_law() -> None:
 def test_a_scenario_gives_its_dimensions() -> None:
     scenario = find_scenario("arise_het_200", ["plane.length=3"]).resolved()
     scene = (Scene.of(scenario), SwarmState.of(scenario))
-    layout = scene[0].layout
+    layout = scene[0]
     assert (layout.length, len(layout.robots)) == (3.0, 200)
     lanes = sorted(robot.lane for robot in layout.robots.values())
     assert layout.width / 2.0 >= lanes[-1] + layout.lane_width / 2.0 - 1e-9

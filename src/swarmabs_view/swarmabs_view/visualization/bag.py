@@ -71,7 +71,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
             if shown in drawn:
                 writer.write(drawn[shown], now, serialize_message(message))
 
-        write(*description(scene.layout, scenario.plane.inertia))
+        write(*description(scene, scenario.plane.inertia))
         due = float(now)
 
         def draw() -> float:

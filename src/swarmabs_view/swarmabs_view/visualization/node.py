@@ -160,7 +160,7 @@ def show(
     """Show the swarm, a frame whenever there is a new step and it is time for one."""
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     for publish in publishers:
-        publish(*description(scene.layout, scenario.plane.inertia))
+        publish(*description(scene, scenario.plane.inertia))
     repeated = time.monotonic()
     period, pause, shown = 1.0 / settings.number("rate"), 0.0, None
     while not wait(pause):

@@ -30,7 +30,7 @@ from swarmabs_view.visualization.scene import (
 )
 
 if TYPE_CHECKING:
-    from swarmabs_view.visualization.scene import Colour, Frame, Layout, Quaternion, Shape, Vector
+    from swarmabs_view.visualization.scene import Colour, Frame, Quaternion, Scene, Shape, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +117,9 @@ class Translator:
         return marker
 
 
-def description(layout: Layout, inertia: float) -> tuple[VisualTopic, Any]:
+def description(scene: Scene, inertia: float) -> tuple[VisualTopic, Any]:
     """Return the message that describes a plane and its moment of inertia (kg m^2), with its topic."""
-    return DESCRIPTION, String(data=plane_urdf(layout, inertia))
+    return DESCRIPTION, String(data=plane_urdf(scene, inertia))
 
 
 def _joint_state(frame: Frame, stamp: Any) -> Any:

@@ -99,53 +99,12 @@ def tilted(point: Vector, angle: float) -> Vector:
     return Vector(c * point.x - s * point.z, point.y, s * point.x + c * point.z)
 
 
-@dataclass(frozen=True, slots=True)
-class Robot:
-    """A robot as it is drawn: its lane's y (m) and the edge of its body (m)."""
+class Robot(NamedTuple):
+    """A robot as it is drawn: kind, its lane's y (m) and the edge of its body (m)."""
 
-    agent_id: int
     kind: int
     lane: float
     size: float
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """What is drawn where: dimensions of the plane and of a lane, m, and the robots by id."""
-
-    length: float
-    width: float
-    thickness: float
-    robots: dict[int, Robot]
-    lane_width: float
-
-    @classmethod
-    def of(cls, length: float, robots: Iterable[tuple[int, int, float]]) -> Layout:
-        """Lay out a plane of some length (m) with robots of id, kind and mass (kg), whose volume goes with the mass."""
-        listed = sorted(robots)
-        heaviest = max((mass for _, _, mass in listed), default=1.0)
-        edge = _LARGEST_ROBOT * length
-        lane_width = _LANE * edge
-        first = -lane_width * (len(listed) - 1) / 2.0
-        return cls(
-            length,
-            max(_NARROWEST * length, lane_width * len(listed)),
-            _THICKNESS * length,
-            {
-                agent_id: Robot(agent_id, kind, first + index * lane_width, edge * (mass / heaviest) ** (1.0 / 3.0))
-                for index, (agent_id, kind, mass) in enumerate(listed)
-            },
-            lane_width,
-        )
-
-    def on_plane(self, robot: Robot, position: float) -> Vector:
-        """Return the middle of a robot's body in the frame of the plane, at a position along its lane (m)."""
-        return Vector(position, robot.lane, (self.thickness + robot.size) / 2.0)
-
-    def lane_ends(self, lane: float) -> tuple[Vector, Vector]:
-        """Return both ends of a lane on the surface, in the frame of the plane."""
-        above = 0.505 * self.thickness  # else the surface would hide it
-        return Vector(-self.length / 2.0, lane, above), Vector(self.length / 2.0, lane, above)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,11 +146,23 @@ class Frame(NamedTuple):
 class Scene:
     """Draws what is shown of a swarm, and remembers what it has drawn.
 
-    An arrow is as long as half the plane at the torque `torque_max`, N m.
+    The plane has some length (m), and robots by id, kind and mass (kg), whose volume goes with the mass. An arrow is as
+    long as half the plane at the torque `torque_max`, N m.
     """
 
-    def __init__(self, layout: Layout, torque_max: float) -> None:
-        self.layout = layout
+    def __init__(self, length: float, robots: Iterable[tuple[int, int, float]], torque_max: float) -> None:
+        listed = sorted(robots)
+        heaviest = max((mass for _, _, mass in listed), default=1.0)
+        edge = _LARGEST_ROBOT * length
+        self.lane_width = _LANE * edge
+        first = -self.lane_width * (len(listed) - 1) / 2.0
+        self.robots = {
+            agent_id: Robot(kind, first + index * self.lane_width, edge * (mass / heaviest) ** (1.0 / 3.0))
+            for index, (agent_id, kind, mass) in enumerate(listed)
+        }
+        self.length = length
+        self.width = max(_NARROWEST * length, self.lane_width * len(listed))
+        self.thickness = _THICKNESS * length
         self._torque_max = torque_max
         self._drawn: set[tuple[str, int]] = set()
 
@@ -199,7 +170,7 @@ class Scene:
     def of(cls, scenario: Scenario) -> Scene:
         """Return the scene of a scenario whose robots are listed."""
         robots = [(agent.id, int(Kind[agent.kind.upper()]), agent.mass) for agent in scenario.agents]
-        return cls(Layout.of(scenario.plane.length, robots), scenario.manifold.torque_max)
+        return cls(scenario.plane.length, robots, scenario.manifold.torque_max)
 
     def frame(self, swarm: SwarmState) -> Frame | None:
         """Return what to draw now, None before the first state of the plane."""
@@ -209,7 +180,7 @@ class Scene:
         robots = {
             identity.id: shown
             for identity, shown in zip(swarm.robots, swarm.shown_robots(instant.step), strict=True)
-            if identity.id in self.layout.robots
+            if identity.id in self.robots
         }
         places = self._places(robots)
         shapes = (
@@ -226,20 +197,25 @@ class Scene:
         return Frame(instant.step, instant.stamp, instant.angle, rate, effort, shapes, gone, places)
 
     def _places(self, robots: Mapping[int, ShownRobot]) -> dict[int, Vector]:
-        """Return where the robots are that are on the plane."""
-        return {
-            agent_id: self.layout.on_plane(self.layout.robots[agent_id], robot.position)
-            for agent_id, robot in robots.items()
-            if robot.position is not None
-        }
+        """Return where the middle of the robots that are on the plane is, in its frame."""
+        found = {}
+        for agent_id, shown in robots.items():
+            if shown.position is not None:
+                robot = self.robots[agent_id]
+                found[agent_id] = Vector(shown.position, robot.lane, (self.thickness + robot.size) / 2.0)
+        return found
+
+    def _lane_ends(self, lane: float) -> tuple[Vector, Vector]:
+        """Return both ends of a lane on the surface, in the frame of the plane."""
+        above = 0.505 * self.thickness  # else the surface would hide it
+        return Vector(-self.length / 2.0, lane, above), Vector(self.length / 2.0, lane, above)
 
     def _still(self, angle: float) -> tuple[Shape, ...]:
         """Return what only turns with the plane."""
-        layout = self.layout
         pose = Pose(Vector(0.0, 0.0, 0.0), tilt(angle))
-        ends = [end for robot in layout.robots.values() for end in layout.lane_ends(robot.lane)]
-        plate = Vector(layout.length, layout.width, layout.thickness)
-        rail = Vector(0.05 * layout.lane_width, 0.0, 0.0)
+        ends = [end for robot in self.robots.values() for end in self._lane_ends(robot.lane)]
+        plate = Vector(self.length, self.width, self.thickness)
+        rail = Vector(0.05 * self.lane_width, 0.0, 0.0)
         return (
             Shape("plane", 0, CUBE, pose, plate, PLATE),
             Shape("lanes", 0, LINES, pose, rail, RAIL, tuple(ends)),
@@ -249,17 +225,16 @@ class Scene:
         """Return the line along which the plane should lie, at both its sides."""
         if wanted is None:
             return ()
-        layout = self.layout
-        sides = [end for side in (-0.52, 0.52) for end in layout.lane_ends(side * layout.width)]
+        sides = [end for side in (-0.52, 0.52) for end in self._lane_ends(side * self.width)]
         pose = Pose(Vector(0.0, 0.0, 0.0), tilt(wanted))
-        return (Shape("reference", 0, LINES, pose, Vector(0.1 * layout.lane_width, 0.0, 0.0), REFERENCE, tuple(sides)),)
+        return (Shape("reference", 0, LINES, pose, Vector(0.1 * self.lane_width, 0.0, 0.0), REFERENCE, tuple(sides)),)
 
     def _bodies(self, angle: float, robots: Mapping[int, ShownRobot], places: dict[int, Vector]) -> list[Shape]:
         shapes = []
         turn = tilt(angle)
-        labelled = len(self.layout.robots) <= LABELLED
+        labelled = len(self.robots) <= LABELLED
         for agent_id, place in places.items():
-            robot = self.layout.robots[agent_id]
+            robot = self.robots[agent_id]
             pose = Pose(tilted(place, angle), turn)
             body = CYLINDER if robot.kind == Kind.SINGLE_INTEGRATOR else CUBE
             size = Vector(robot.size, robot.size, robot.size)
@@ -267,31 +242,30 @@ class Scene:
             shapes.append(Shape("robots", agent_id, body, pose, size, colour))
             if labelled:
                 above = tilted(place._replace(z=place.z + robot.size), angle)
-                height = Vector(0.0, 0.0, 0.6 * self.layout.lane_width)
+                height = Vector(0.0, 0.0, 0.6 * self.lane_width)
                 shapes.append(Shape("labels", agent_id, TEXT, Pose(above, NO_TURN), height, INK, (), str(agent_id)))
         return shapes
 
     def _torques(self, actual: float | None, desired: float | None) -> list[Shape]:
         """Return the arrows of the swarm's torque, actual and wanted: they point to the end that is pushed down."""
-        layout = self.layout
         shapes = []
         for number, (torque, colour) in enumerate(((actual, ACTUAL), (desired, DESIRED))):
             if not torque:
                 continue
-            length = layout.length / 2.0 * min(abs(torque) / self._torque_max, 1.0)
+            length = self.length / 2.0 * min(abs(torque) / self._torque_max, 1.0)
             turn = NO_TURN if torque > 0.0 else Quaternion(0.0, 0.0, 1.0, 0.0)
-            tail = Vector(0.0, 0.0, layout.length * (0.35 + 0.06 * number))
-            thick = 0.03 * layout.length
+            tail = Vector(0.0, 0.0, self.length * (0.35 + 0.06 * number))
+            thick = 0.03 * self.length
             shapes.append(Shape("torque", number, ARROW, Pose(tail, turn), Vector(length, thick, thick), colour))
         return shapes
 
 
-def plane_urdf(layout: Layout, inertia: float) -> str:
+def plane_urdf(scene: Scene, inertia: float) -> str:
     """Return the plane as URDF: a plate on a level joint, with a moment of inertia (kg m^2) about its axis.
 
     Its mass is that of a uniform plate with this moment of inertia, 12 J / (l^2 + t^2).
     """
-    length, width, thickness = layout.length, layout.width, layout.thickness
+    length, width, thickness = scene.length, scene.width, scene.thickness
     mass = 12.0 * inertia / (length**2 + thickness**2)
     return (
         templates("swarmabs_view.visualization")
