@@ -99,12 +99,7 @@ class Difference(NamedTuple):
 def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator[tuple[str, Any, Any]]:
     """Yield name and both values of the fields in which two messages of a topic differ, in their order.
 
-    Parameters
-    ----------
-    a, b : Message
-        The messages.
-    tolerance : float
-        A number of `a` may differ from the x of `b` by ``tolerance * (1 + |x|)``; with 0 every bit counts.
+    A number of `a` may differ from the x of `b` by ``tolerance * (1 + |x|)``; with 0 every bit counts.
     """
     for name, x, y in zip(a._fields, a, b, strict=True):
         if not _same(x, y, tolerance):
@@ -114,14 +109,8 @@ def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator
 def judge(stored: Record, expected: Message, tolerance: float, time: int | None = None) -> Difference | None:
     """Return the first field by which a recorded message differs from the expected one, None if there is none.
 
-    Parameters
-    ----------
-    stored, expected
-        The recorded message, and what should stand there.
-    tolerance : float
-        As of `differing_fields`.
-    time : int, optional
-        Log time that it should have, ns; that of its publication, if it is known, too. By default none is judged.
+    The tolerance is as of `differing_fields`. A time is the log time that it should have, ns, and that of its
+    publication, if it is known; by default none is judged.
     """
     payload = encode(expected)
     if stored.payload == payload and (time is None or (stored.time == time and stored.published in {None, time})):

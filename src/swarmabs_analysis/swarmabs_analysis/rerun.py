@@ -26,7 +26,7 @@ from swarmabs_config.scenario.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
-from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_core.messages import EVENTS, EventKind
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
 
 if TYPE_CHECKING:
@@ -46,20 +46,9 @@ _REMEDY = "run the scenario.yaml of its folder instead, as a run of its own"
 class RecordedRun:
     """The run that a bag holds.
 
-    Attributes
-    ----------
-    bag : Path
-        The bag.
-    scenario : Scenario
-        The scenario in it, with the changes for the new run.
-    digest : str or None
-        Digest of its messages, None if there are none.
-    last_step : int
-        The last step in it, -1 if there is none.
-    complete : bool
-        Whether this is the last step of its scenario, and none before it is missing.
-    differences : tuple of str
-        What is different now from when it was made, or cannot be repeated; a sentence each.
+    The scenario has the changes for the new run. Digest and last step are those of its messages, None and -1 if there
+    are none; it is complete if that step is the last one of its scenario, and none before it is missing. The
+    differences say what is not as it was when it was made, or cannot be repeated, in a sentence each.
     """
 
     bag: Path
@@ -72,14 +61,7 @@ class RecordedRun:
     def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, Any]:
         """Return what came of running it again, for ``rerun_of`` in ``summary.json``.
 
-        Parameters
-        ----------
-        outcome : Outcome
-            What the new run came to.
-        bag : Path
-            Folder of the new run's bag, which need not be there.
-        changed : bool
-            Whether the scenario was changed, so that nothing is claimed.
+        The new run's bag need not be there. Nothing is claimed where the scenario was changed.
         """
         same: bool | None = None
         compared: Literal["digest", "prefix"] | None = None
@@ -122,13 +104,6 @@ class RecordedRun:
 
 def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun:
     """Find out what a bag holds of a run that shall be repeated.
-
-    Parameters
-    ----------
-    path : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
-    overrides : sequence of str
-        What is changed for the new run, ``a.b=value`` each.
 
     Raises
     ------
@@ -195,10 +170,7 @@ def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Ite
     What was done from outside is part of the scenario already, unless the run could not be steered.
     """
     steered = was_steered(bag)
-    for record in step.records:
-        event = record.message
-        if not isinstance(event, SwarmEvent):
-            continue
+    for event in step.events:
         if event.kind == EventKind.STEERING and not steered and event.detail not in (REFERENCE, DISTURBANCE):
             raise InputError(
                 f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "

@@ -43,14 +43,7 @@ NOT_VERIFIED = "events, and when within its step a robot was measured, do not fo
 
 
 class BagToVerify:
-    """A bag that was opened, and has what is needed to verify it.
-
-    Parameters
-    ----------
-    path : Path
-        A run folder, its ``bag/``, or an MCAP file.
-    namespace : str, optional
-        Which swarm to verify if the bag holds several.
+    """A bag that was opened, and has what is needed to verify it; of several swarms in it, that of a namespace.
 
     Raises
     ------
@@ -78,12 +71,7 @@ class BagToVerify:
     def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
         """Verify the bag; damage does not raise, it is part of the answer.
 
-        Parameters
-        ----------
-        tolerance : float
-            As of `Verdict`.
-        on_step : callable, optional
-            Told the first step that is not verified yet, at every message.
+        At every message `on_step` is told the first step that is not verified yet.
         """
         verification: Verification = (
             LockstepVerification(self.scenario, tolerance=tolerance)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps, recorded_steps
@@ -43,7 +44,38 @@ class SettingDifference(NamedTuple):
     missing: Literal["A", "B"] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+def setting_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[SettingDifference, ...]:
+    """Return the fields in which two documents differ, in the order of the first one, then of the second.
+
+    Paths are those of ``--set``: dotted, the elements of lists of mappings by index; a list of plain values is one
+    value, and an empty list is no different from none.
+    """
+    ours, theirs = dict(_leaves(a, "", 0)), dict(_leaves(b, "", 0))
+    changed = [
+        SettingDifference(path, value, theirs.get(path), None if path in theirs else "B")
+        for path, value in ours.items()
+        if path not in theirs or theirs[path] != value
+    ]
+    added = [SettingDifference(path, None, value, "A") for path, value in theirs.items() if path not in ours]
+    return (*changed, *added)
+
+
+def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
+    children: Mapping[Any, Any] = {}
+    if isinstance(value, Mapping):
+        children = value
+    elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+        children = dict(enumerate(value))
+    if value in ([], {}):
+        return
+    if not children or depth == _DEEPEST:
+        yield path, value
+        return
+    for key, child in children.items():
+        yield from _leaves(child, f"{path}.{key}" if path else str(key), depth + 1)
+
+
+@dataclass
 class BagSummary:
     """What one of two bags comes to, all of it computed from its messages.
 
@@ -60,29 +92,26 @@ class BagSummary:
     robots : int
         Number of robots that have a state in it.
     figures : dict
-        ``settled_at``, ``final_error``, ``rms_error``, ``max_abs_position`` and ``messages`` as in ``summary.json``;
-        the first three are None without a scenario, which has the reference.
+        As in ``summary.json``; those that need a reference are None without a scenario, which has it.
     problem : str or None
         What is damaged, and how far the bag could be read.
-    aborted : str or None
-        Why its run ended early.
-    scenario_problem : str or None
-        Why there is no scenario to compare.
+    aborted, scenario_problem : str or None
+        Why its run ended early, and why there is no scenario to compare.
     not_compared : tuple of str
         Topics in it that are not of a recorded swarm.
     """
 
     file: str
-    digest: str | None
-    first_step: int | None
-    last_step: int | None
-    period: float | None
-    robots: int
-    figures: dict[str, float | int | None]
-    problem: str | None
-    aborted: str | None
-    scenario_problem: str | None
-    not_compared: tuple[str, ...]
+    digest: str | None = None
+    first_step: int | None = None
+    last_step: int | None = None
+    period: float | None = None
+    robots: int = 0
+    figures: dict[str, float | int | None] = field(default_factory=dict)
+    problem: str | None = None
+    aborted: str | None = None
+    scenario_problem: str | None = None
+    not_compared: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,17 +172,10 @@ class Comparison:
 def compare_bags(
     a: Path | str, b: Path | str, *, namespaces: tuple[str | None, str | None] = (None, None)
 ) -> Comparison:
-    """Compare two bags message by message, in bounded memory.
+    """Compare two bags message by message, in bounded memory; of several swarms in one, that of its namespace.
 
     What both have of a step is compared; what only one has is counted as missing in the other. Damage does not
     raise: a bag is compared as far as it can be read, and its summary says so.
-
-    Parameters
-    ----------
-    a, b : Path or str
-        A run folder, its ``bag/``, or an MCAP file.
-    namespaces : tuple of (str or None)
-        Which swarm to read of each if it holds several.
 
     Raises
     ------
@@ -168,8 +190,8 @@ def compare_bags(
     )
     messages = compare_steps(left.steps(), right.steps())
     return Comparison(
-        a=left.summary(),
-        b=right.summary(),
+        a=left.found,
+        b=right.found,
         messages=messages,
         robots_only_in_a=tuple(sorted(left.robots - right.robots)),
         robots_only_in_b=tuple(sorted(right.robots - left.robots)),
@@ -187,65 +209,54 @@ class _Side:
         self.bag = bag
         self.robots: set[int] = set()
         self.scenario: Scenario | None = None
-        self._problem = bag.problem and f"{bag.path}: {bag.problem}"
-        self._scenario_problem: str | None = None
-        self._steps: tuple[int, int] | None = None
-        self._realtime = is_realtime(bag)
-        reference = self._reference()
-        self._run = RunFigures(reference)
-        period_ns = self.scenario.step_ns if self.scenario is not None else 1
-        self._figures = RealtimeFigures(reference, Schedule(period_ns))
-
-    def _reference(self) -> Reference:
+        self.found = found = BagSummary(
+            str(bag.path),
+            problem=bag.problem and f"{bag.path}: {bag.problem}",
+            not_compared=tuple(channel.name for channel in bag.channels if channel.topic is None),
+        )
+        reference: Reference = _unknown
+        period_ns = 1
         try:
-            self.scenario = attached_scenario(self.bag)
-            return configure.reference(self.scenario)
+            self.scenario = attached_scenario(bag)
+            found.period, period_ns = self.scenario.period, self.scenario.step_ns
+            reference = configure.reference(self.scenario)
         except (InputError, DamagedBagError) as error:
-            self._scenario_problem = str(error)
-            return lambda _: math.nan
+            found.scenario_problem = str(error)
+        with suppress(DamagedBagError):
+            found.aborted = bag.aborted()
+        self._run = RunFigures(reference)
+        self._realtime = RealtimeFigures(reference, Schedule(period_ns)) if is_realtime(bag) else None
 
     def steps(self) -> Iterator[RecordedStep]:
         """Yield the bag's steps as far as they can be read."""
+        found, realtime = self.found, self._realtime is not None
         try:
-            for step in recorded_steps(self._records(), str(self.bag.path), realtime=self._realtime):
+            for step in recorded_steps(self._records(), found.file, realtime=realtime):
                 self._run.add(step)
                 if step.records[0].topic is not EVENTS:
-                    self._steps = (step.step if self._steps is None else self._steps[0], step.step)
+                    found.first_step = step.step if found.first_step is None else found.first_step
+                    found.last_step = step.step
                     self.robots.update(state.agent_id for state in step.states())
                 yield step
-            if self._problem is None:
+            if found.problem is None:
                 self.bag.check()  # what no message needs can be damaged too
         except DamagedBagError as error:
-            self._problem = str(error)
+            found.problem = str(error)
+        found.robots = len(self.robots)
+        found.figures = (self._realtime or self._run).figures()
+        found.digest = None if realtime or found.first_step is None else self._run.digest()
 
     def _records(self) -> Iterator[Record]:
         """Yield the bag's messages; in real time the figures need those, too, that are no part of a step."""
         for record in self.bag.records():
-            if self._realtime:
-                self._figures.add(record)
+            if self._realtime is not None:
+                self._realtime.add(record)
             yield record
 
-    def summary(self) -> BagSummary:
-        first, last = self._steps if self._steps is not None else (None, None)
-        return BagSummary(
-            file=str(self.bag.path),
-            digest=self._run.digest() if self._steps is not None and not self._realtime else None,
-            first_step=first,
-            last_step=last,
-            period=self.scenario.period if self.scenario is not None else None,
-            robots=len(self.robots),
-            figures=(self._figures if self._realtime else self._run).figures(),
-            problem=self._problem,
-            aborted=self._aborted(),
-            scenario_problem=self._scenario_problem,
-            not_compared=tuple(channel.name for channel in self.bag.channels if channel.topic is None),
-        )
 
-    def _aborted(self) -> str | None:
-        try:
-            return self.bag.aborted()
-        except DamagedBagError:
-            return None
+def _unknown(_time: float) -> float:
+    """Stand in for the reference of a bag without a scenario."""
+    return math.nan
 
 
 def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[SettingDifference, ...]:
@@ -261,37 +272,3 @@ def _told(first: Difference) -> dict[str, Any]:
     if first.missing is not None:
         return {**place, "field": None, "a": None, "b": None, "missing": first.missing}
     return {**place, "field": first.field, "a": first.a, "b": first.b, "missing": None}
-
-
-def setting_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[SettingDifference, ...]:
-    """Return the fields in which two documents differ, in the order of the first one, then of the second.
-
-    Parameters
-    ----------
-    a, b : mapping
-        Plain data. Paths are those of ``--set``: dotted, the elements of lists of mappings by index; a list of
-        plain values is one value, and an empty list is no different from none.
-    """
-    ours, theirs = dict(_leaves(a, "", 0)), dict(_leaves(b, "", 0))
-    changed = [
-        SettingDifference(path, value, theirs.get(path), None if path in theirs else "B")
-        for path, value in ours.items()
-        if path not in theirs or theirs[path] != value
-    ]
-    added = [SettingDifference(path, None, value, "A") for path, value in theirs.items() if path not in ours]
-    return (*changed, *added)
-
-
-def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
-    children: Mapping[Any, Any] = {}
-    if isinstance(value, Mapping):
-        children = value
-    elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
-        children = dict(enumerate(value))
-    if value in ([], {}):
-        return
-    if not children or depth == _DEEPEST:
-        yield path, value
-        return
-    for key, child in children.items():
-        yield from _leaves(child, f"{path}.{key}" if path else str(key), depth + 1)

@@ -32,14 +32,7 @@ _MOST_EVENTS = 100_000
 def recorded_steps(records: Iterable[Record], name: str, *, realtime: bool = False) -> Iterator[RecordedStep]:
     """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
 
-    Parameters
-    ----------
-    records : iterable of Record
-        What `BagReader.records` yields; topics that are not recorded are left out.
-    name : str
-        What errors call the bag.
-    realtime : bool
-        Whether it was recorded in real time: then the first of two desired states of a step counts; their modes differ.
+    Errors call the bag by `name`. In real time the first of two desired states of a step counts; their modes differ.
 
     Raises
     ------
@@ -237,11 +230,8 @@ def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> Messa
     Both are read in step with each other, and no more of them is kept than the step at hand and the events that
     only one of them has so far.
 
-    Parameters
-    ----------
-    a, b : iterable of RecordedStep
-        The runs, as `recorded_steps` yields them: steps of main topics in ascending order, each step once; events
-        in steps of their own, in any order.
+    The steps are as `recorded_steps` yields them: those of main topics in ascending order, each once; events in steps
+    of their own, in any order.
     """
     found = MessageComparison()
     events = _Events(found)

@@ -63,16 +63,8 @@ T = TypeVar("T")
 class Pace:
     """Which part of a bag is played, how fast, and how often.
 
-    Parameters
-    ----------
-    rate : float
-        Recorded time per time of the clock.
-    start : float
-        Where in the bag to begin, s after its first message.
-    duration : float, optional
-        How much of it to play, s of recorded time; by default all.
-    loop : bool
-        Whether to begin again at the end, for ever.
+    The rate is recorded time per time of the clock; playing starts so many seconds after the first message, and takes
+    so many seconds of recorded time, by default all, once or in an endless loop.
     """
 
     rate: float = 1.0
@@ -85,12 +77,7 @@ class Pace:
 
         All times come from the recording and the begin, none from when something was published: there is no drift.
 
-        Parameters
-        ----------
-        first : int
-            Log time of the bag's first message, ns.
-        read : callable
-            Returns the messages of the bag with their log times, ns, in order.
+        The bag is read as log times (ns) and messages, in order; `first` is the first of these times.
         """
         begin = first + round(self.start * 1e9)
         end = None if self.duration is None else begin + round(self.duration * 1e9)
@@ -110,17 +97,7 @@ class Pace:
 
 @dataclass(frozen=True, slots=True)
 class Playable:
-    """A topic that can be played.
-
-    Attributes
-    ----------
-    channel : BagChannel
-        The topic in the bag.
-    message_class : type
-        ROS message class.
-    qos : QoSProfile or int
-        What is offered.
-    """
+    """A topic of a bag that can be played, its ROS message class, and the QoS, or only its depth, that is offered."""
 
     channel: BagChannel
     message_class: Any
@@ -132,14 +109,7 @@ def choose_topics(
 ) -> tuple[list[Playable], list[str]]:
     """Return the topics of a bag that can be played, and warnings about those that cannot.
 
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    wanted : collection of str
-        Names of the topics to play; by default all.
-    one_swarm : bool
-        Whether to choose among the topics in the namespace of the swarm that is read, and not among all.
+    Topics are chosen by name among all, or with `one_swarm` among those of the swarm that is read; by default all.
 
     Raises
     ------
@@ -225,18 +195,7 @@ def play(
 ) -> int:
     """Publish a bag's messages, each at its time; return how many.
 
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    topics : collection of Playable
-        What to play of it.
-    pace : Pace
-        What part of it, and how fast.
-    wait : bool
-        Whether to begin only when every topic has a reader.
-    asked_to_end : callable
-        Tells whether to stop before the end.
+    The playback may wait until every topic has a reader, and ends early when it is asked to.
 
     Raises
     ------
@@ -290,10 +249,7 @@ def recorded_profiles(text: str) -> list[QoSProfile]:
 
     Policies that no publisher can offer, or that are not understood, are left as ROS 2 has them by default.
 
-    Parameters
-    ----------
-    text : str
-        YAML as rosbag2 writes it: policies by name, or, in bags of older versions, by number.
+    The text is YAML as rosbag2 writes it: policies by name, or, in bags of older versions, by number.
     """
     found = load_yaml(text)
     listed = found if isinstance(found, list) else []

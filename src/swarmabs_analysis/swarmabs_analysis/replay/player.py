@@ -85,21 +85,8 @@ class Player:
     steps behind them, without some of what they have said. An answer therefore stands for all before it: whoever has
     given it had done with those steps. What is checked instead is that nobody has answered what is only published now.
 
-    Parameters
-    ----------
-    steps : iterator of RecordedStep
-        The recorded run, in order.
-    live : collection of NodeName
-        The nodes under test.
-    last_step : int
-        The step with which the replay ends.
-    window : int
-        How many steps the replay may be ahead of its recorder; 0 if nobody reports how far that is.
-
-    Attributes
-    ----------
-    hears : tuple of Topic
-        The topics to which it listens.
+    The recorded steps are in order, up to `last_step`, with which the replay ends. It may be `window` steps ahead of
+    its recorder; 0 if none reports how far it is. The player listens to the topics that it `hears`.
     """
 
     def __init__(

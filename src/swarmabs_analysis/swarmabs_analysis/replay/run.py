@@ -42,16 +42,7 @@ _PROCESSES = {NodeKind.PLANE: PLANE, NodeKind.OBSERVER: OBSERVER, NodeKind.CONTR
 class ReplayRun:
     """A replay that is to be made.
 
-    Parameters
-    ----------
-    source : Source
-        What is replayed.
-    nodes : tuple of NodeName
-        The nodes under test.
-    overrides : tuple of str
-        What was changed for them, ``a.b=value`` each.
-    scenario : Scenario
-        With which settings they are made: `Source.scenario`.
+    `nodes` are the nodes under test; `overrides`, ``a.b=value`` each, are what was changed for them in `scenario`.
     """
 
     source: Source
@@ -163,16 +154,8 @@ def replayed_steps(
 ) -> Iterator[RecordedStep]:
     """Connect a player and the nodes under test by a queue, and yield every step as a bag would hold it.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        With which settings the nodes under test are made.
-    live : collection of NodeName
-        The nodes under test; they hear each other.
-    recorded : iterator of RecordedStep
-        The recorded run, in order, at least up to the scenario's last step.
-    ends : collection of Change
-        Ends of robots in the recording that its scenario had not planned.
+    The recorded run is in order, up to the scenario's last step at least; `ends` are those of robots in it that its
+    scenario had not planned. The nodes under test are made with this scenario, and hear each other.
 
     Raises
     ------

@@ -32,20 +32,8 @@ _WINDOW = 1000
 class Source:
     """A bag that can be replayed; made by `open_source`.
 
-    Attributes
-    ----------
-    bag : BagReader
-        The bag.
-    recorded : Scenario
-        Its scenario.
-    digest : str
-        Digest of its complete steps.
-    last_step : int
-        The last complete step.
-    ends : tuple of Change
-        Ends of robots that the scenario had not planned.
-    robots : frozenset of int
-        Ids of the robots that have recorded a state.
+    Its `digest` is that of its complete steps, the last of which is `last_step`; `ends` are those of robots that its
+    scenario, `recorded`, had not planned; `robots` have recorded a state.
     """
 
     bag: BagReader
@@ -66,13 +54,6 @@ class Source:
 
     def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> Scenario:
         """Return the scenario of a replay: the recorded one with changes, as far as there are complete steps.
-
-        Parameters
-        ----------
-        nodes : collection of NodeName
-            The nodes under test.
-        overrides : sequence of str
-            ``a.b=value`` each.
 
         Raises
         ------
@@ -97,14 +78,7 @@ class Source:
 
 
 def open_source(path: Path, *, namespace: str | None = None) -> Source:
-    """Open a bag and read it once, to learn which steps are complete and who ended unplanned.
-
-    Parameters
-    ----------
-    path : Path
-        A run folder, its ``bag/``, or an MCAP file.
-    namespace : str, optional
-        Which swarm to replay if the bag holds several.
+    """Open the bag of a swarm and read it once, to learn which steps are complete and who ended unplanned.
 
     Raises
     ------
@@ -154,14 +128,7 @@ def unplanned_end(message: Message) -> Change | None:
 def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
     """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `_WINDOW` steps.
 
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    scenario : Scenario
-        Its scenario, which says whose states make a step complete.
-    ends : collection of Change
-        Ends of robots that the scenario had not planned, as far as they are known beforehand.
+    The scenario says whose states make a step complete; `ends` are the unplanned ones that are known beforehand.
     """
     schedule = with_ends(configure.schedule(scenario), ends)
     collector = RunCollector(configure.members(scenario), schedule, scenario.steps)

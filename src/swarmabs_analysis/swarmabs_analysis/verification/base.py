@@ -112,12 +112,7 @@ class Verdict:
 class Verification(ABC):
     """Follows a recorded run message by message, and judges a step when nothing of it can come any more.
 
-    Parameters
-    ----------
-    tolerance : float
-        As of `Verdict`.
-    period_ns : int, optional
-        Period of a run in lockstep, ns, whose log times tell the steps.
+    `period_ns` is the period of a run in lockstep, where the log time of bytes that are no message tells their step.
 
     Attributes
     ----------

@@ -61,15 +61,7 @@ class Slot:
 
 
 class Window:
-    """The steps that are not judged yet.
-
-    Parameters
-    ----------
-    period_ns : int
-        Control period, ns.
-    robots : int
-        Number of robots.
-    """
+    """The steps that are not judged yet, of a run with this period and so many robots."""
 
     def __init__(self, period_ns: int, robots: int) -> None:
         self._period_ns = period_ns
@@ -124,15 +116,7 @@ class Window:
 
 
 class LockstepVerification(Verification):
-    """Verifies a run in lockstep: what a message follows from is known by its step, since all hear all of a step.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario of the run.
-    tolerance : float
-        As of `Verification`.
-    """
+    """Verifies a run in lockstep: what a message follows from is known by its step, since all hear all of a step."""
 
     def __init__(self, scenario: Scenario, *, tolerance: float = 0.0) -> None:
         super().__init__(tolerance, scenario.step_ns)

@@ -32,14 +32,8 @@ MEASURED = "it was measured"
 class RealtimeVerification(Verification):
     """Verifies a run in real time: each message says from what it was computed.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario of the run.
-    world : RealtimeWorld
-        How time became steps, and what was simulated: the motion of other robots, and of another plane, is not checked.
-    tolerance : float
-        As of `Verdict`.
+    The world says how time became steps, and what was simulated: the motion of other robots, or of another plane, is
+    not checked.
     """
 
     def __init__(self, scenario: Scenario, world: RealtimeWorld, *, tolerance: float = 0.0) -> None:

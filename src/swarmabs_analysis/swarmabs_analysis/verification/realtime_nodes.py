@@ -72,15 +72,8 @@ class _Check(Generic[Config]):
 class RobotCheck(_Check[RealtimeAgentConfig]):
     """Follows the states of one robot: each command from the state before and the broadcasts that it names.
 
-    Parameters
-    ----------
-    config, history, tolerance
-        As of all checks.
-    start : tuple of float, optional
-        Position (m) and velocity (m/s) at which a simulated body begins; None if the body is not simulated, and its
-        motion is not checked.
-    own_limits : bool
-        Whether the robot's limits are not those of the configuration, so that its commands cannot be checked.
+    `start` is position (m) and velocity (m/s) at which a simulated body begins; the motion of another body is not
+    checked. With limits of its own, which are not those of the configuration, the robot's commands are not checked.
     """
 
     def __init__(
