@@ -39,7 +39,7 @@ def content(path: Path, *, damaged: bool = False) -> Content:
     digest = hashlib.sha256()
     for channel, message in bag.stored_messages():
         digest.update(f"{channel.name} {message.log_time} {len(message.payload)} ".encode() + message.payload)
-    attachments = {name: bag.attachment(name) for name in bag.attachment_names()}
+    attachments = {entry.name: bag.attachment(entry.name) for entry in bag.index.attachments}
     bag.rosbag2_metadata()
     bag.aborted()
     return digest.hexdigest(), attachments

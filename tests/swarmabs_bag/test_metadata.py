@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from swarmabs_bag.metadata import FileRecord, TopicRecord, bag_metadata, dump_yaml, qos_profile, write_metadata
+from swarmabs_bag.metadata import BagChannel, FileRecord, bag_metadata, dump_yaml, qos_profile, write_metadata
 from swarmabs_config.graph import Qos
 
 QOS = """\
@@ -34,10 +34,10 @@ def test_qos_is_a_list_of_one_full_profile_in_lower_case() -> None:
 
 
 def test_metadata_file_word_for_word(tmp_path: Path) -> None:
-    profiles = (qos_profile(Qos("reliable", 1000, "transient_local")),)
+    profiles = dump_yaml([qos_profile(Qos("reliable", 1000, "transient_local"))])
     topics = [
-        (TopicRecord("/a", "a_msgs/msg/A", "RIHS01_1", profiles), 3),
-        (TopicRecord("/b", "a_msgs/msg/A", "RIHS01_1", profiles), 0),
+        BagChannel("/a", "a_msgs/msg/A", "RIHS01_1", profiles, message_count=3),
+        BagChannel("/b", "a_msgs/msg/A", "RIHS01_1", profiles),
     ]
     files = [FileRecord("x.mcap", 5, 12, 3)]
     write_metadata(tmp_path, bag_metadata(topics, files=files, custom_data={"key": "no: thing"}))

@@ -41,7 +41,7 @@ def read_everything(path: Path) -> list[bytes]:
     reader = open_bag(path)
     payloads = [message.payload for _, message in reader.stored_messages()]
     assert all(payload is not None for _, _, payload in reader.messages())
-    for name in reader.attachment_names():
+    for name in tuple(entry.name for entry in reader.index.attachments):
         reader.attachment(name)
     reader.rosbag2_metadata()
     reader.check()
@@ -91,7 +91,7 @@ def test_reader_tells_what_the_bag_holds(bag: Path, run: list[Message]) -> None:
     assert (reader.start, reader.end, reader.message_count) == (0, run[-1].stamp, len(run))
     assert reader.namespace == "/"
     assert reader.problem is None
-    assert reader.attachment_names() == ("scenario.yaml", "provenance.json", "run.log")
+    assert tuple(entry.name for entry in reader.index.attachments) == ("scenario.yaml", "provenance.json", "run.log")
     assert reader.attachment("run.log") == b"all went well\n"
     assert reader.attachment("other") is None
     assert reader.aborted() is None
@@ -391,8 +391,8 @@ def test_a_file_without_what_the_format_leaves_to_its_writer_is_whole(
         channel.name: channel.message_count for channel in own.channels if channel.message_count
     }
     assert (reader.start, reader.end, reader.message_count) == (own.start, own.end, own.message_count)
-    assert {name: reader.attachment(name) for name in reader.attachment_names()} == {
-        name: own.attachment(name) for name in own.attachment_names()
+    assert {name: reader.attachment(name) for name in tuple(entry.name for entry in reader.index.attachments)} == {
+        name: own.attachment(name) for name in tuple(entry.name for entry in own.index.attachments)
     }
     assert reader.rosbag2_metadata() == own.rosbag2_metadata() != {}
     info = bag_info(path)
@@ -478,7 +478,7 @@ def test_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None:
         for text in (b"first", b"second"):
             bag.writer.add_attachment(0, 0, "scenario.yaml", "text/plain", text)
     reader = open_bag(path)
-    assert reader.attachment_names() == ("scenario.yaml", "scenario.yaml")
+    assert tuple(entry.name for entry in reader.index.attachments) == ("scenario.yaml", "scenario.yaml")
     assert reader.attachment("scenario.yaml") == b"first"
 
 

@@ -29,7 +29,8 @@ def install(prefix: Path, ros_type: str, text: str, nested: tuple[str, ...] = ()
     (folder / f"{short}.json").write_text(json.dumps(description), encoding="utf-8")
 
 
-def test_text_is_the_definition_and_behind_it_every_nested_one(tmp_path: Path) -> None:
+def test_text_is_the_definition_and_behind_it_every_nested_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     install(
         tmp_path,
         "a_msgs/msg/Outer",
@@ -38,7 +39,7 @@ def test_text_is_the_definition_and_behind_it_every_nested_one(tmp_path: Path) -
     )
     install(tmp_path, "a_msgs/msg/Deep", "uint8 x\n")
     install(tmp_path, "b_msgs/msg/Inner", "a_msgs/Deep[] deeps\n", ("a_msgs/msg/Deep",))
-    schema = message_schema("a_msgs/msg/Outer", prefixes=[tmp_path])
+    schema = message_schema("a_msgs/msg/Outer")
     line = "=" * 80
     assert schema.text == (
         "b_msgs/Inner inner  # größe\nDeep deep\n"
@@ -63,16 +64,18 @@ def test_hash_is_that_of_the_definition(ros_type: str) -> None:
     assert store.hash_rihs01(ros_type) == schema.type_hash
 
 
-def test_missing_package_is_named(tmp_path: Path) -> None:
+def test_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     with pytest.raises(UnknownTypeError, match="build or install the package nowhere_msgs") as caught:
-        message_schema("nowhere_msgs/msg/Thing", prefixes=[tmp_path])
+        message_schema("nowhere_msgs/msg/Thing")
     assert str(tmp_path) in str(caught.value)
 
 
-def test_missing_nested_type_is_named(tmp_path: Path) -> None:
+def test_missing_nested_type_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     install(tmp_path, "a_msgs/msg/Outer", "b_msgs/Inner inner\n", ("b_msgs/msg/Inner",))
     with pytest.raises(UnknownTypeError, match=r"message type b_msgs/msg/Inner: .* the package b_msgs"):
-        message_schema("a_msgs/msg/Outer", prefixes=[tmp_path])
+        message_schema("a_msgs/msg/Outer")
 
 
 @pytest.mark.parametrize("name", ["Header", "std_msgs/Header", "std_msgs/srv/Header", "../msg/Header", "a/msg/B/C", ""])
@@ -82,8 +85,11 @@ def test_what_is_no_type_name_is_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize("description", ["", "[]", "{}", '{"type_description_msg": 1}', '{"type_hashes": []}'])
-def test_description_that_is_damaged_is_named(description: str, tmp_path: Path) -> None:
+def test_description_that_is_damaged_is_named(
+    description: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     install(tmp_path, "a_msgs/msg/One", "uint8 x\n")
     (tmp_path / "share/a_msgs/msg/One.json").write_text(description, encoding="utf-8")
     with pytest.raises(UnknownTypeError, match="its type description is"):
-        message_schema("a_msgs/msg/One", prefixes=[tmp_path])
+        message_schema("a_msgs/msg/One")

@@ -64,7 +64,7 @@ def test_each_file_is_complete_in_itself_and_all_are_the_run(files: list[Path], 
         alone = open_bag(file)
         alone.check()
         assert alone.attachment("scenario.yaml") == SCENARIO
-        assert alone.attachment_names()[1:] == (("run.log",) if number == 4 else ())
+        assert tuple(entry.name for entry in alone.index.attachments)[1:] == (("run.log",) if number == 4 else ())
         with file.open("rb") as stream:
             found = [
                 (m.log_time // PERIOD, m.data) for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()
@@ -83,7 +83,7 @@ def test_all_files_together_are_read_as_one(files: list[Path], run: list[Message
     assert list(split.messages()) == list(whole.messages())
     assert split.channels == whole.channels
     assert (split.start, split.end, split.message_count) == (0, run[-1].stamp, len(run))
-    assert split.attachment_names() == ("scenario.yaml", "run.log")
+    assert tuple(entry.name for entry in split.index.attachments) == ("scenario.yaml", "run.log")
     assert split.attachment("run.log") == b"all went well\n"
     one, several = load_arrays(bag), load_arrays(files[0].parent)
     assert np.array_equal(one.angle, several.angle)

@@ -153,7 +153,7 @@ def test_close_attaches_and_ends_everything(writer: BagWriter) -> None:
     writer.write(*plane(0))
     writer.close({"run.log": b"done"})
     reader = open_bag(writer.folder)
-    assert reader.attachment_names() == ("scenario.yaml", "run.log")
+    assert tuple(entry.name for entry in reader.index.attachments) == ("scenario.yaml", "run.log")
     assert reader.aborted() is None
     for again in (writer.close, writer.poll, lambda: writer.write(*plane(1))):
         with pytest.raises(ValueError, match=r"bag_0\.mcap is closed"):

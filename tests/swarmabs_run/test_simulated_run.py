@@ -56,7 +56,7 @@ def test_an_interrupt_ends_it_in_order(tmp_path: Path, number: signal.Signals, m
 
     def add(self: Recording, step: object) -> None:
         real(self, step)  # type: ignore[arg-type]
-        if self.latest is not None and self.latest.step == 30:
+        if self.run.latest is not None and self.run.latest.step == 30:
             os.kill(os.getpid(), number)
 
     monkeypatch.setattr(Recording, "add", add)

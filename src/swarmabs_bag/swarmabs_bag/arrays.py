@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import struct
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -54,16 +54,11 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
         If the bag is damaged, or a message is not as the contract says.
     """
     bag = open_bag(path, namespace=namespace, damaged=damaged)
-    return arrays_of(bag, load_tables(bag, every=every))
-
-
-def arrays_of(bag: BagReader, tables: Tables) -> RunArrays:
-    """Arrange the messages of a bag as `load_tables` returns them; in real time, time counts from the first step."""
-    return arrays_since(bag, tables)[0]
+    return arrays_since(bag, load_tables(bag, every=every))[0]
 
 
 def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
-    """Return the arrays, and the time (s) from which theirs counts; parameters as of `arrays_of`."""
+    """Arrange what `load_tables` returns of a bag; return the time (s), too, from which that of the arrays counts."""
     arrays = run_arrays(tables)
     if not is_realtime(bag) or not len(arrays.time):
         return arrays, 0.0
@@ -159,19 +154,11 @@ def digest_of(tables: Tables) -> str:
 
 def available_memory() -> int:
     """Return the bytes that this process may still take: of the machine, its control group and its limits."""
-    machine = int(psutil.virtual_memory().available)
-    return max(0, min(machine, _of_group(machine), _of_limit(machine)))
-
-
-def _of_group(otherwise: int) -> int:
-    """Return what is left of the limit of the control group, such as that of a container."""
-    try:
+    left = [int(psutil.virtual_memory().available)]
+    with suppress(OSError, ValueError):  # ValueError: the text "max"
         most, used = ((_GROUP / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))
-        return int(most) - int(used)
-    except (OSError, ValueError):  # ValueError: the text "max"
-        return otherwise
-
-
-def _of_limit(otherwise: int) -> int:
+        left.append(int(most) - int(used))
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return otherwise if limit == resource.RLIM_INFINITY else limit - psutil.Process(os.getpid()).memory_info().vms
+    if limit != resource.RLIM_INFINITY:
+        left.append(limit - psutil.Process().memory_info().vms)
+    return max(0, min(left))

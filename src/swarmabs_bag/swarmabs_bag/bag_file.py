@@ -139,24 +139,19 @@ def open_file(path: Path, *, damaged: bool) -> BagFile:
                 raise NotABagError(f"{path} is not a bag: it does not begin as an MCAP file")
             if len(magic) < len(MAGIC):
                 raise DamagedBagError(f"{path} has only {size} bytes: nothing was written into it")
-            return BagFile(path, size, _index(path, stream, size, damaged=damaged))
+            try:
+                index = read_index(stream, size)
+            except RecordError as error:
+                index = scan_index(stream, size)
+                index.problem = index.problem or str(error)
+            if index.problem is None or damaged:
+                return BagFile(path, size, index)
+            remedy = f"{_readable(index)}; repair saves what can be saved"
+            raise DamagedBagError(f"{path} is incomplete: {index.problem}{remedy}")
     except OSError as error:
         raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
     except RecordError as error:
         raise DamagedBagError(f"{path}: {error}; nothing can be read") from error
-
-
-def _index(path: Path, stream: BinaryIO, size: int, *, damaged: bool) -> FileIndex:
-    try:
-        return read_index(stream, size)
-    except RecordError as error:
-        found = scan_index(stream, size)
-        found.problem = found.problem or str(error)
-        if damaged:
-            return found
-        raise DamagedBagError(
-            f"{path} is incomplete: {found.problem}{_readable(found)}; repair saves what can be saved"
-        ) from error
 
 
 def _readable(index: FileIndex) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import NotABagError, UnknownTypeError
-from swarmabs_bag.metadata import TopicRecord, load_yaml, qos_profiles
+from swarmabs_bag.metadata import BagChannel
 from swarmabs_config.scenario.errors import printable, shorten
 from swarmabs_core.messages import TOPICS, Topic
 
@@ -34,27 +34,6 @@ READABLE = {
 """Hashes of the recorded types, that of today last. None is ever taken out (docs/compatibility.md)."""
 
 
-@dataclass(frozen=True, slots=True)
-class BagChannel:
-    """A topic as a bag holds it: its name has the namespace; what the bag does not give is empty.
-
-    Attributes
-    ----------
-    qos_profiles : str
-        YAML text of what the publishers offered.
-    topic : Topic or None
-        Which topic of the swarm it is, None if it is another one.
-    """
-
-    name: str
-    ros_type: str
-    type_hash: str
-    qos_profiles: str
-    encoding: str
-    message_count: int
-    topic: Topic | None
-
-
 def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) -> BagChannel:
     """Return what a file says of a channel, which is that of a topic."""
     return BagChannel(
@@ -68,20 +47,15 @@ def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) 
     )
 
 
-def topic_records(indexes: Iterable[FileIndex]) -> list[tuple[TopicRecord, int]]:
-    """Return the topics of files for rosbag2's description, with their numbers of messages."""
-    found: dict[str, tuple[TopicRecord, int]] = {}
+def bag_topics(indexes: Iterable[FileIndex]) -> list[BagChannel]:
+    """Return the topics of several files with their numbers of messages."""
+    found: dict[str, BagChannel] = {}
     for index in indexes:
-        for channel in (bag_channel(one, index) for _, one in sorted(index.channels.items())):
-            topic = TopicRecord(
-                name=channel.name,
-                ros_type=channel.ros_type,
-                type_hash=channel.type_hash,
-                profiles=qos_profiles(load_yaml(channel.qos_profiles)),
-                encoding=channel.encoding,
-            )
-            known, before = found.get(topic.name, (topic, 0))
-            found[topic.name] = (known, before + channel.message_count)
+        for _, one in sorted(index.channels.items()):
+            channel = bag_channel(one, index)
+            known = found.get(channel.name)
+            count = channel.message_count if known is None else known.message_count + channel.message_count
+            found[channel.name] = replace(known or channel, message_count=count)
     return list(found.values())
 
 

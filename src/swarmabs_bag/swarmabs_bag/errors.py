@@ -10,7 +10,8 @@ from swarmabs_core.errors import InputError, RunError
 if TYPE_CHECKING:
     from pathlib import Path
 
-_REMEDY = {
+# By the errors that are those of the disk or the machine, and not of what was named.
+REMEDIES = {
     errno.ENOSPC: "free space on that disk, or record to another one with -o",
     errno.EDQUOT: "free some of your quota, or record to another disk with -o",
     errno.EFBIG: "raise the limit on file sizes (ulimit -f), or record for a shorter time",
@@ -22,7 +23,7 @@ _REMEDY = {
 
 def remedy(cause: OSError) -> str:
     """Return what to do about an error of a file."""
-    return _REMEDY.get(cause.errno or 0, "check that disk, or record to another one with -o")
+    return REMEDIES.get(cause.errno or 0, "check that disk, or record to another one with -o")
 
 
 class BagFolderError(InputError):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import stat
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +11,10 @@ from mcap.opcode import Opcode
 from mcap.records import Header
 
 from swarmabs_bag.attached import SCENARIO_FILE, is_realtime
-from swarmabs_bag.channels import topic_records
+from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, scan_index
-from swarmabs_bag.metadata import METADATA_FILE, TopicRecord, custom_texts, load_yaml, topic_record
+from swarmabs_bag.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.rebuild import OWN, Rebuilt
 from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
@@ -28,21 +27,23 @@ from swarmabs_core.membership import Membership
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Status, SwarmEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from typing import BinaryIO
 
+    from swarmabs_bag.output import RecordFile
     from swarmabs_core.messages import Topic
 
 
 @dataclass(slots=True)
 class Part:
-    """A file of the bag, its name afterwards, and what can be saved of it: None if nothing was ever in it."""
+    """A file of the bag, its name afterwards, what can be saved (None if nothing was ever in it), and what is wrong."""
 
     path: Path
     name: str
     size: int
-    found: Rebuilt | None
-    problems: list[str]
+    definitions: FileIndex | None
+    found: Rebuilt | None = None
+    problems: list[str] = field(default_factory=list)
 
     @property
     def index(self) -> FileIndex:
@@ -53,14 +54,21 @@ class Part:
         """Return the entries under ``custom_data`` of the file's metadata record."""
         return custom_texts(load_yaml("" if self.found is None else self.found.description))
 
+    def rebuild(self, output: RecordFile | None = None, custom: Mapping[str, str] | None = None) -> Rebuilt:
+        """Find out what can be saved, and write it to a new file if there is one."""
+        with self.path.open("rb") as stream:
+            self.found = Rebuilt(stream, self.size, output, definitions=self.definitions, name=self.name, custom=custom)
+            return self.found
+
 
 def examine(bag: Path) -> tuple[list[Part], list[str]]:
     """Return the files of a bag with what can be saved of them, and what is wrong with the bag as a whole."""
     files = (split_files(bag.glob(f"*{SUFFIX}")) or {}) if bag.is_dir() else {0: bag}
     problems = missing_files(files) if bag.is_dir() else []
     for path in files.values():
-        _refuse_waiting(path)
-    definitions = definitions_of(files.values()) if len(files) > 1 else None
+        if not path.is_file() and path.exists():  # it opens only when somebody writes into it, or never ends
+            raise NotABagError(f"{path} is no file: move it away, or name one of the files beside it")
+    definitions = _definitions(files.values()) if len(files) > 1 else None
     parts: list[Part] = []
     for path in files.values():
         part = _examined(path, definitions)
@@ -71,33 +79,21 @@ def examine(bag: Path) -> tuple[list[Part], list[str]]:
     return parts, problems
 
 
-def _refuse_waiting(path: Path) -> None:
-    """Refuse what is opened only when somebody writes into it, or never ends."""
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
-    if not stat.S_ISREG(mode):
-        raise NotABagError(f"{path} is no file: move it away, or name one of the files beside it")
-
-
 def _examined(path: Path, definitions: FileIndex | None) -> Part:
     try:
         with path.open("rb") as stream:
-            size = stream.seek(0, 2)
-            part = Part(path, path.name, size, None, [])
-            if not _begins_as_mcap(stream, size):
+            part = Part(path, path.name, stream.seek(0, 2), definitions)
+            if not _begins_as_mcap(stream, part.size):
                 raise NotABagError(f"{path} is not a bag: it does not begin as an MCAP file")
-            if size <= len(MAGIC):
-                part.problems.append(f"{path.name} has only {size} bytes: nothing was written into it")
-                return part
-            part.found = Rebuilt(stream, size, definitions=definitions)
-            part.problems += _problems(part.found)
-            return part
+        if part.size <= len(MAGIC):
+            part.problems.append(f"{path.name} has only {part.size} bytes: nothing was written into it")
+        else:
+            part.problems += _problems(part.rebuild())
     except OSError as error:
         raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
     except RecordError as error:
         raise DamagedBagError(f"{path}: {error}; nothing can be saved") from error
+    return part
 
 
 def _begins_as_mcap(stream: BinaryIO, size: int) -> bool:
@@ -113,7 +109,7 @@ def _begins_as_mcap(stream: BinaryIO, size: int) -> bool:
     return first.opcode == Opcode.HEADER
 
 
-def definitions_of(files: Iterable[Path]) -> FileIndex | None:
+def _definitions(files: Iterable[Path]) -> FileIndex | None:
     """Return schemas and channels from any file of a bag of this project, whose files all number them alike."""
     for path in files:
         try:
@@ -169,21 +165,25 @@ def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
         return f"{METADATA_FILE} cannot be read"
     if stated is None:
         return f"{METADATA_FILE} is not rosbag2's"
-    counts = {topic.name: count for topic, count in topic_records(part.index for part in parts) if count}
+    counts = _counts(bag_topics(part.index for part in parts))
     listed = _listed(stated)
     right = (
         stated.get("relative_file_paths") == [part.name for part in parts]
         and stated.get("message_count") == sum(counts.values())
         and listed is not None
-        and {topic.name: count for topic, count in listed if count} == counts
+        and _counts(listed) == counts
     )
     return None if right else f"{METADATA_FILE} does not agree with the files"
 
 
-def silent_topics(folder: Path) -> list[TopicRecord]:
+def _counts(topics: Iterable[BagChannel]) -> dict[str, int]:
+    return {topic.name: topic.message_count for topic in topics if topic.message_count}
+
+
+def silent_topics(folder: Path) -> list[BagChannel]:
     """Return the topics without messages of ``metadata.yaml``, the only place where a damaged bag may name them."""
     with suppress(ScenarioError):
-        return [topic for topic, count in _listed(_stated(folder) or {}) or () if count == 0]
+        return [topic for topic in _listed(_stated(folder) or {}) or () if topic.message_count == 0]
     return []
 
 
@@ -194,13 +194,10 @@ def _stated(folder: Path) -> dict[str, Any] | None:
     return stated if isinstance(stated, dict) else None
 
 
-def _listed(stated: dict[str, Any]) -> list[tuple[TopicRecord, Any]] | None:
+def _listed(stated: dict[str, Any]) -> list[BagChannel] | None:
     """Return the topics that ``metadata.yaml`` lists with their numbers of messages, None if it has no such list."""
     try:
-        return [
-            (topic_record(entry["topic_metadata"]), entry["message_count"])
-            for entry in stated.get("topics_with_message_count") or ()
-        ]
+        return [listed_topic(entry) for entry in stated.get("topics_with_message_count") or ()]
     except (AttributeError, TypeError, KeyError):
         return None
 

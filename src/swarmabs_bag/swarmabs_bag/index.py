@@ -57,6 +57,15 @@ _FOOTER_HEAD = struct.Struct("<BQQQ")
 _DATA_END_SIZE = HEAD_SIZE + 4
 _PIECE = 2**20
 
+# What a summary section lists, and the number in its statistics that counts it.
+_COUNTED = {
+    "schemas": "schema_count",
+    "channels": "channel_count",
+    "chunks": "chunk_count",
+    "attachments": "attachment_count",
+    "metadata": "metadata_count",
+}
+
 MOST_ENTRIES = 2**18
 """Most chunks, attachments and metadata records, of each, that an index holds."""
 
@@ -111,7 +120,18 @@ class FileIndex:
                 self.chunks[-1].message_index_offsets[channel] = record.offset
                 self.chunks[-1].message_index_length += record.size
         elif opcode == Opcode.ATTACHMENT:
-            self.attachments.append(_attachment_index(record))
+            attachment = read_attachment(record)
+            self.attachments.append(
+                AttachmentIndex(
+                    offset=record.offset,
+                    length=record.size,
+                    log_time=attachment.log_time,
+                    create_time=attachment.create_time,
+                    data_size=len(attachment.data),
+                    name=attachment.name,
+                    media_type=attachment.media_type,
+                )
+            )
             statistics.attachment_count += 1
         elif opcode == Opcode.METADATA:
             metadata: Metadata = parse(Metadata, record)
@@ -226,19 +246,6 @@ def read_attachment(record: Record) -> Attachment:
     return attachment
 
 
-def _attachment_index(record: Record) -> AttachmentIndex:
-    attachment = read_attachment(record)
-    return AttachmentIndex(
-        offset=record.offset,
-        length=record.size,
-        log_time=attachment.log_time,
-        create_time=attachment.create_time,
-        data_size=len(attachment.data),
-        name=attachment.name,
-        media_type=attachment.media_type,
-    )
-
-
 def scan_index(stream: BinaryIO, size: int) -> FileIndex:
     """Find out what the first `size` bytes of a file hold by reading them from the start.
 
@@ -312,7 +319,7 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
         index.check_number(record.offset)
     if stated is not None:
         index.statistics = stated
-        if not _leaves_out(index):
+        if not any(getattr(stated, count) and not getattr(index, kind) for kind, count in _COUNTED.items()):
             return index
     try:
         found = _scanned(stream, size, start)
@@ -320,26 +327,10 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
         if stated is not None:  # whoever reads the file finds the damage where it is
             return index
         raise
-    index.schemas = index.schemas or found.schemas
-    index.channels = index.channels or found.channels
-    index.chunks = index.chunks or found.chunks
-    index.attachments = index.attachments or found.attachments
-    index.metadata = index.metadata or found.metadata
+    for kind in _COUNTED:
+        setattr(index, kind, getattr(index, kind) or getattr(found, kind))
     index.statistics = stated or found.statistics
     return index
-
-
-def _leaves_out(index: FileIndex) -> bool:
-    """Tell whether a summary section counts records of a kind of which it lists none."""
-    counted = index.statistics
-    counts = (
-        (counted.schema_count, index.schemas),
-        (counted.channel_count, index.channels),
-        (counted.chunk_count, index.chunks),
-        (counted.attachment_count, index.attachments),
-        (counted.metadata_count, index.metadata),
-    )
-    return any(count > 0 and not listed for count, listed in counts)
 
 
 def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:

@@ -182,11 +182,12 @@ def render(info: BagInfo) -> RenderableType:
 
 
 def _facts(info: BagInfo) -> Mapping[str, str]:
+    scenario = info.scenario
     facts = {
         "file": info.file,
         "state": "complete" if info.complete else f"damaged: {info.problem}",
-        "ended early": info.aborted or "",
-        "repaired": info.repaired or "",
+        "ended early": info.aborted,
+        "repaired": info.repaired,
         "size": f"{info.size:,} bytes",
         "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes without)",
         "time": _times(info),
@@ -194,14 +195,11 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "swarms in": named_swarms(info.swarms) if len(info.swarms) > 1 else "",
         "written by": info.library,
         "versions": ", ".join(f"{name} {value}" for name, value in info.versions.items()),
-        "fingerprint": info.fingerprint or "",
+        "fingerprint": info.fingerprint,
         "attachments": ", ".join(f"{name} ({size:,} bytes)" for name, size in info.attachments.items()),
+        "scenario": scenario
+        and f"{scenario.name}, seed {scenario.seed}, {scenario.agents} agents, {scenario.duration:.9g} s",
     }
-    if info.scenario is not None:
-        scenario = info.scenario
-        facts["scenario"] = (
-            f"{scenario.name}, seed {scenario.seed}, {scenario.agents} agents, {scenario.duration:.9g} s"
-        )
     return {name: value for name, value in facts.items() if value}
 
 

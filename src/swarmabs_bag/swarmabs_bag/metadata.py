@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
     from mcap.records import Statistics
     from typing_extensions import Self
+
+    from swarmabs_core.messages import Topic
 
 METADATA_FILE = "metadata.yaml"
 """Name of rosbag2's description beside the MCAP file."""
@@ -37,18 +40,27 @@ REPAIRED_KEY = "swarmabs.repaired"
 _LONGEST_YAML = 2**20
 _VERSION = 9
 _DISTRO = "jazzy"
-_INFINITE = (9223372036, 854775807)  # RMW_DURATION_INFINITE: seconds, nanoseconds
 
 
 @dataclass(frozen=True, slots=True)
-class TopicRecord:
-    """One topic of a bag: name with namespace, type, hash of the type, QoS profiles offered, encoding."""
+class BagChannel:
+    """A topic as a bag holds it: its name has the namespace; what the bag does not give is empty.
+
+    Attributes
+    ----------
+    qos_profiles : str
+        YAML text of what the publishers offered.
+    topic : Topic or None
+        Which topic of the swarm it is, None if it is another one.
+    """
 
     name: str
     ros_type: str
     type_hash: str
-    profiles: tuple[Mapping[str, object], ...]
+    qos_profiles: str
     encoding: str = "cdr"
+    message_count: int = 0
+    topic: Topic | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,33 +85,37 @@ def qos_profile(qos: Qos) -> dict[str, object]:
         "depth": qos.depth,
         "reliability": qos.reliability,
         "durability": qos.durability,
-        "deadline": _infinite(),
-        "lifespan": _infinite(),
+        "deadline": _duration(None),
+        "lifespan": _duration(None),
         "liveliness": "manual_by_topic" if qos.lease else "automatic",
-        "liveliness_lease_duration": _duration(qos.lease) if qos.lease else _infinite(),
+        "liveliness_lease_duration": _duration(qos.lease),
         "avoid_ros_namespace_conventions": False,
     }
 
 
-def qos_profiles(stated: object) -> tuple[dict[str, object], ...]:
+@lru_cache(maxsize=64)
+def _profiles(text: str) -> tuple[dict[str, object], ...]:
     """Return complete profiles, as version 9 demands them, of what a channel says of its QoS in whichever version.
 
     What is missing or unknown is filled with the values of this project; anything but a list gives none.
     """
+    stated = load_yaml(text)
     if not isinstance(stated, list):
         return ()
     return tuple(_completed(profile) for profile in stated if isinstance(profile, dict))
 
 
-def topic_record(stated: Mapping[str, Any]) -> TopicRecord:
-    """Return a topic as ``metadata.yaml`` describes it, in whichever version; a `KeyError` if it has no name."""
+def listed_topic(entry: Mapping[str, Any]) -> BagChannel:
+    """Return a topic as ``metadata.yaml`` lists it, in whichever version; a `KeyError` if it has no name."""
+    stated = entry["topic_metadata"]
     profiles = stated.get("offered_qos_profiles")
-    return TopicRecord(
+    return BagChannel(
         name=str(stated["name"]),
         ros_type=str(stated.get("type", "")),
         type_hash=str(stated.get("type_description_hash", "")),
-        profiles=qos_profiles(load_yaml(profiles) if isinstance(profiles, str) else profiles),
+        qos_profiles=profiles if isinstance(profiles, str) else dump_yaml(profiles),
         encoding=str(stated.get("serialization_format", "")),
+        message_count=entry["message_count"],
     )
 
 
@@ -130,25 +146,21 @@ def _completed(stated: Mapping[object, object]) -> dict[str, object]:
     return profile
 
 
-def _duration(seconds: float) -> dict[str, int]:
-    sec, nsec = divmod(round(seconds * 1e9), 10**9)
+def _duration(seconds: float | None) -> dict[str, int]:
+    """Return a duration, or that which never ends: RMW_DURATION_INFINITE."""
+    sec, nsec = divmod(round(seconds * 1e9), 10**9) if seconds else (9223372036, 854775807)
     return {"sec": sec, "nsec": nsec}
 
 
-def _infinite() -> dict[str, int]:
-    seconds, nanoseconds = _INFINITE
-    return {"sec": seconds, "nsec": nanoseconds}
-
-
 def bag_metadata(
-    topics: Sequence[tuple[TopicRecord, int]],
+    topics: Sequence[BagChannel],
     *,
     files: Sequence[FileRecord],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
     """Return rosbag2's description of a bag.
 
-    All topics have their numbers of messages, also those without any; names of files are relative to the bag's folder.
+    All topics are listed, also those without messages; names of files are relative to the bag's folder.
     """
     filled = [file for file in files if file.message_count]
     start = min((file.start for file in filled), default=0)
@@ -158,19 +170,19 @@ def bag_metadata(
         "storage_identifier": "mcap",
         "duration": {"nanoseconds": end - start},
         "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": sum(number for _, number in topics),
+        "message_count": sum(topic.message_count for topic in topics),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.ros_type,
                     "serialization_format": topic.encoding,
-                    "offered_qos_profiles": [deepcopy(profile) for profile in topic.profiles],
+                    "offered_qos_profiles": [deepcopy(profile) for profile in _profiles(topic.qos_profiles)],
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": number,
+                "message_count": topic.message_count,
             }
-            for topic, number in topics
+            for topic in topics
         ],
         "compression_format": "",
         "compression_mode": "",

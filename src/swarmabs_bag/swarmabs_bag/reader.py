@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmabs_bag.bag_file import BagFile, open_file
-from swarmabs_bag.channels import BagChannel, bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
+from swarmabs_bag.channels import bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, add_messages
 from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from mcap.records import Channel
 
+    from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.records import StoredMessage
     from swarmabs_core.messages import Message, Topic
 
@@ -45,6 +46,8 @@ class BagReader:
         The files that can be read, in order; `size` is that of all, in bytes.
     index : FileIndex
         What they say they hold; of several files, channels have the same number in all of them.
+    start, end : int
+        Log times of the first and last message in ns, 0 without messages.
     channels : tuple of BagChannel
         Its topics in the order of their ids.
     swarms : tuple of str
@@ -62,6 +65,9 @@ class BagReader:
         self.size = sum(file.size for file in files)
         indexes = [file.index for file in files]
         self.index, self._numbers = _merged(indexes) if len(indexes) > 1 else (indexes[0], [{}])
+        statistics = self.index.statistics
+        self.start, self.end = statistics.message_start_time, statistics.message_end_time
+        self.message_count = statistics.message_count
         topics = swarm_topics(self.index)
         self.swarms = tuple(sorted({swarm for swarm, _ in topics.values()}))
         chosen = chosen_swarm(path, self.swarms, namespace)
@@ -72,21 +78,6 @@ class BagReader:
         }
         self.channels = tuple(self._channels.values())
         self.namespace = chosen
-
-    @property
-    def start(self) -> int:
-        """Log time of the first message in ns, 0 without messages."""
-        return self.index.statistics.message_start_time
-
-    @property
-    def end(self) -> int:
-        """Log time of the last message in ns, 0 without messages."""
-        return self.index.statistics.message_end_time
-
-    @property
-    def message_count(self) -> int:
-        """Number of messages on all topics."""
-        return self.index.statistics.message_count
 
     def topics(self) -> tuple[Topic, ...]:
         """Return the topics of the swarm that the bag has."""
@@ -152,10 +143,6 @@ class BagReader:
             else:
                 for message in file.stored():
                     yield message._replace(channel_id=numbers[message.channel_id])
-
-    def attachment_names(self) -> tuple[str, ...]:
-        """Return the names of all attachments in file order, of several files each once."""
-        return tuple(attachment.name for attachment in self.index.attachments)
 
     def attachment(self, name: str) -> bytes | None:
         """Return the content of the first attachment of a name, None if there is none; errors as of `attachments`."""

@@ -10,7 +10,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata
 
-from swarmabs_bag.channels import topic_records
+from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.index import FileIndex, ending, read_index
 from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME, FileRecord, bag_metadata, dump_yaml
 from swarmabs_bag.records import (
@@ -94,7 +94,6 @@ class Rebuilt:
         self.description = ""
         self._output = output
         self._loose = bytearray()
-        self._loose_count = 0
         self._expected: dict[int, bytes] = {}
         self._next_sequence: dict[int, int] = {}
         try:
@@ -116,9 +115,11 @@ class Rebuilt:
             return
         self._begin(Header(profile=_PROFILE, library=""))
         if record.opcode == Opcode.MESSAGE_INDEX:
-            self._compare_index(record.content)
+            channel = int.from_bytes(record.content[:2], "little")
+            if self._expected.get(channel) == record.content:
+                del self._expected[channel]
         elif record.opcode == Opcode.CHUNK:
-            self._take_chunk(saved)
+            self._take_chunk(record, saved.data, cut=saved.cut)
         elif record.opcode == Opcode.MESSAGE:
             self._take_loose(record.content, record.offset)
         elif record.opcode == Opcode.METADATA and (metadata := parse(Metadata, record)).name == RECORD_NAME:
@@ -135,7 +136,7 @@ class Rebuilt:
         if self._output is None:
             return
         files = [FileRecord.of(name, self.index.statistics)]
-        self.description = dump_yaml(bag_metadata(topic_records([self.index]), files=files, custom_data=custom))
+        self.description = dump_yaml(bag_metadata(bag_topics([self.index]), files=files, custom_data=custom))
         for piece in ending(self.index, self.description):
             self._write(piece)
 
@@ -156,20 +157,18 @@ class Rebuilt:
             self._output.write(data)
             self._output.commit()
 
-    def _compare_index(self, content: bytes) -> None:
-        channel = int.from_bytes(content[:2], "little")
-        if self._expected.get(channel) == content:
-            del self._expected[channel]
-
-    def _take_chunk(self, saved: Saved) -> None:
-        record, data = saved.record, saved.data
+    def _take_chunk(self, record: Record, data: bytes, *, cut: bool) -> None:
         if not self._is_described(data, record.offset):
             self._define()
-        if saved.cut or not self._is_described(data, record.offset):
-            self._take_apart(data, record.offset)
+        if not cut and self._is_described(data, record.offset):
+            self._flush()
+            self._put_chunk(record, data)
             return
-        self._flush()
-        self._put_chunk(record, data)
+        for opcode, begin, end in inner_records(data, record.offset):
+            if opcode == Opcode.MESSAGE:
+                self._take_loose(data[begin:end], record.offset)
+            else:
+                self._put_other(opcode, data[begin:end])
 
     def _is_described(self, data: bytes, offset: int) -> bool:
         """Tell whether the channels of all messages in a chunk, and the schemas of its channels, are known."""
@@ -185,13 +184,6 @@ class Rebuilt:
             elif opcode == Opcode.MESSAGE and number not in known:
                 return False
         return True
-
-    def _take_apart(self, data: bytes, offset: int) -> None:
-        for opcode, begin, end in inner_records(data, offset):
-            if opcode == Opcode.MESSAGE:
-                self._take_loose(data[begin:end], offset)
-            else:
-                self._put_other(opcode, data[begin:end])
 
     def _put_other(self, opcode: int, content: bytes) -> None:
         """Write a record outside of a chunk; a channel whose schema is nowhere has none."""
@@ -218,7 +210,7 @@ class Rebuilt:
                 self.damage.append(Damage(offset, 0, problem))
             return
         self._loose += Record(offset, Opcode.MESSAGE, content).stored
-        self._loose_count += 1
+        self.repacked += 1
         if len(self._loose) >= _CHUNK_BYTES:
             self._flush()
 
@@ -227,9 +219,8 @@ class Rebuilt:
         definitions, self._definitions = self._definitions, None
         if definitions is None:
             return
-        for records, own in (
-            (definitions.schemas, self.index.schemas), (definitions.channels, self.index.channels)
-        ):  # fmt: skip
+        index = self.index
+        for records, own in ((definitions.schemas, index.schemas), (definitions.channels, index.channels)):
             for number, record in sorted(records.items()):
                 if number not in own:
                     content = encoded(record)
@@ -242,9 +233,7 @@ class Rebuilt:
         if not self._loose:
             return
         data = bytes(self._loose)
-        self.repacked += self._loose_count
         self._loose.clear()
-        self._loose_count = 0
         packed = zstandard.ZstdCompressor().compress(data)
         chunk = Chunk(
             compression="zstd",

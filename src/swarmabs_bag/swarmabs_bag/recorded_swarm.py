@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bag.arrays import arrays_of, load_tables
+from swarmabs_bag.arrays import arrays_since, load_tables
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
@@ -225,7 +225,7 @@ def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
     """
     bag = open_bag(path, namespace=namespace, damaged=True)
     tables = load_tables(bag)
-    return recorded_swarm(bag, tables, arrays_of(bag, tables))
+    return recorded_swarm(bag, tables, arrays_since(bag, tables)[0])
 
 
 def recorded_swarm(bag: BagReader, tables: Tables, arrays: RunArrays) -> RecordedSwarm:

@@ -47,39 +47,31 @@ class Step(Protocol):
     @property
     def step(self) -> int:
         """Number of the step."""
-        ...
 
     @property
     def messages(self) -> int:
         """Number of messages."""
-        ...
 
     @property
     def plane(self) -> PlaneState | None:
         """State of the plane; None of a step that only adds an event to one recorded before."""
-        ...
 
     @property
     def max_abs_position(self) -> float | None:
         """Largest distance of a robot from the axis, m."""
-        ...
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
         """What happened in it."""
-        ...
 
     def states(self) -> Iterable[AgentState]:
         """Return the robots' states."""
-        ...
 
     def digest_text(self) -> bytes:
         """Return what the step contributes to the digest of a run."""
-        ...
 
     def stored(self) -> Iterable[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
-        ...
 
 
 def digest_head(topic: Topic, size: int) -> bytes:

@@ -10,15 +10,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.channels import topic_records
+from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
-from swarmabs_bag.examination import Part, definitions_of, examine, metadata_problem, recorded_steps, silent_topics
+from swarmabs_bag.examination import Part, examine, metadata_problem, recorded_steps, silent_topics
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
     METADATA_FILE,
     REPAIRED_KEY,
     FileRecord,
-    TopicRecord,
     bag_metadata,
     write_metadata,
 )
@@ -29,8 +28,7 @@ from swarmabs_bag.run_folder import find_bag
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from typing_extensions import Self
-
+    from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.salvage import Damage
 
 CUT_OFF = "the recording was cut off"
@@ -41,23 +39,6 @@ _TEMPORARY = ".repairing"
 
 
 @dataclass(frozen=True, slots=True)
-class LostPart:
-    """A part of a file that was lost; `start`, `end`: its log times in s as it states them, else None."""
-
-    offset: int
-    bytes: int
-    problem: str
-    start: float | None
-    end: float | None
-
-    @classmethod
-    def of(cls, damage: Damage) -> Self:
-        """Return what is told of a damage."""
-        start, end = (None if time is None else time / 1e9 for time in (damage.start, damage.end))
-        return cls(damage.offset, damage.size, damage.problem, start, end)
-
-
-@dataclass(frozen=True, slots=True)
 class FileRepair:
     """What became of one file; `repaired_as`: its new name, None if nothing of it was left or to be done."""
 
@@ -65,7 +46,7 @@ class FileRepair:
     bytes: int
     repaired_as: str | None
     problems: tuple[str, ...]
-    lost: tuple[LostPart, ...]
+    lost: tuple[Damage, ...]
     messages: int
 
 
@@ -227,7 +208,7 @@ def _refuse_earlier(parts: Sequence[Part], folder: Path) -> None:
 def _lost_text(damage: Sequence[Damage]) -> str:
     first = damage[0]
     places = "1 place" if len(damage) == 1 else f"{len(damage)} places"
-    lost = sum(part.size for part in damage)
+    lost = sum(part.bytes for part in damage)
     return f"{lost} bytes in {places} could not be saved, the first at byte {first.offset}: {first.problem}"
 
 
@@ -256,7 +237,7 @@ def _work_folder(target: Path) -> Iterator[Path]:
                 parent.rmdir()
 
 
-def _write(parts: Sequence[Part], work: Path, silent: Sequence[TopicRecord], *, unfinished: bool) -> None:
+def _write(parts: Sequence[Part], work: Path, silent: Sequence[BagChannel], *, unfinished: bool) -> None:
     """Write the new files and ``metadata.yaml``, which goes on listing what was silent."""
     custom: dict[str, str] = {}
     for part in parts:
@@ -267,19 +248,17 @@ def _write(parts: Sequence[Part], work: Path, silent: Sequence[TopicRecord], *, 
             if part.found is not None and part.found.damage:
                 said[REPAIRED_KEY] = _lost_text(part.found.damage)
             file = RecordFile(work / part.name)
-            definitions = definitions_of([part.path for part in parts]) if len(parts) > 1 else None
             try:
-                with part.path.open("rb") as stream:
-                    part.found = Rebuilt(stream, part.size, file, definitions=definitions, name=part.name, custom=said)
+                part.rebuild(file, said)
                 file.sync()
             finally:
                 file.close()
         else:
             shutil.copyfile(part.path, work / part.name)
         custom |= part.custom_data()
-    topics = topic_records(part.index for part in parts)
-    found = {topic.name for topic, _ in topics}
-    topics += [(topic, 0) for topic in silent if topic.name not in found]
+    topics = bag_topics(part.index for part in parts)
+    found = {topic.name for topic in topics}
+    topics += [topic for topic in silent if topic.name not in found]
     files = [FileRecord.of(part.name, part.index.statistics) for part in parts]
     write_metadata(work, bag_metadata(topics, files=files, custom_data=custom))
 
@@ -313,7 +292,7 @@ def _report(
             there = {entry.name for entry in found.index.attachments}
             lost_attachments += [entry.name for entry in found.stated.attachments if entry.name not in there]
     steps = recorded_steps(result)
-    topics = topic_records(part.index for part in parts)
+    topics = bag_topics(part.index for part in parts)
     return RepairReport(
         bag=str(named),
         output=None if output is None else str(output),
@@ -324,17 +303,22 @@ def _report(
                 bytes=part.size,
                 repaired_as=part.name if part.problems and part.found is not None else None,
                 problems=tuple(part.problems),
-                lost=tuple(map(LostPart.of, part.found.damage)) if part.found is not None else (),
+                lost=tuple(part.found.damage) if part.found is not None else (),
                 messages=part.index.statistics.message_count,
             )
             for part in parts
         ),
         topics=tuple(
-            TopicRepair(topic.name, count, lost[topic.name], steps.by_topic.get(topic.name) if steps else None)
-            for topic, count in topics
+            TopicRepair(
+                topic.name,
+                topic.message_count,
+                lost[topic.name],
+                steps.by_topic.get(topic.name) if steps else None,
+            )
+            for topic in topics
         ),
-        messages=sum(count for _, count in topics),
-        lost_bytes=sum(one.size for found in kept for one in found.damage),
+        messages=sum(topic.message_count for topic in topics),
+        lost_bytes=sum(one.bytes for found in kept for one in found.damage),
         attachments=tuple(dict.fromkeys(entry.name for found in kept for entry in found.index.attachments)),
         lost_attachments=tuple(dict.fromkeys(lost_attachments)),
         first_step=steps.first if steps else None,

@@ -38,31 +38,15 @@ ONE_FILE = Split()
 """The bag stays one file."""
 
 
-@dataclass(frozen=True, slots=True)
 class RunFolder:
-    """Where a run's results go."""
+    """Where a run's results go: the folders of bag and logs, the files of the resolved scenario and of the figures."""
 
-    path: Path
-
-    @property
-    def bag(self) -> Path:
-        """Folder of the bag."""
-        return self.path / "bag"
-
-    @property
-    def logs(self) -> Path:
-        """Folder of the processes' logs."""
-        return self.path / "logs"
-
-    @property
-    def scenario(self) -> Path:
-        """File of the resolved scenario."""
-        return self.path / "scenario.yaml"
-
-    @property
-    def summary(self) -> Path:
-        """File of the run's figures."""
-        return self.path / "summary.json"
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.bag = path / "bag"
+        self.logs = path / "logs"
+        self.scenario = path / "scenario.yaml"
+        self.summary = path / "summary.json"
 
     def fill(self, scenario: Scenario) -> None:
         """Write the resolved scenario and make the folder of the logs."""

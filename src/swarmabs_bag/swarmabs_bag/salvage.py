@@ -6,6 +6,7 @@ import mmap
 import re
 import zlib
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
@@ -54,14 +55,15 @@ _MARKS = re.compile(rb"(?=[\x06\x09\x0f][\s\S]{3}[\x00-\x10]\x00{4})")
 _MARKS_WITHOUT_CHUNKS = re.compile(rb"(?=[\x05\x06\x09\x0f][\s\S]{3}[\x00-\x10]\x00{4})")
 
 
-class Damage(NamedTuple):
-    """A part of a file that is lost: where, how many bytes, why, and its span of log times in ns where it says one."""
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A part of a file that is lost: where, how many bytes, why, and its span of log times in s where it says one."""
 
     offset: int
-    size: int
+    bytes: int
     problem: str
-    start: int | None = None
-    end: int | None = None
+    start: float | None = None
+    end: float | None = None
 
 
 class Saved(NamedTuple):
@@ -196,7 +198,7 @@ class Salvage:
             record = read_record(self._stream, offset, self._size)
             if record.opcode == Opcode.CHUNK and record.end == end:
                 chunk: Chunk = parse(Chunk, record)
-                start_time, end_time = chunk.message_start_time, chunk.message_end_time
+                start_time, end_time = chunk.message_start_time / 1e9, chunk.message_end_time / 1e9
         return Damage(offset, end - offset, self._named(offset, error), start_time, end_time)
 
     def _named(self, offset: int, error: RecordError) -> str:
@@ -213,7 +215,7 @@ class Salvage:
             return
         data, start_time, end_time = cut
         problem = "chunk: the file breaks off within it"
-        self.damage.append(Damage(offset, self._size - offset, problem, start_time, end_time))
+        self.damage.append(Damage(offset, self._size - offset, problem, start_time / 1e9, end_time / 1e9))
         if data:
             yield Saved(Record(offset, Opcode.CHUNK, b""), data, cut=True)
 

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import errno
 import time
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
 from mcap.writer import CompressionType, Writer
 
-from swarmabs_bag.errors import BagFolderError, BagWriteError
+from swarmabs_bag.errors import REMEDIES, BagFolderError, BagWriteError
 from swarmabs_bag.index import ending, scan_index
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
     RECORD_KEY,
     RECORD_NAME,
+    BagChannel,
     FileRecord,
-    TopicRecord,
     bag_metadata,
     dump_yaml,
     qos_profile,
@@ -124,11 +124,11 @@ class BagWriter:
         with self._remembering_errors():  # also their definitions are files
             self._schemas = schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
         self._topics = [
-            TopicRecord(
+            BagChannel(
                 name=f"{namespace.rstrip('/')}/{topic.name}",
                 ros_type=topic.ros_type,
                 type_hash=schemas[topic.ros_type].type_hash,
-                profiles=(qos_profile(qos[topic]),),
+                qos_profiles=dump_yaml([qos_profile(qos[topic])]),
             )
             for topic in topics
         ]
@@ -170,7 +170,7 @@ class BagWriter:
                 message_encoding="cdr",
                 schema_id=ids[topic.ros_type],
                 metadata={
-                    "offered_qos_profiles": dump_yaml(list(topic.profiles)),
+                    "offered_qos_profiles": topic.qos_profiles,
                     "topic_type_hash": topic.type_hash,
                 },
             )
@@ -365,7 +365,7 @@ class BagWriter:
     ) -> dict[str, Any]:
         return bag_metadata(
             [
-                (topic, sum(counts.get(channel, 0) for _, counts in parts))
+                replace(topic, message_count=sum(counts.get(channel, 0) for _, counts in parts))
                 for channel, topic in enumerate(self._topics, start=1)
             ],
             files=[file for file, _ in parts],
@@ -385,14 +385,7 @@ def _new_folder(folder: Path, file: Path) -> Iterator[ExitStack]:
                 raise BagFolderError(f"{folder} is not empty: name a new folder for the bag")
             yield undo
         except OSError as error:
-            if error.errno in {
-                errno.ENOSPC,
-                errno.EDQUOT,
-                errno.EIO,
-                errno.EFBIG,
-                errno.EMFILE,
-                errno.ENFILE,
-            }:
+            if error.errno in REMEDIES:
                 raise BagWriteError(file, error) from error
             raise BagFolderError(f"cannot create {file}: {error.strerror}; name another folder for the bag") from error
 

@@ -48,7 +48,7 @@ def record_steps(
     begun = told = time.monotonic()
 
     def tell(phase: Phase, now: float) -> None:
-        latest = recording.latest
+        latest = recording.run.latest
         if on_progress is not None and latest is not None:
             rate = latest.step / (now - begun) if now > begun else 0.0
             done = Progress(phase, 1, 1, latest.step, scenario.steps, rate, latest.angle, latest.error)

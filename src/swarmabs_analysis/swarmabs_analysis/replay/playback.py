@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.publisher import Publisher
 
-    from swarmabs_bag.channels import BagChannel
+    from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.reader import BagReader
 
 SLICE = 0.1

@@ -102,14 +102,14 @@ class Reporter:
 
     def progress(self, *, at_once: bool = False) -> bool:
         """Report how far it is, now and then or at once; return whether it was reported."""
-        recording, now = self._recording, time.monotonic()
-        if recording.newest < 0 or (now - self._reported < REPORT_SECONDS and not at_once):
+        run, now = self._recording.run, time.monotonic()
+        if run.newest < 0 or (now - self._reported < REPORT_SECONDS and not at_once):
             return False
         self._reported = now
-        latest, seen = recording.latest, recording.summary()
+        latest, seen = run.latest, self._recording.summary()
         angle, error = (None, None) if latest is None else (latest.angle, latest.error)
-        told = None if seen is None else seen.report()
-        self._status.send("progress", step=recording.newest, angle=angle, error=error, robots=told)
+        told = None if seen is None else seen._asdict()
+        self._status.send("progress", step=run.newest, angle=angle, error=error, robots=told)
         return True
 
     def done(self, problem: str | None, *, complete: bool) -> None:

@@ -86,9 +86,9 @@ class RealtimeRecorder:
                 time.sleep(GATHER_SECONDS)  # waking up for each costs more than recording it
                 self._drain(recording)
             recording.poll()
-            if reporter.progress() and recording.fallen and not self._told_fallen:
+            if reporter.progress() and recording.run.fallen and not self._told_fallen:
                 self._told_fallen = True
-                self._status.send("failed", reason=recording.fallen)
+                self._status.send("failed", reason=recording.run.fallen)
             self._diagnose(recording)
             self._heart.beat(time.monotonic_ns())
         return True
@@ -155,7 +155,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         end = NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9)
         over = recorder.run(recording, reporter, end)
         # A run has a last step, and fails with its plane. Without one it is a fleet that is recorded, whatever happens.
-        lost = recording.fallen if last is not None else None
+        lost = recording.run.fallen if last is not None else None
         problem = lost or (INTERRUPTED if recorder.interrupted else None)
     except RunError as error:
         problem = str(error)

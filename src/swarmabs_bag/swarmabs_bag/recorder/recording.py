@@ -19,13 +19,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from swarmabs_bag.figures import Latest
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.recording import Step
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import Topic
     from swarmabs_core.record import Record
 
+_LOCKSTEP = (*MAIN_TOPICS, EVENTS)
 F = TypeVar("F", RunFigures, RealtimeFigures)
 
 
@@ -33,21 +32,11 @@ class _Recording(Generic[F]):
     """What recordings have in common, whatever gathers their messages: figures, what people see, perhaps a bag."""
 
     def __init__(self, scenario: Scenario, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
-        self._run: F = run
+        self.run: F = run
         self._tracker = SummaryTracker(configure.members(scenario), scenario.plane.length)
         self._writer: BagWriter | None = None
         if folder is not None:
             self._writer = BagWriter(folder, attachments=attachments(scenario, made), **bag)
-
-    @property
-    def latest(self) -> Latest | None:
-        """What the run looks like now, None until that is known."""
-        return self._run.latest
-
-    @property
-    def newest(self) -> int:
-        """The newest step recorded, -1 if there is none."""
-        return self._run.newest
 
     def summary(self) -> SwarmSummary | None:
         """Return what people see of the robots now; it costs some time, so not for every message."""
@@ -72,7 +61,7 @@ class _Recording(Generic[F]):
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the run so far."""
-        return self._run.summary()
+        return self.run.summary()
 
 
 class Recording(_Recording[RunFigures]):
@@ -84,7 +73,7 @@ class Recording(_Recording[RunFigures]):
         Folder of the bag; none if only figures are wanted.
     driver, replay, steered
         As of `swarmabs_bag.attached.provenance`.
-    namespace, split, topics
+    namespace, split
         As of `BagWriter`.
     """
 
@@ -97,19 +86,18 @@ class Recording(_Recording[RunFigures]):
         namespace: str = "/",
         split: Split = ONE_FILE,
         replay: Mapping[str, object] | None = None,
-        topics: tuple[Topic, ...] = (*MAIN_TOPICS, EVENTS),
         steered: bool = False,
     ) -> None:
         self._reference = configure.reference(scenario)
         made = provenance(scenario, driver=driver, replay=replay, steered=steered)
         figures = RunFigures(self._reference)
         super().__init__(
-            scenario, folder, figures, made, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
+            scenario, folder, figures, made, topics=_LOCKSTEP, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )
 
     def add(self, step: Step) -> None:
         """Take the next step; after a `BagWriteError`, `abort` completes what is there."""
-        self._run.add(step)
+        self.run.add(step)
         self._tracker.take(step)
         if self._writer is not None:
             for topic, stamp, payload in step.stored():
@@ -153,11 +141,6 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
             scenario, folder, figures, made, topics=RECORDED, qos=OFFERED[REALTIME], namespace=namespace, split=split
         )
 
-    @property
-    def fallen(self) -> str:
-        """When and why the swarm has lost the plane, and what helps; empty if it has not."""
-        return self._run.fallen
-
     def add(self, record: Record, now: int) -> None:
         """Take a message that was received at a time (ns since 1970); errors as of `Recording.add`."""
         if self._last_step is not None and record.message.step > self._last_step:
@@ -166,7 +149,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         # Where the clock is set back, the order of the file stays that of its times.
         self._received = max(self._received, now)
         for kept in self._collector.add(record, now):
-            self._run.add(kept)
+            self.run.add(kept)
             self._tracker.hear(kept.message)
             if self._writer is not None:
                 self._writer.write(kept.topic, self._received, kept.payload, max(0, kept.message.stamp))
@@ -174,7 +157,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
     def health(self) -> Health:
         """Return how the recording goes, since this was asked for the last time."""
         heard, self._heard_before = self._heard - self._heard_before, self._heard
-        values = {"step": self.newest, "messages": self._heard, **self._dropped()}
+        values = {"step": self.run.newest, "messages": self._heard, **self._dropped()}
         figures = tuple((name, str(value)) for name, value in values.items())
         if not heard:
             return Health(Level.WARN, "hears nothing of the swarm", figures)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.swarm_state import RobotHistory
 from swarmabs_core.messages import AgentState, EventKind, SwarmEvent, said
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from swarmabs_bag.recording import Step
     from swarmabs_bag.swarm_state import RobotStatus
@@ -35,7 +35,7 @@ LETTERS: dict[RobotStatus | None, str] = {
 
 
 class SwarmSummary(NamedTuple):
-    """Robots and events as of a step.
+    """Robots and events as of a step, such that JSON takes them.
 
     Attributes
     ----------
@@ -53,15 +53,6 @@ class SwarmSummary(NamedTuple):
     statuses: str
     places: list[int]
     events: list[str]
-
-    def report(self) -> dict[str, Any]:
-        """Return it as JSON takes it."""
-        return self._asdict()
-
-    @classmethod
-    def of(cls, report: Mapping[str, Any]) -> SwarmSummary:
-        """Read it from a report."""
-        return cls(**report)
 
 
 class SummaryTracker:

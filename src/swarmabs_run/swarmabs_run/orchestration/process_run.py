@@ -279,7 +279,7 @@ class ProcessRun:
                 step / elapsed if elapsed > 0.0 else 0.0,
                 progress.get("angle"),
                 progress.get("error"),
-                None if seen is None else SwarmSummary.of(seen),
+                None if seen is None else SwarmSummary(**seen),
             )
         )
 
