@@ -10,7 +10,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
-from swarmabs_core.behaviours.steered import Orders
+from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,

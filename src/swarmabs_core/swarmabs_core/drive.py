@@ -84,6 +84,15 @@ class DoubleIntegratorDrive(NamedTuple):
         )
 
 
+def ideal_drive(
+    kind: Kind, period: float, mass: float, damping: float
+) -> SingleIntegratorDrive | DoubleIntegratorDrive:
+    """Return the drive that a robot's law expects; period in s, mass in kg, damping in N s/m."""
+    if kind is Kind.SINGLE_INTEGRATOR:
+        return SingleIntegratorDrive(period)
+    return DoubleIntegratorDrive.of(period, mass, damping)
+
+
 @dataclass(frozen=True, slots=True)
 class Lag:
     r"""First-order lag of an actuator, :math:`T \dot x = u - x`, for a command u that is held.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.declaration import setting
-from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.drive import SingleIntegratorDrive, ideal_drive
 from swarmabs_core.messages import Kind
 from swarmabs_core.swarm_law import LAWS
 
@@ -72,11 +72,7 @@ class RobotController:
 
     def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits, plane_length: float) -> None:
         self.follow = LAWS.make(law, settings, robot)
-        self.ideal: SingleIntegratorDrive | DoubleIntegratorDrive
-        if robot.kind is Kind.SINGLE_INTEGRATOR:
-            self.ideal = SingleIntegratorDrive(robot.period)
-        else:
-            self.ideal = DoubleIntegratorDrive.of(robot.period, robot.mass, robot.damping)
+        self.ideal = ideal_drive(robot.kind, robot.period, robot.mass, robot.damping)
         self.mass = robot.mass
         self.braking_time = max(BRAKING_TIME, robot.period)
         self._kind = robot.kind

@@ -5,8 +5,7 @@ from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
 from swarmabs_core.behaviours.plane import Plane, PlaneConfig
-from swarmabs_core.behaviours.steered import Steered
-from swarmabs_core.behaviours.steering_controller import Decision, Request, SteeringConfig, SteeringController
+from swarmabs_core.behaviours.steering import Decision, Request, Steered, SteeringConfig, SteeringController
 from swarmabs_core.robot_controller import Limits
 
 __all__ = [

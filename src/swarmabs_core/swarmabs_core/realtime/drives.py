@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 from swarmabs_core.declaration import made_of, parameters_of
-from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.drive import ideal_drive
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Settings
@@ -82,12 +82,7 @@ class SimulatedDrive:
     """A body that moves exactly as the law expects."""
 
     def __init__(self, body: Body) -> None:
-        period = body.schedule.period_ns / 1e9
-        self._model = (
-            SingleIntegratorDrive(period)
-            if body.kind is Kind.SINGLE_INTEGRATOR
-            else DoubleIntegratorDrive.of(period, body.mass, body.damping)
-        )
+        self._model = ideal_drive(body.kind, body.schedule.period, body.mass, body.damping)
         self._schedule = body.schedule
         self._position, self._velocity = body.position, body.velocity
         self._command = 0.0
