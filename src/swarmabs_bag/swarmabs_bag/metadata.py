@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from swarmabs_bag.run_folder import write_whole
 from swarmabs_config.graph import Qos
 from swarmabs_config.scenario.errors import ScenarioError
 from swarmabs_config.scenario.yaml_tree import read_tree
@@ -202,23 +202,8 @@ def bag_metadata(
 
 
 def write_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, whole or not at all: under a temporary name, to the disk, then renamed."""
-    path = folder / METADATA_FILE
-    temporary = path.with_suffix(".yaml.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(dump_yaml({"rosbag2_bagfile_information": metadata}))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    """Write ``metadata.yaml``, whole or not at all, also if power fails."""
+    write_whole(folder / METADATA_FILE, dump_yaml({"rosbag2_bagfile_information": metadata}).encode(), sync=True)
 
 
 def load_yaml(text: str) -> Any:

@@ -75,6 +75,12 @@ def write_whole(path: Path, content: bytes, *, mode: int = 0o666, sync: bool = F
                 file.flush()
                 os.fsync(file.fileno())
         part.replace(path)
+        if sync:
+            folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
     finally:
         with suppress(OSError):
             part.unlink()

@@ -84,17 +84,7 @@ def _clock(manifest: Manifest) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class ClockState:
-    """How well this host's clock agrees with its time source.
-
-    Parameters
-    ----------
-    source : str
-        Who says so.
-    synchronised : bool
-        Whether the clock follows a time source.
-    bound : float, optional
-        Largest error of the clock, s, if it is known.
-    """
+    """Whether this host's clock follows a time source, who says so, and its largest error, s, if that is known."""
 
     source: str
     synchronised: bool

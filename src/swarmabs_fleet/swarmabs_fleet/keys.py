@@ -41,17 +41,12 @@ _RESTORE = "restore it, or remove it and deploy anew"
 
 
 class Keys:
-    """What is secret or signed, by name; each thing is made at its first use and never again.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder, made if it does not exist.
+    """What is secret or signed, by name, in a folder; each thing is made at its first use and never again.
 
     Raises
     ------
     InputError
-        If others may read it, or it cannot be used.
+        If others may read the folder, or it cannot be used.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -88,13 +83,7 @@ class Keys:
             raise InputError(f"{path} cannot be read: {error.strerror}; check the path and its permissions") from error
 
     def write(self, name: str, content: bytes) -> None:
-        """Keep something under a name, whole or not at all.
-
-        Raises
-        ------
-        RunError
-            If it cannot be written.
-        """
+        """Keep something under a name, whole or not at all; a `RunError` is raised if it cannot be written."""
         path = self.folder / name
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

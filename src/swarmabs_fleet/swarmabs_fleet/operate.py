@@ -133,14 +133,7 @@ class OperatorClient:
         self._target = target
 
     def call(self, service: str, patience: float) -> None:
-        """Call a ``std_srvs/Trigger`` service.
-
-        Parameters
-        ----------
-        service : str
-            Name relative to the swarm's namespace.
-        patience : float
-            Time, s, within which it must be found, and then answer.
+        """Call a ``std_srvs/Trigger`` service below the swarm's namespace that is found, and then answers, in time (s).
 
         Raises
         ------

@@ -22,24 +22,13 @@ LONGEST_REASON = 300
 
 
 class Task(NamedTuple):
-    """A case as a worker gets it, plain texts and numbers.
-
-    Parameters
-    ----------
-    scenario : str
-        The scenario in YAML.
-    case : int
-        Number of the case.
-    overrides : tuple of str
-        Overrides ``a.b=v`` of the scenario.
-    angle_max : float
-        Bound of the angle for the estimates of the region of attraction, rad.
-    """
+    """A case as a worker gets it: the scenario in YAML and its overrides ``a.b=v``."""
 
     scenario: str
     case: int
     overrides: tuple[str, ...]
     angle_max: float
+    """Bound of the angle for the estimates of the region of attraction, rad."""
 
 
 def evaluate(task: Task) -> str:

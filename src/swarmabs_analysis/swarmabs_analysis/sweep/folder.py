@@ -18,7 +18,6 @@ from swarmabs_bag.run_folder import new_run_folder, next_run_folder, write_whole
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from typing_extensions import Self
@@ -36,14 +35,10 @@ class SweepFolder:
         self.results, self.summary = path / "results.parquet", path / "summary.json"
         self.journal = path / "cases.jsonl"
         """The finished cases of a sweep that is not complete."""
-        self._rows: dict[int, dict[str, Any]] = {}
+        self.rows: dict[int, dict[str, Any]] = {}
+        """The finished cases by index."""
         self._journal = -1
         self._synced = time.monotonic()
-
-    @property
-    def rows(self) -> Mapping[int, dict[str, Any]]:
-        """The finished cases by index."""
-        return self._rows
 
     def complete(self) -> dict[str, Any] | None:
         """Return the summary of a sweep that is complete, else None."""
@@ -80,7 +75,7 @@ class SweepFolder:
     def read(self) -> None:
         """Read the finished cases, and cut off what a crash has left after them."""
         os.lseek(self._journal, 0, os.SEEK_SET)
-        self._rows.clear()
+        self.rows.clear()
         good = 0
         with open(self._journal, "rb", closefd=False) as file:
             for line in file:
@@ -91,7 +86,7 @@ class SweepFolder:
                     break
                 if not line.endswith(b"\n"):
                     break
-                self._rows[index] = row
+                self.rows[index] = row
                 good += len(line)
         os.ftruncate(self._journal, good)
         os.lseek(self._journal, good, os.SEEK_SET)
@@ -113,7 +108,7 @@ class SweepFolder:
                 self._synced = now
         except OSError as error:
             raise RunError(f"{self.journal}: {error.strerror}; free space, then go on with --resume") from error
-        self._rows[row["case"]] = row
+        self.rows[row["case"]] = row
         return row
 
     def write_whole(self, path: Path, content: bytes) -> None:

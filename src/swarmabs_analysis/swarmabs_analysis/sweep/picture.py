@@ -163,7 +163,7 @@ def _fields(axes: Axes, points: _Points) -> None:
     np.maximum.at(worst, (line, column), points.rank)
     colours = ListedColormap([LOOKS[name][0] for name in OUTCOMES])
     norm = BoundaryNorm(np.arange(len(OUTCOMES) + 1) - 0.5, len(OUTCOMES))
-    axes.pcolormesh(_edges(columns), _edges(lines), worst, cmap=colours, norm=norm, rasterized=True)
+    axes.pcolormesh(columns, lines, worst, cmap=colours, norm=norm, shading="nearest", rasterized=True)
 
 
 def _markers(axes: Axes, points: _Points) -> None:
@@ -222,12 +222,6 @@ def _handle(name: str, *, fields: bool) -> Patch | Line2D:
     return Line2D(
         [], [], linestyle="none", marker=MARKERS[name], markerfacecolor=colour, markeredgecolor=BLACK, label=text
     )
-
-
-def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the borders of the fields around ascending values."""
-    middles = (values[1:] + values[:-1]) / 2.0
-    return np.concatenate([[2.0 * values[0] - middles[0]], middles, [2.0 * values[-1] - middles[-1]]])
 
 
 def _label(path: str) -> str:

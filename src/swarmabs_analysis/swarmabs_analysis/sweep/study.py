@@ -263,14 +263,9 @@ class Study:
 
 
 def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Study:
-    """Read a sweep file and its scenario.
+    """Read a sweep file in YAML, whose stem is the default of ``name``, and its scenario.
 
-    Parameters
-    ----------
-    path : path-like
-        A YAML file in UTF-8; its stem is the default of ``name``.
-    overrides : sequence of str
-        Overrides ``a.b=v`` of the scenario; they come after those of the file.
+    Overrides ``a.b=v`` of the scenario come after those of the file.
 
     Raises
     ------
