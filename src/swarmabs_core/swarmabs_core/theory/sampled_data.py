@@ -34,6 +34,7 @@ Loop: TypeAlias = Callable[[float, int], Matrix]
 
 LONGEST_PERIOD = 10.0
 LONGEST_DELAY = 100
+"""Limits of period (s) and delay (steps) are looked for up to these; one that is equal to its own is none."""
 
 
 def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matrix:
@@ -58,8 +59,8 @@ def is_stable(matrix: Matrix) -> bool:
     return bool(np.isfinite(matrix).all()) and bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
 
 
-def largest_period(loop: Loop, delay: int = 0) -> float | None:
-    """Return the period (s) from which on the loop is unstable: 0 if none is stable, None if all up to 10 s are."""
+def largest_period(loop: Loop, delay: int = 0) -> float:
+    """Return the period (s) from which on the loop is unstable: 0 if none is stable, `LONGEST_PERIOD` if all are."""
     shortest = 1e-5
     periods = np.geomspace(shortest, LONGEST_PERIOD, 241)
     low = 0.0
@@ -68,7 +69,7 @@ def largest_period(loop: Loop, delay: int = 0) -> float | None:
             break
         low = high
     else:
-        return None
+        return LONGEST_PERIOD
     if low == 0.0:
         return 0.0
     while high - low > 1e-9 * high:
@@ -77,15 +78,10 @@ def largest_period(loop: Loop, delay: int = 0) -> float | None:
     return low
 
 
-def largest_delay(loop: Loop, period: float) -> int | None:
-    """Return the largest delay, in steps of `period` (s), up to which the loop is stable.
-
-    It is -1 if the loop is unstable without delay, and None if it is stable up to 100 steps.
-    """
-    for delay in range(LONGEST_DELAY + 1):
-        if not is_stable(loop(period, delay)):
-            return delay - 1
-    return None
+def largest_delay(loop: Loop, period: float) -> int:
+    """Return the largest delay, in steps of `period` (s), up to which the loop is stable; -1 if it never is."""
+    delays = range(LONGEST_DELAY + 1)
+    return next((delay for delay in delays if not is_stable(loop(period, delay))), LONGEST_DELAY + 1) - 1
 
 
 def single_integrator_loop(gain: float) -> Loop:
@@ -178,23 +174,20 @@ def sampled_conditions(setting: Setting) -> Iterator[Condition]:
     for name, loop, note in _loops(setting):
         # Beyond the longest one no delay is within its limit, and the matrix of the loop may be too large.
         considered = min(delay, LONGEST_DELAY)
-        period = largest_period(loop, considered)
-        steps = largest_delay(loop, step)
-        bound = LONGEST_PERIOD if period is None else period
+        bound, longest = largest_period(loop, considered), largest_delay(loop, step)
         yield Condition(
             f"period, {name}",
             None,
             Form(f"step < limit with a delay of {considered}", step, bound, "<"),
             {"period": step, "largest_period": bound, "delay": considered},
-            note if period is not None else f"stable up to {bound:g} s; {note}",
+            note if bound < LONGEST_PERIOD else f"stable up to {bound:g} s; {note}",
         )
-        longest = LONGEST_DELAY if steps is None else steps
         yield Condition(
             f"delay, {name}",
             None,
             Form(f"delay <= limit at {step:g} s, in steps", delay, longest, "<="),
             {"delay": delay, "largest_delay": longest, "period": step},
-            note if steps is not None else f"stable up to {longest} steps; {note}",
+            note if longest < LONGEST_DELAY else f"stable up to {longest} steps; {note}",
         )
     if setting.has_double:
         yield _added_damping(setting)
@@ -240,11 +233,11 @@ def _linear_law(setting: Setting) -> tuple[Pair, Pair, str] | None:
 def _added_damping(setting: Setting) -> Condition:
     """Return the condition on the robots' own damping k_sd, which acts on the velocity of the step."""
     period, ksd = setting.period, setting.gains.ksd
-    limits = []
-    for robot in setting.robots:
-        if robot.kind is Kind.DOUBLE_INTEGRATOR:
-            limit = largest_period(added_damping_loop(robot.mass, robot.damping, ksd))
-            limits.append((LONGEST_PERIOD if limit is None else limit, robot.agent_id))
+    limits = [
+        (largest_period(added_damping_loop(robot.mass, robot.damping, ksd)), robot.agent_id)
+        for robot in setting.robots
+        if robot.kind is Kind.DOUBLE_INTEGRATOR
+    ]
     least, slowest = min(limits)
     return Condition(
         "period, added damping",
