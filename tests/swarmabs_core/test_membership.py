@@ -31,7 +31,7 @@ def test_scheduled_change(change: Change, publishes: list[int], first: int, even
     for step in steps:
         assert membership.publishing(step) == ((1, 2, 3) if step in publishes else (1, 3))
     assert {step: membership.changes(step) for step in range(20) if membership.changes(step)} == {first: [event]}
-    assert membership.stays(2) is (change.kind in {KILL, FREEZE})
+    assert membership.span(2).stays is (change.kind in {KILL, FREEZE})
 
 
 def test_robot_that_joins_and_leaves() -> None:
@@ -75,7 +75,7 @@ def test_an_earlier_end_stands() -> None:
     assert membership.changes(6) == [(2, EventKind.LEFT, "leave")]
     membership.end(2, 3, stays=True, reason="stalled")
     assert membership.changes(4) == [(2, EventKind.DEAD, "stalled")]
-    assert membership.stays(2)
+    assert membership.span(2).stays
 
 
 @pytest.mark.parametrize(("kind", "stays"), [(EventKind.DEAD, True), (EventKind.LEFT, False)])
@@ -83,7 +83,7 @@ def test_announced_end(kind: EventKind, stays: bool) -> None:  # noqa: FBT001 - 
     membership = member()
     membership.apply(kind, 2, 7, "stalled")
     assert [membership.publishes(2, step) for step in (6, 7)] == [True, False]
-    assert membership.stays(2) is stays
+    assert membership.span(2).stays is stays
 
 
 def test_other_events_and_strangers_change_nothing() -> None:

@@ -23,7 +23,7 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Membership
+from swarmabs_core.membership import Membership, Span
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Status, SwarmEvent
 
 if TYPE_CHECKING:
@@ -248,9 +248,9 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
     def first_missing(topic: Topic, start: int) -> int:
         missing = []
         for agent in members if topic is AGENT_STATE else (0,):
-            begin, end = membership.span(agent) if agent else (0, None)
-            last = scenario.steps if end is None else min(end, scenario.steps)
-            step = found.get((topic, agent), _Spans()).first_missing(max(begin, start))
+            span = membership.span(agent) if agent else Span()
+            last = scenario.steps if span.last is None else min(span.last, scenario.steps)
+            step = found.get((topic, agent), _Spans()).first_missing(max(span.first, start))
             missing.append(step if step <= last else scenario.steps + 1)
         return min(missing)
 

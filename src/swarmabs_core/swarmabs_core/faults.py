@@ -190,7 +190,7 @@ class RobotFault(Fault):
 
     def announced(self) -> tuple[tuple[float, str], ...]:
         """Return value and text of the events that announce it: its first setting, if it is not 0, and the text."""
-        value = float(next(iter(self.effect().values())))
+        value = float(next(iter(self.effect().values()), 1.0))
         return ((value, self.announcement.format(self)),) if value else ()
 
     def loses(self, draw: str) -> bool:  # noqa: ARG002

@@ -82,8 +82,11 @@ def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Chang
 
 
 @dataclass(slots=True)
-class _Span:
-    """First and last step at which a robot publishes, and whether its weight stays on the plane then."""
+class Span:
+    """First and last step (None: not known) at which a robot publishes, and whether its weight stays on the plane then.
+
+    The first is `UNPLANNED` if nobody knows it.
+    """
 
     first: int = 0
     last: int | None = None
@@ -91,22 +94,15 @@ class _Span:
     reason: str = ""
 
     def covers(self, step: int) -> bool:
+        """Tell whether the robot publishes its state of a step."""
         return self.first <= step and (self.last is None or step <= self.last)
 
 
 class Membership:
-    """Membership of the swarm by step.
-
-    Parameters
-    ----------
-    members : iterable of int
-        Ids of all robots that ever take part.
-    schedule : iterable of Change
-        Scheduled changes; a robot without a ``join`` takes part from step 0.
-    """
+    """Membership by step of all robots that ever take part, from step 0 those without a scheduled ``join``."""
 
     def __init__(self, members: Iterable[int], schedule: Iterable[Change] = ()) -> None:
-        self._spans = {agent_id: _Span() for agent_id in sorted(members)}
+        self._spans = {agent_id: Span() for agent_id in sorted(members)}
         self._cached: tuple[int, tuple[int, ...]] = (-1, ())
         for change in sorted(schedule):
             if change.agent_id not in self._spans:
@@ -120,10 +116,6 @@ class Membership:
             self._cached = (-1, ())
         else:
             self.end(change.agent_id, change.step, stays=change.kind.stays, reason=change.kind.value)
-
-    def _end(self, span: _Span, last: int, *, stays: bool, reason: str) -> None:
-        span.last, span.stays, span.reason = last, stays, reason
-        self._cached = (-1, ())
 
     def __contains__(self, agent_id: object) -> bool:
         return agent_id in self._spans
@@ -139,18 +131,9 @@ class Membership:
         span = self._spans.get(agent_id)
         return span is not None and span.covers(step)
 
-    def span(self, agent_id: int) -> tuple[int, int | None]:
-        """Return the first and the last step of which a robot publishes its state; None: no last one is known."""
-        span = self._spans[agent_id]
-        return span.first, span.last
-
-    def first(self, agent_id: int) -> int:
-        """Return the first step at which a robot publishes its state; `UNPLANNED` if nobody knows."""
-        return self._spans[agent_id].first
-
-    def stays(self, agent_id: int) -> bool:
-        """Tell whether a robot that publishes no more remains on the plane."""
-        return self._spans[agent_id].stays
+    def span(self, agent_id: int) -> Span:
+        """Return when a robot publishes its states."""
+        return self._spans[agent_id]
 
     def changes(self, step: int) -> list[tuple[int, EventKind, str]]:
         """Return robot, kind and reason of every change that holds from a step on, by robot id."""
@@ -166,7 +149,8 @@ class Membership:
         """Note that a robot publishes its last state at step `last`; an earlier end that is known stands."""
         span = self._spans[agent_id]
         if span.last is None or span.last > last:
-            self._end(span, last, stays=stays, reason=reason)
+            span.last, span.stays, span.reason = last, stays, reason
+            self._cached = (-1, ())
 
     def apply(self, kind: int, agent_id: int, step: int, reason: str) -> None:
         """Take over a change that the observer has announced; `step` is the first at which it holds."""

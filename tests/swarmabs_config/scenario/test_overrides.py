@@ -4,19 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_config.scenario import (
-    AriseConfig,
-    Constant,
-    Generate,
-    LqrConfig,
-    PdConfig,
-    Scenario,
-    ScenarioError,
-    Sine,
-    load_scenario,
-    parse_scenario,
-)
+from swarmabs_config.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
+from swarmabs_config.scenario.agents import Generate
+from swarmabs_config.scenario.controllers import AriseConfig, LqrConfig, PdConfig
 from swarmabs_core.faults import LossFault
+from swarmabs_core.trajectory import Constant, Sine
 
 TEXT = """\
 schema: 1

@@ -9,32 +9,17 @@ from pydantic import ValidationError
 
 from swarmabs_config.scenario import (
     Agent,
-    AriseConfig,
-    Constant,
-    ControllerConfig,
-    CsvTrajectory,
-    Disturbance,
-    DoubleIntegratorAgent,
-    Generate,
-    Limits,
-    Lockstep,
-    LqrConfig,
-    Manifold,
-    PdConfig,
-    Plane,
-    QuinticStep,
     Scenario,
     ScenarioError,
-    Sine,
-    SingleIntegratorAgent,
-    Swarm,
-    SwarmGains,
     dump_scenario,
     load_scenario,
     parse_scenario,
     yaml_tree,
 )
-from swarmabs_config.scenario.model import is_name
+from swarmabs_config.scenario.agents import DoubleIntegratorAgent, Generate, SingleIntegratorAgent
+from swarmabs_config.scenario.controllers import AriseConfig, ControllerConfig, CsvTrajectory, LqrConfig, PdConfig
+from swarmabs_config.scenario.model import Swarm, is_name
+from swarmabs_core.behaviours.base import Lockstep
 from swarmabs_core.faults import (
     ClockOffsetFault,
     DelayFault,
@@ -48,6 +33,11 @@ from swarmabs_core.faults import (
     LossFault,
     ReorderingFault,
 )
+from swarmabs_core.manifold import Manifold
+from swarmabs_core.plant import Disturbance, Plane
+from swarmabs_core.robot_controller import Limits
+from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.trajectory import Constant, QuinticStep, Sine
 
 numbers = st.floats(-1e12, 1e12)
 small = st.floats(-1.0, 1.0)

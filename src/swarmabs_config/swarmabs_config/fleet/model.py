@@ -33,7 +33,7 @@ from swarmabs_config.scenario.fields import (
     problem,
     raise_findings,
 )
-from swarmabs_config.scenarios import DottedPath
+from swarmabs_config.scenarios import DEFAULT, DottedPath
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -51,7 +51,7 @@ class Fleet(Model):
         default="2026-01-01T00:00:00Z", description="time of step 0 in UTC; the same on all hosts, in the past"
     )
     scenario: str = Field(
-        default="pd_het_4",
+        default=DEFAULT,
         description="plane, controller, gains and realtime limits: a built-in scenario, or a file, relative to this",
     )
     settings: dict[DottedPath, Any] = Field(

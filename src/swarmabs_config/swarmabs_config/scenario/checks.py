@@ -97,22 +97,19 @@ def _ids(scenario: "Scenario") -> Iterator[Finding]:
 
 def _positions(scenario: "Scenario") -> Iterator[Finding]:
     half = scenario.plane.length / 2
-    remedy = f"keep it within +-{half!r} m, or lengthen the plane ('plane.length')"
+    placed: list[tuple[Location, float]] = [
+        (("swarm", "agents", index, "position"), agent.position)
+        for index, agent in enumerate(scenario.swarm.agents or ())
+    ]
     if scenario.swarm.generate is not None:
-        distance = max((abs(agent.position) for agent in scenario.agents), default=0.0)
-        if distance > half:
+        farthest = max((abs(agent.position) for agent in scenario.agents), default=0.0)
+        placed = [(("swarm", "generate", "position"), farthest)]
+    for location, position in placed:
+        if abs(position) > half:
             yield Finding.of(
-                ("swarm", "generate", "position"),
-                f"{distance!r} m is off the plane, whose half length is {half!r} m",
-                remedy,
-            )
-        return
-    for index, agent in enumerate(scenario.swarm.agents or ()):
-        if abs(agent.position) > half:
-            yield Finding.of(
-                ("swarm", "agents", index, "position"),
-                f"{agent.position!r} m is off the plane, whose half length is {half!r} m",
-                remedy,
+                location,
+                f"{position!r} m is off the plane, whose half length is {half!r} m",
+                f"keep it within +-{half!r} m, or lengthen the plane ('plane.length')",
             )
 
 

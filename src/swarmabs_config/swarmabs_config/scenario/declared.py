@@ -5,7 +5,7 @@ is checked, its schema, and how it is written.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from inspect import cleandoc
 from types import MappingProxyType
@@ -121,35 +121,27 @@ def declared_field(declaration: type, description: str, alias: str | None = None
 
 
 def model_of_table(
-    title: str, base: type[ModelT], settings: Iterable[Parameter], last: Mapping[str, Any], **fields: Any
-) -> type[ModelT]:
-    """Return the model of a plug-in's settings: dotted names become nested mappings; further `fields`, then `last`."""
-    return _model(title, base, [(setting.name, setting) for setting in settings], last, **fields)
-
-
-def _model(
     title: str,
     base: type[ModelT],
-    settings: Iterable[tuple[str, Parameter]],
+    settings: Iterable[Parameter],
     last: Mapping[str, Any] = MappingProxyType({}),
     **fields: Any,
 ) -> type[ModelT]:
-    """Return a model of settings, each given with the rest of its name below this model."""
-    by_head: dict[str, list[tuple[str, Parameter]]] = {}
-    for name, setting in settings:
-        head, _, rest = name.partition(".")
-        by_head.setdefault(head, []).append((rest, setting))
+    """Return the model of a plug-in's settings: dotted names become nested mappings; further `fields`, then `last`."""
+    by_head: dict[str, list[Parameter]] = {}
+    for setting in settings:
+        head, _, rest = setting.name.partition(".")
+        by_head.setdefault(head, []).append(replace(setting, name=rest))
     for head, group in by_head.items():
-        rest, setting = group[0]
-        if rest:
-            inner = _model(f"{title}_{head}", Model, group)
-            field: Any = (inner, Field(default=inner(), alias=head, description=f"settings {head} of {title}"))
-        else:
-            field = (
-                _of_parameter(setting),
-                Field(default=setting.default, alias=head, description=setting.description),
+        if group[0].name:
+            inner = model_of_table(f"{title}_{head}", Model, group)
+            fields[_field_of(head)] = (
+                inner,
+                Field(default=inner(), alias=head, description=f"settings {head} of {title}"),
             )
-        fields[_field_of(head)] = field
+        else:
+            content = Field(default=group[0].default, alias=head, description=group[0].description)
+            fields[_field_of(head)] = (_of_parameter(group[0]), content)
     return create_model(title, __base__=base, **fields, **last)
 
 

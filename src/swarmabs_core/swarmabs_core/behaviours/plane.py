@@ -184,7 +184,8 @@ class Plane:
         still = {
             agent_id: load
             for agent_id, load in self._loads.items()
-            if not self._membership.publishes(agent_id, self._gathering.step - 1) and self._membership.stays(agent_id)
+            if not self._membership.publishes(agent_id, self._gathering.step - 1)
+            and self._membership.span(agent_id).stays
         }
         self._loads = {s.agent_id: _Load(s.kind, s.mass, s.position, s.velocity) for s in states} | still
 

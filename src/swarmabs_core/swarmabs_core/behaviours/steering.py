@@ -101,7 +101,7 @@ class SteeringController:
     @property
     def absent(self) -> tuple[int, ...]:
         """Ids of the robots that may be added."""
-        return tuple(i for i in self._config.members if self._membership.first(i) == UNPLANNED)
+        return tuple(i for i in self._config.members if self._membership.span(i).first == UNPLANNED)
 
     def setting(self, action: Action) -> float:
         """Return what is set in that step: the offset (rad) of `REFERENCE`, the torque (N m) of `DISTURBANCE`."""
@@ -178,7 +178,7 @@ class SteeringController:
     def _must_wait(self, request: Request) -> bool:
         """Tell whether a request has to wait for the next step: where the scenario sets the same, and after a join."""
         if request.action in ENDS:
-            return 0 < self._membership.first(request.agent_id) == self._step - 1
+            return 0 < self._membership.span(request.agent_id).first == self._step - 1
         return request.action in self._settings and self._settings[request.action].changing(self._step) is not None
 
     def _problem(self, request: Request, step: int) -> str:
@@ -197,7 +197,7 @@ class SteeringController:
             others = f"those that can be added are {_listed(absent)}" if absent else "there is none that can be added"
             return f"robot {agent_id} is there by the scenario, or was added before; {others}"
         there = self._membership.publishing(step)
-        if agent_id not in there or self._membership.first(agent_id) >= step:
+        if agent_id not in there or self._membership.span(agent_id).first >= step:
             return f"robot {agent_id} does not take part at step {step}; those that do are {_listed(there)}"
         # Robots may end later by plan, and leave this one alone.
         steps = {step, *(change.step + 1 for change in self._config.schedule if step <= change.step < self._last)}
