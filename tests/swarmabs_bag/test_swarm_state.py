@@ -178,7 +178,7 @@ def test_strangers_cannot_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(made.robots) == 50
     assert len(made.events) == MOST_EVENTS
     assert made.event_count == 10 * MOST_EVENTS
-    assert len(made._events.known) <= 4 * MOST_EVENTS
+    assert len(made._known_events) <= 4 * MOST_EVENTS
     assert len(made._steps) <= module.PENDING
 
 

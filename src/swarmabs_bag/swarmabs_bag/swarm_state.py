@@ -8,9 +8,9 @@ network, and takes messages in any order and with gaps.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args, overload
 
 from swarmabs_config import configure
@@ -210,7 +210,7 @@ class RobotHistory:
         if not known or known[-1].step < state.step:
             known.append(state)
         else:
-            place = bisect_left(known, state.step, key=_step_of)
+            place = bisect_left(known, state.step, key=attrgetter("step"))
             if known[place].step != state.step:
                 known.insert(place, state)
         del known[: -self._most_states]
@@ -262,7 +262,7 @@ class RobotHistory:
     def shown(self, robot: int, step: int) -> ShownRobot:
         """Return what is shown of a robot in a step."""
         known = self._states.get(robot, [])
-        place = bisect_right(known, step, key=_step_of)
+        place = bisect_right(known, step, key=attrgetter("step"))
         return shown_robot(self.out(robot, step), known[place - 1] if place else None, step)
 
 
@@ -275,31 +275,6 @@ class _Step:
     desired: DesiredAbstractState | None = None
 
 
-@dataclass(slots=True)
-class _Events:
-    """The latest events, each once, and how many there were in all."""
-
-    latest: list[TimedEvent] = field(default_factory=list)
-    count: int = 0
-    known: dict[tuple[int, int, int, str], None] = field(default_factory=dict)
-
-    def is_new(self, event: SwarmEvent) -> bool:
-        """Note an event; return False if it was there already: the same one may come more than once."""
-        key = (event.step, event.agent_id, event.kind, event.detail)
-        if key in self.known:
-            return False
-        self.known[key] = None
-        if len(self.known) > 4 * MOST_EVENTS:
-            del self.known[next(iter(self.known))]
-        return True
-
-    def add(self, event: SwarmEvent, time: float) -> None:
-        """Keep an event at its time, s."""
-        self.latest.append(TimedEvent(event, time))
-        self.count += 1
-        del self.latest[:-MOST_EVENTS]
-
-
 class SwarmState:
     """What is known of a swarm now.
 
@@ -308,7 +283,7 @@ class SwarmState:
 
     Robots that are not known beforehand are added when they are heard. The reference gets the offsets that are
     announced. With a control period, times are those of the steps, whatever the clocks say that stamp the messages.
-    `version` changes with everything that comes.
+    `version` changes with everything that comes; `events` are the latest, in the order of their arrival.
     """
 
     def __init__(
@@ -320,13 +295,15 @@ class SwarmState:
     ) -> None:
         self.robots = list(robots)
         self.version = 0
+        self.events: list[TimedEvent] = []
+        self.event_count = 0
         self._ids = {robot.id for robot in robots}
         self._history = RobotHistory([robot.id for robot in robots], [robot.id for robot in robots if robot.joins])
         self._reference = reference
         self._period_ns = period_ns
         self._begun: Basis | None = None
         self._first_stamp: int | None = None
-        self._events = _Events()
+        self._known_events: dict[tuple[int, int, int, str], None] = {}
         self._plane: PlaneState | None = None
         self._shown = _Step()
         self._steps: dict[int, _Step] = {}
@@ -345,16 +322,6 @@ class SwarmState:
     def step(self) -> int | None:
         """The latest step of the plane that was heard, None before the first."""
         return None if self._plane is None else self._plane.step
-
-    @property
-    def events(self) -> Sequence[TimedEvent]:
-        """The latest events, in the order of their arrival."""
-        return self._events.latest
-
-    @property
-    def event_count(self) -> int:
-        """How many events there were in all."""
-        return self._events.count
 
     def add(self, message: Message) -> Instant | None:
         """Take a message, and return the step that it completes, if it does.
@@ -409,9 +376,15 @@ class SwarmState:
         self._history.add(state)
 
     def _happened(self, event: SwarmEvent) -> None:
-        if not self._events.is_new(event):
+        key = (event.step, event.agent_id, event.kind, event.detail)
+        if key in self._known_events:  # the same one may come more than once
             return
-        self._events.add(event, self._time(event))
+        self._known_events[key] = None
+        if len(self._known_events) > 4 * MOST_EVENTS:
+            del self._known_events[next(iter(self._known_events))]
+        self.events.append(TimedEvent(event, self._time(event)))
+        del self.events[:-MOST_EVENTS]
+        self.event_count += 1
         if self._reference is not None:
             self._reference.hear(event)
         self._history.take(event)
@@ -454,10 +427,6 @@ class SwarmState:
         if begun > plane.step:
             return None
         return self._reference(self._time(plane._replace(step=plane.step - begun)))
-
-
-def _step_of(state: AgentState) -> int:
-    return state.step
 
 
 def _newer(message: Message, known: Message | None) -> bool:

@@ -96,8 +96,7 @@ def lines_over_time(
     With `positive`, only values above 0 are drawn, by decades if they ask for it.
     """
 
-    def draw(figure: FigureBase) -> None:
-        axes = figure.add_subplot()
+    def draw(axes: Axes) -> Sequence[Line2D]:
         for line in lines:
             time = recorded.arrays.time if line.rows is None else recorded.arrays.time[line.rows]
             values = np.where(line.values > 0, line.values, np.nan) if positive else line.values
@@ -109,19 +108,28 @@ def lines_over_time(
         axes.set_ylabel(label)
         if positive:
             _by_decades(axes, np.concatenate([line.values for line in lines]))
-        finish(axes, recorded, axes.lines)
+        return axes.lines
 
-    return draw
+    return _over_time(recorded, draw)
 
 
 def pair_over_time(recorded: Recorded, draw_pair: Callable[[Axes, RecordedRun], tuple[Axes, Axes]]) -> Draw:
     """Return what draws two quantities with an axis each, as a figure of the paper has them."""
 
-    def draw(figure: FigureBase) -> None:
-        axes = figure.add_subplot()
+    def draw(axes: Axes) -> Sequence[Line2D]:
         pair = draw_pair(axes, recorded.run)
         same_limits([pair])
-        finish(axes, recorded, [line for one in pair for line in one.lines])
+        return [line for one in pair for line in one.lines]
+
+    return _over_time(recorded, draw)
+
+
+def _over_time(recorded: Recorded, draw_in: Callable[[Axes], Sequence[Line2D | Patch]]) -> Draw:
+    """Return what draws a panel over time; `draw_in` returns what is named in its legend."""
+
+    def draw(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        finish(axes, recorded, draw_in(axes))
 
     return draw
 
@@ -165,15 +173,13 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
 def mass_density(recorded: Recorded) -> Draw:
     """Return what draws where the mass of the robots is."""
 
-    def draw(figure: FigureBase) -> None:
-        axes = figure.add_subplot()
+    def draw(axes: Axes) -> Sequence[Line2D]:
         time_axis(axes, float(recorded.arrays.time[-1]))
-        bar = density(axes, recorded)
-        figure.colorbar(bar, ax=axes, label="kg per mm", pad=0.01)
+        axes.figure.colorbar(density(axes, recorded), ax=axes, label="kg per mm", pad=0.01)
         axes.set_ylabel("position p, m")
-        finish(axes, recorded, [])
+        return []
 
-    return draw
+    return _over_time(recorded, draw)
 
 
 def grid_over_time(recorded: Recorded, quantities: Mapping[str, tuple[Floats, str]]) -> Draw:
@@ -198,8 +204,7 @@ def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw
     """
     time, agents = recorded.arrays.time, recorded.arrays.agents
 
-    def rows(figure: FigureBase) -> None:
-        axes = figure.add_subplot()
+    def rows(axes: Axes) -> Sequence[Patch]:
         ends = np.append(time[1:], time[-1])
         for flags, colour in looks.values():
             for column in range(len(agents.ids)):
@@ -211,19 +216,16 @@ def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw
         axes.set_yticks(range(len(agents.ids)), [str(number) for number in agents.ids.tolist()])
         axes.set_ylim(len(agents.ids) - 0.4, -0.6)
         axes.set_ylabel("robot")
-        finish(
-            axes, recorded, [Patch(color=colour, label=name) for name, (flags, colour) in looks.items() if flags.any()]
-        )
+        return [Patch(color=colour, label=name) for name, (flags, colour) in looks.items() if flags.any()]
 
-    def counts(figure: FigureBase) -> None:
-        axes = figure.add_subplot()
+    def counts(axes: Axes) -> Sequence[Line2D]:
         for (name, (flags, colour)), dashes in zip(looks.items(), ("-", DASHED, DOTTED), strict=True):
             axes.step(time, flags.sum(axis=1), where="post", color=colour, linestyle=dashes, label=name)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("robots")
-        finish(axes, recorded, axes.lines)
+        return axes.lines
 
-    return rows if len(agents.ids) <= ROWS else counts
+    return _over_time(recorded, rows if len(agents.ids) <= ROWS else counts)
 
 
 def abstract_space(recorded: Recorded, masses: Sequence[float]) -> Draw:
@@ -255,32 +257,13 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
             torque, inner, outer, color=ORANGE, alpha=0.25, linewidth=0.0, label="A_P", where=outer > inner
         )
     on_manifold = np.clip(torque, -manifold.torque_max, manifold.torque_max)
-    axes.plot(
-        on_manifold,
-        [manifold.inertia(t) for t in on_manifold.tolist()],
-        color=GREEN,
-        linewidth=1.8,
-        label="manifold",
-    )
-    axes.plot(arrays.abstract.torque, arrays.abstract.inertia, color=BLUE, linewidth=0.9, label="actual")
-    axes.plot(
-        arrays.desired.torque,
-        arrays.desired.inertia,
-        color=BLACK,
-        linestyle=DOTTED,
-        linewidth=1.3,
-        label="desired",
-    )
+    inertia = [manifold.inertia(t) for t in on_manifold.tolist()]
+    axes.plot(on_manifold, inertia, color=GREEN, linewidth=1.8, label="manifold")
+    actual, desired = states
+    axes.plot(actual.torque, actual.inertia, color=BLUE, linewidth=0.9, label="actual")
+    axes.plot(desired.torque, desired.inertia, color=BLACK, linestyle=DOTTED, linewidth=1.3, label="desired")
     for row, marker, name in ((0, "o", "start"), (-1, "s", "end")):
-        axes.plot(
-            arrays.abstract.torque[row],
-            arrays.abstract.inertia[row],
-            linestyle="none",
-            marker=marker,
-            markersize=4.5,
-            color=VERMILION,
-            label=name,
-        )
+        axes.plot(actual.torque[row], actual.inertia[row], marker, markersize=4.5, color=VERMILION, label=name)
     axes.set(xlabel="torque τ, N m", ylabel="inertia J, kg m²", xlim=(-reach, reach), ylim=(0.0, high))
     axes.grid(visible=True)
     _legend(axes, axes.get_legend_handles_labels()[0])
