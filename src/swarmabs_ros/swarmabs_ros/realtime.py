@@ -20,7 +20,7 @@ from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.timing import Reading, StepClock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from rclpy.publisher import Publisher
 
@@ -50,6 +50,16 @@ def read_clocks() -> Reading:
         if time.monotonic_ns() - steady < _PAIRED:
             break
     return Reading(system, steady)
+
+
+def arrived(receiver: Receiver, depths: Mapping[Topic, int]) -> Iterator[tuple[Topic, bytes]]:
+    """Take what has arrived on topics, of each so much at most as may wait: a flood does not delay what comes next."""
+    for topic, depth in depths.items():
+        for _ in range(depth):
+            data = receiver.take(topic)
+            if data is None:
+                break
+            yield topic, data
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,18 +267,13 @@ class RealtimeLoop:
             self._hear(engine, self._read().system)
 
     def _hear(self, engine: Engine, now: int) -> None:
-        """Hear what has arrived, so much at most as may wait: a flood does not keep the step from being made."""
-        for topic, depth in engine.depths.items():
-            for _ in range(depth):
-                data = engine.receiver.take(topic)
-                if data is None:
-                    break
-                try:
-                    message = decode(topic.message, data)
-                except MalformedMessageError as error:
-                    self.refused += 1
-                    self.refusal = str(error)
-                    continue
+        for topic, data in arrived(engine.receiver, engine.depths):
+            try:
+                message = decode(topic.message, data)
+            except MalformedMessageError as error:
+                self.refused += 1
+                self.refusal = str(error)
+            else:
                 self._publish(engine, engine.behaviour.hear(message, now))
 
     @staticmethod
@@ -284,12 +289,9 @@ class RealtimeLoop:
     def _activate(self) -> None:
         if self._engine is None:
             raise RunError("there is nothing to activate")
-        for topic, depth in self._engine.depths.items():
-            if topic is EVENTS:  # kept for those who come late, whatever their age
-                continue
-            for _ in range(depth):  # what has waited until now is old
-                if self._engine.receiver.take(topic) is None:
-                    break
+        # What has waited until now is old; events are kept for those who come late, whatever their age.
+        for _ in arrived(self._engine.receiver, {t: n for t, n in self._engine.depths.items() if t is not EVENTS}):
+            pass
         self._engine.clock.start(self._read())
         # What is there now stays: the collector need not go through it again while steps are made.
         gc.collect()

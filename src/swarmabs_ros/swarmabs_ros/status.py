@@ -88,19 +88,15 @@ def notify(state: str) -> None:
         return
 
 
-def watchdog_interval() -> int:
-    """Return half the time, ns, after which systemd takes this process to hang; 0 if it does not watch it."""
-    if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
-        return 0
-    text = os.environ.get("WATCHDOG_USEC", "")
-    return int(text) * 1000 // 2 if text.isdecimal() else 0
-
-
 class Heartbeat:
     """Tells systemd, where it watches this process, that its loop goes round."""
 
     def __init__(self) -> None:
-        self._interval, self._due = watchdog_interval(), 0
+        watched = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        microseconds = os.environ.get("WATCHDOG_USEC", "")
+        # Half the time, ns, after which systemd takes this process to hang; 0: it does not watch it.
+        self._interval = int(microseconds) * 1000 // 2 if watched and microseconds.isdecimal() else 0
+        self._due = 0
 
     def beat(self, now: int) -> None:
         """Tell it if that is due; `now` is the steady time, ns."""

@@ -25,6 +25,7 @@ from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
 from swarmabs_ros.parameters import declare
+from swarmabs_ros.realtime import arrived
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.start import SwarmNode, run_program
@@ -100,17 +101,13 @@ class RealtimeRecorder:
             self._diagnostics.publish(diagnostic_array(self._name, recording.health(), time.time_ns()))
 
     def _drain(self, recording: RealtimeRecording) -> None:
-        for topic, depth in self._depths.items():
-            for _ in range(depth):
-                payload = self._receiver.take(topic)
-                if payload is None:
-                    break
-                try:
-                    record = Record.heard(topic, payload)
-                except MalformedMessageError:
-                    self.malformed += 1
-                else:
-                    recording.add(record, time.time_ns())
+        for topic, payload in arrived(self._receiver, self._depths):
+            try:
+                record = Record.heard(topic, payload)
+            except MalformedMessageError:
+                self.malformed += 1
+            else:
+                recording.add(record, time.time_ns())
 
 
 def _folder(settings: Settings, scenario: Scenario) -> Path | None:

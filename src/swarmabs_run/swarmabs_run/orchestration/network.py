@@ -175,9 +175,7 @@ def profile_xml(
         address=_LOOPBACK,
         participant=participant,
         discovery=Discovery(peers=announced),
-        lease=REALTIME_LEASE if realtime else 3600,
-        announcement=1 if realtime else 2,
-        liveliness=realtime,
+        realtime=realtime,
         group={"variable": GROUP_VARIABLE, "port": ports.multicast_port(domain)} if multicast else None,
     )
 
@@ -189,14 +187,12 @@ def network_profile_xml(address: str, discovery: Discovery, participant: str = F
         address=address,
         participant=participant,
         discovery=discovery,
-        lease=REALTIME_LEASE,
-        announcement=1,
-        liveliness=True,
+        realtime=True,
         group=None,
     )
 
 
 @cache
 def _template() -> Template:
-    known = {"ports": vars(ports), "prefix": _SERVER_PREFIX}
+    known = {"ports": vars(ports), "prefix": _SERVER_PREFIX, "lease": REALTIME_LEASE}
     return templates("swarmabs_run").get_template("fastdds.xml.j2", globals=known)
