@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,13 @@ from tests.swarmabs_core.realtime.test_drives import STANDING
 from tests.swarmabs_ros.nodes import given, realtime_settings_from, started_node
 
 from agent_node.realtime import PARAMETERS, drive_of
-from agent_node.topic_drive import TopicDrive, TopicLink, Wiring
+from agent_node.topic_drive import TopicDrive, TopicLink
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.drives import TOPIC, Measurement, SimulatedDrive
+from swarmabs_core.realtime.instruments import Joint, TiltSensor, TopicSettings
 from swarmabs_ros.endpoints import LoopGroup
 from swarmabs_ros.parameters import given_values, table_of
 
@@ -102,24 +104,26 @@ class Base:
         return taken[0]
 
 
-WIRING = Wiring("odometry", "~/odom", "~/imu", "twist", "~/cmd_vel", "base_link", "wheel", True, False)
+SETTINGS = TopicSettings(
+    topic="~/odom", command="twist", command_topic="~/cmd_vel", joint=Joint("wheel"), imu=TiltSensor("~/imu")
+)
 
 
 @pytest.mark.usefixtures("ros")
 @pytest.mark.parametrize(
-    ("wiring", "message"),
+    ("command", "kind", "message"),
     [
-        (WIRING, TwistStamped),
-        (WIRING._replace(command="force", single_integrator=False), Float64),
-        (WIRING._replace(command="joint"), JointState),
-        (WIRING._replace(command="joint", single_integrator=False), JointState),
+        ("twist", Kind.SINGLE_INTEGRATOR, TwistStamped),
+        ("force", Kind.DOUBLE_INTEGRATOR, Float64),
+        ("joint", Kind.SINGLE_INTEGRATOR, JointState),
+        ("joint", Kind.DOUBLE_INTEGRATOR, JointState),
     ],
     ids=["twist", "force", "joint velocity", "joint effort"],
 )
-def test_commands_arrive_as_stock_messages(wiring: Wiring, message: Any) -> None:
+def test_commands_arrive_as_stock_messages(command: str, kind: Kind, message: Any) -> None:
     with started_node(name="agent_001") as node:
         base = Base(node, message, "/agent_001/cmd_vel")
-        link = TopicLink(wiring, node)
+        link = TopicLink(replace(SETTINGS, command=command), kind, node)
         deadline = time.monotonic() + 10.0
         while link._publisher.get_subscription_count() < 1:
             assert time.monotonic() < deadline, "endpoints do not meet"
@@ -136,7 +140,7 @@ def test_commands_arrive_as_stock_messages(wiring: Wiring, message: Any) -> None
             assert [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z] == [0.125, 0, 0, 0, 0, 0]
         else:
             assert list(found.name) == ["wheel"]
-            rates, efforts = ([0.125], []) if wiring.single_integrator else ([], [0.125])
+            rates, efforts = ([0.125], []) if kind is Kind.SINGLE_INTEGRATOR else ([], [0.125])
             assert (list(found.position), list(found.velocity), list(found.effort)) == ([], rates, efforts)
 
 
@@ -144,7 +148,7 @@ def test_commands_arrive_as_stock_messages(wiring: Wiring, message: Any) -> None
 def test_what_the_body_s_sensors_say_arrives() -> None:
     with started_node(name="agent_001") as node:
         base = Base(node, TwistStamped, "~/cmd_vel")
-        link = TopicLink(WIRING, node)
+        link = TopicLink(SETTINGS, Kind.DOUBLE_INTEGRATOR, node)
         deadline = time.monotonic() + 10.0
         while any(base.publishers[name].get_subscription_count() < 1 for name in ("odom", "imu")):
             assert time.monotonic() < deadline, "endpoints do not meet"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from tests.swarmabs_ros.bodies import EPOCH, SECOND, imu, lane, odometry
 
-from agent_node.topic_drive import TopicDrive, Wiring
+from agent_node.topic_drive import TopicDrive
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Value
@@ -32,13 +32,13 @@ class Wire:
     def __init__(self) -> None:
         self.arrived: list[Reading] = []
         self.sent: list[float] = []
-        self.wiring: Wiring | None = None
+        self.settings = TopicSettings()
 
     def connect(self, settings: TopicSettings, body: Body) -> TopicDrive:
         return TopicDrive(settings, body, self.wired)  # type: ignore[arg-type]
 
-    def wired(self, wiring: Wiring) -> Wire:
-        self.wiring = wiring
+    def wired(self, settings: TopicSettings) -> Wire:
+        self.settings = settings
         return self
 
     def take(self) -> Sequence[Reading]:
@@ -170,8 +170,7 @@ def test_a_base_is_not_told_forces_when_its_motion_is_not_known() -> None:
 def test_without_its_own_imu_or_as_a_single_integrator_nothing_is_added() -> None:
     for kind, given_ in ((DI, {"gravity": "none"}), (SI, {})):
         drive, wire = made(kind, **given_)
-        assert wire.wiring is not None
-        assert wire.wiring.imu_topic == ""
+        assert wire.settings.gravity == "none"
         assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0)) == pytest.approx((EPOCH, 0.1, 0.0))
         drive.write(0.3, EPOCH)
         assert wire.sent == [0.3]
@@ -248,17 +247,16 @@ def test_an_imu_that_cannot_be_vouched_for(reading: Reading, reason: str) -> Non
 
 
 def test_topics_and_their_defaults() -> None:
-    _, wire = made(SI)
-    assert wire.wiring == Wiring("odometry", "~/odom", "", "twist", "~/cmd_vel", "base_link", "", True, False)
-    _, wire = made(
-        DI, source="joint_state", command="joint", joint__name="cart", stamp="arrival", topic="rail", imu__topic="tilt"
-    )
-    assert wire.wiring == Wiring(
-        "joint_state", "rail", "tilt", "joint", "~/joint_command", "base_link", "cart", False, True
-    )
-    _, wire = made(DI)
-    assert wire.wiring is not None
-    assert (wire.wiring.command, wire.wiring.command_topic, wire.wiring.imu_topic) == ("force", "~/force", "~/imu")
+    def wired(kind: Kind, **given: Value) -> tuple[str, ...]:
+        settings = made(kind, **given)[1].settings
+        return settings.topic, settings.command, settings.command_topic, settings.gravity, settings.imu.topic
+
+    assert wired(SI) == ("~/odom", "twist", "~/cmd_vel", "none", "~/imu")
+    assert wired(DI) == ("~/odom", "force", "~/force", "imu", "~/imu")
+    joint: dict[str, Value] = {"source": "joint_state", "command": "joint", "joint__name": "cart"}
+    assert wired(DI, **joint) == ("~/joint_states", "joint", "~/joint_command", "imu", "~/imu")
+    named: dict[str, Value] = {"topic": "rail", "command_topic": "push", "imu__topic": "tilt"}
+    assert wired(DI, **joint, **named) == ("rail", "joint", "push", "imu", "tilt")
 
 
 @pytest.mark.parametrize(

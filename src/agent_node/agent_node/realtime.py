@@ -43,7 +43,7 @@ def _topic_drive(settings: TopicSettings, body: Body, node: RealtimeNode) -> Dri
         TopicLink,
     )
 
-    return TopicDrive(settings, body, lambda wiring: TopicLink(wiring, node, node.loop_group))
+    return TopicDrive(settings, body, lambda resolved: TopicLink(resolved, body.kind, node, node.loop_group))
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:

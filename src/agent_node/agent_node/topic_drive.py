@@ -7,8 +7,9 @@ against it (facing -1); commands are given along it. Its nose rises by facing ti
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import copysign, cos, sin
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
@@ -47,25 +48,6 @@ if TYPE_CHECKING:
 
 TURN_ROUND = 500_000_000
 """Shortest time in which a body turns round, ns; meanwhile it stands across the lane, of which nothing is taken."""
-
-
-class Wiring(NamedTuple):
-    """What the drive wants to be connected to; an empty topic means none.
-
-    `command` is ``twist``, ``force`` or ``joint``; with `arrival`, a reading's stamp is the time of its arrival.
-    """
-
-    source: str
-    topic: str
-    imu_topic: str
-    command: str
-    command_topic: str
-    command_frame: str
-    joint: str
-    single_integrator: bool
-    arrival: bool
-
-
 COMMAND = QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.RELIABLE)
 """What is offered to the base: a reliable writer serves both kinds of readers, and only the newest command counts."""
 
@@ -75,14 +57,15 @@ _TYPES: dict[str, Any] = {"twist": TwistStamped, "force": Float64, "joint": Join
 class TopicLink:
     """Subscriptions of a topic drive, in a group that no executor may serve, and its publisher."""
 
-    def __init__(self, wiring: Wiring, node: Node, group: CallbackGroup | None = None) -> None:
-        self._wiring = wiring
+    def __init__(self, settings: TopicSettings, kind: Kind, node: Node, group: CallbackGroup | None = None) -> None:
+        self._settings = settings
+        self._kind = kind
         self._clock = node.get_clock()
-        arrival = wiring.arrival
-        self._sensors = [SensorSubscription(node, wiring.source, wiring.topic, group, arrival=arrival)]
-        if wiring.imu_topic:
-            self._sensors.append(SensorSubscription(node, "imu", wiring.imu_topic, group, arrival=arrival))
-        self._publisher = node.create_publisher(_TYPES[wiring.command], wiring.command_topic, COMMAND)
+        arrival = settings.stamp == "arrival"
+        self._sensors = [SensorSubscription(node, settings.source, settings.topic, group, arrival=arrival)]
+        if settings.gravity == "imu":
+            self._sensors.append(SensorSubscription(node, "imu", settings.imu.topic, group, arrival=arrival))
+        self._publisher = node.create_publisher(_TYPES[settings.command], settings.command_topic, COMMAND)
 
     def take(self) -> list[Reading]:
         """Return what the sensors have said since the last call."""
@@ -93,18 +76,18 @@ class TopicLink:
         self._publisher.publish(self._message(value))
 
     def _message(self, value: float) -> Any:
-        wiring = self._wiring
-        if wiring.command == "force":
+        settings = self._settings
+        if settings.command == "force":
             return Float64(data=value)
         stamp = self._clock.now().to_msg()
-        if wiring.command == "twist":
+        if settings.command == "twist":
             twist = TwistStamped()
-            twist.header.stamp, twist.header.frame_id = stamp, wiring.command_frame
+            twist.header.stamp, twist.header.frame_id = stamp, settings.command_frame
             twist.twist.linear.x = value
             return twist
-        joint = JointState(name=[wiring.joint])
+        joint = JointState(name=[settings.joint.name])
         joint.header.stamp = stamp
-        if wiring.single_integrator:
+        if self._kind is Kind.SINGLE_INTEGRATOR:
             joint.velocity = [value]
         else:
             joint.effort = [value]
@@ -124,23 +107,23 @@ class TopicDrive:
         If the type of the command does not suit the robot's kind.
     """
 
-    def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[Wiring], TopicLink]) -> None:
-        self._settings, self._body = settings, body
+    def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[TopicSettings], TopicLink]) -> None:
         self._single = body.kind is Kind.SINGLE_INTEGRATOR
-        wiring = _wiring(settings, single_integrator=self._single)
+        settings = _resolved(settings, single_integrator=self._single)
+        self._settings, self._body = settings, body
         self._axis, self._sign = signed_axis(settings.axis)
         self._least_cosine = cos(settings.heading_tolerance)
         tolerance, bandwidth, imu = settings.clock_tolerance, settings.bandwidth, settings.imu
         self._track = Track(settings.max_speed, settings.max_jump, tolerance, bandwidth)
-        self._to_joint = wiring.command == "joint"
+        self._to_joint = settings.command == "joint"
         self._facing = -1.0 if settings.reversed else 1.0
         self._faced: int | None = None
-        self._weighs = bool(wiring.imu_topic)
+        self._weighs = settings.gravity == "imu"
         self._tilt = Track(imu.max_rate, imu.max_jump, tolerance, bandwidth)
         self._imu_axis, self._imu_sign = signed_axis(imu.axis)
         self._age_limit = round(settings.age_limit * 1e9)
         self.refused = RefusedReadings()
-        self._link = connect(wiring)
+        self._link = connect(settings)
 
     def read(self, now: int) -> Measurement | None:
         """Take over what has arrived, and return the newest measurement."""
@@ -249,8 +232,9 @@ class TopicDrive:
         self._tilt.offer(reading.stamp, imu.offset + angle, rate, now)
 
 
-def _wiring(settings: TopicSettings, *, single_integrator: bool) -> Wiring:
-    source, command, joint = settings.source, settings.command, settings.joint.name
+def _resolved(settings: TopicSettings, *, single_integrator: bool) -> TopicSettings:
+    """Return the settings with the command that suits the robot, and with names of all topics."""
+    command = settings.command
     if command == "auto":
         command = "twist" if single_integrator else "force"
     if command == "twist" and not single_integrator:
@@ -259,15 +243,11 @@ def _wiring(settings: TopicSettings, *, single_integrator: bool) -> Wiring:
         )
     topics = {"odometry": "~/odom", "joint_state": "~/joint_states"}
     commands = {"twist": "~/cmd_vel", "force": "~/force", "joint": "~/joint_command"}
-    weighs = not single_integrator and settings.gravity == "imu"
-    return Wiring(
-        source=source,
-        topic=settings.topic or topics[source],
-        imu_topic=(settings.imu.topic or "~/imu") if weighs else "",
+    return replace(
+        settings,
+        topic=settings.topic or topics[settings.source],
         command=command,
         command_topic=settings.command_topic or commands[command],
-        command_frame=settings.command_frame,
-        joint=joint,
-        single_integrator=single_integrator,
-        arrival=settings.stamp == "arrival",
+        gravity="none" if single_integrator else settings.gravity,
+        imu=replace(settings.imu, topic=settings.imu.topic or "~/imu"),
     )
