@@ -103,7 +103,7 @@ class RecordedRun:
 
 
 def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun:
-    """Find out what a bag holds of a run that shall be repeated.
+    """Find out what a bag holds of a run that is to be repeated.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
 
 
 def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Iterator[str]:
-    """Yield what happened to a run that its scenario does not say, and note ends of robots that nobody had planned.
+    """Yield what happened to a run that its scenario does not say, and note ends of robots that were not planned.
 
     What was done from outside is part of the scenario already, unless the run could not be steered.
     """

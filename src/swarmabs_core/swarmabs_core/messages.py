@@ -60,7 +60,7 @@ class EventKind(IntEnum):
 
 
 class Source(IntEnum):
-    """Whose answer a basis belongs to (``Basis.source``)."""
+    """Whose answer a provenance belongs to (``Basis.source``)."""
 
     OBSERVER = 1
     PLANE = 2

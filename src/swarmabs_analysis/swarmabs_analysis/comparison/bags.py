@@ -267,7 +267,7 @@ def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[Setti
 
 
 def _told(first: Difference) -> dict[str, Any]:
-    """Return the first difference as data; what stands there of a message that one of them lacks is not told."""
+    """Return the first difference as data; the fields of a message that one of them lacks are not told."""
     place = {"topic": first.topic, "step": first.step, "agent": first.agent or 0}
     if first.missing is not None:
         return {**place, "field": None, "a": None, "b": None, "missing": first.missing}

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
 
 SLICE = 0.1
-"""Longest time, s, for which the playback does not look whether it shall end."""
+"""Longest time, s, after which the playback looks whether it is asked to end."""
 ACKNOWLEDGED = 2.0
 """Longest time, s, that reliable readers have at the end to acknowledge what they have received."""
 USUAL_QOS = 10

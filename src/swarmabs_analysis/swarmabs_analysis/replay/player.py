@@ -1,7 +1,7 @@
 """The player of a recorded run: it stands in for all nodes but those that are tried out on the recording.
 
-What it publishes is what was recorded, so a replay is open loop: the nodes under test answer, and nobody reacts to
-their answers but other nodes under test.
+What it publishes is what was recorded, so a replay is open loop: the nodes under test answer, and only other
+nodes under test react to their answers.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Player:
 
     Nodes under test that lack nothing but each other's messages do not wait for the player, and it may be any number of
     steps behind them, without some of what they have said. An answer therefore stands for all before it: whoever has
-    given it had done with those steps. What is checked instead is that nobody has answered what is only published now.
+    given it had done with those steps. What is checked instead is that none has answered what is only published now.
 
     The recorded steps are in order, up to `last_step`, with which the replay ends. It may be `window` steps ahead of
     its recorder; 0 if none reports how far it is. The player listens to the topics that it `hears`.
@@ -155,7 +155,7 @@ class Player:
     def _said(self, key: _Key) -> bool:
         """Tell whether a message, or one that cannot have come before it, was heard.
 
-        A robot that has ended repeats nothing; but nobody has gathered the states of a step without its own.
+        A robot that has ended repeats nothing; but no coordinator has gathered the states of a step without its own.
         """
         if self._heard.get((key.topic, key.agent_id), -1) >= key.step:
             return True

@@ -1,4 +1,4 @@
-"""A recorded run as a source of messages: its scenario, its complete steps, and what nobody had planned."""
+"""A recorded run as a source of messages: its scenario, its complete steps, and unplanned ends of robots."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Every message of a run in real time, recomputed from what its sender had (docs/realtime.md).
 
 What a node hears in real time depends on the network. So each message names what it was computed from: a robot's state
-the step of the broadcasts, a coordinator's answer has a basis. From these the same pure functions that run in the nodes
-compute it again. What was lost on its way to the recorder cannot be used; what would need it is counted, not judged.
+the step of the broadcasts, a coordinator's answer its provenance. From these the same pure functions that run in the
+nodes compute it again. What was lost on its way to the recorder cannot be used; what would need it is counted, not
+judged.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         passed = min(state.step - before.step, drives.MOST_STEPS)
         places = [self._moved((before.position, before.velocity), passed, state.command)]
         if state.broadcast_step == NEVER and state.command == 0.0:
-            # Stopped at once, or in a process that has begun anew.
+            # Stopped at once, or in a process that was restarted.
             places += [self._moved((before.position, 0.0), passed, 0.0), self._start]
         there = next((p for p in places if p == (state.position, state.velocity)), places[0])
         return state._replace(position=there[0], velocity=there[1])
@@ -284,7 +284,7 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         yield None if None in wrong else wrong[0]
 
     def _places(self, provenance: Basis, last: tuple[int, float, float] | None) -> list[tuple[float, float]]:
-        """Return the true states in which the plane may be: one, but for a plane that has begun anew."""
+        """Return the true states in which the plane may be: one, but for a plane that was restarted."""
         step, since, begun = provenance.step, provenance.since, provenance.begun
         self._refuse_wrong_stamp(provenance)
         if since == NEVER:

@@ -192,7 +192,7 @@ class RealtimeController:
         since = NEVER if self._first_step is None else self._law_step
         if self._first_step is None:
             self._first_step, self._law_step = plane.step, plane.step - 1
-        basis = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, (), (), ())
+        provenance = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, (), (), ())
         events: list[Message] = []
         period = self._config.schedule.period_ns
         try:
@@ -204,7 +204,7 @@ class RealtimeController:
         except RunError as error:
             return self._change(Mode.STOP, now, str(error))
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
-        return (*events, basis, self._asked)
+        return (*events, provenance, self._asked)
 
     def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
         """Return the wish that robots keep still, of a step."""

@@ -176,7 +176,7 @@ class RealtimeObserver:
             return events
         self._started = True
         standing = [i for i, role in self.roles.items() if role is Role.SILENT]
-        return (*events, self._basis(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
+        return (*events, self._provenance(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
 
     def halt(self) -> None:
         """Take all robots to stand where they were heard last, until they are heard again."""
@@ -225,7 +225,7 @@ class RealtimeObserver:
         if silent and event.kind == EventKind.LEFT and event.detail == CARRIED_AWAY:
             self._states[event.agent_id] = self._states[event.agent_id]._replace(status=Status.LEFT)
 
-    def _basis(self, standing: Collection[int], step: int, now: int) -> Basis:
+    def _provenance(self, standing: Collection[int], step: int, now: int) -> Basis:
         """Return of which steps the states are that are summed up, and who is taken to stand."""
         ids = tuple(i for i, state in sorted(self._states.items()) if state.status != Status.LEFT)
         steps = tuple(self._steps[agent_id] for agent_id in ids)

@@ -188,7 +188,7 @@ class RealtimePlane:
         self._before, self._last_step = robots, step
         rate = 0.0 if self._released is None else self._angular_velocity
         state = PlaneState(now, step, *self._motion.measured(self._angle, rate, step))
-        return (*events, self._basis(step, now, since), state)
+        return (*events, self._provenance(step, now, since), state)
 
     def halt(self) -> None:
         """Hold the plane where it is."""
@@ -213,7 +213,7 @@ class RealtimePlane:
         """Return the newest states of those who are on the plane."""
         return {i: state for i, state in self._newest.items() if state.status != Status.LEFT}
 
-    def _basis(self, step: int, now: int, since: int | None) -> Basis:
+    def _provenance(self, step: int, now: int, since: int | None) -> Basis:
         """Return from where the plane has moved, and under which states of the robots."""
         states = sorted(self._before.items())
         return Basis(
