@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import Ending, Verdict
+from swarmabs_analysis.verification.base import Verdict
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.attached import (
@@ -88,7 +88,7 @@ class BagToVerify:
                 self._bag.check()
             except DamagedBagError as error:
                 found.problem = str(error)
-        verification.finish(Ending.CUT if cut else Ending.WHOLE if found.ended_early is None else Ending.EARLY)
+        verification.finish(whole=not cut and found.ended_early is None)
         if cut or found.difference is not None:
             found.digest = None
         elif found.digest is not None:

@@ -18,7 +18,7 @@ from tests.plugin_packages import SCALED, install
 from tests.swarmabs_core.helpers import builtin, digest
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import Ending, Verdict
+from swarmabs_analysis.verification.base import Verdict
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
@@ -106,11 +106,11 @@ def recorded(*named: str) -> tuple[Stored, ...]:
     return tuple(record(world(*named)))
 
 
-def verify(scenario: Scenario, bag: Iterable[Stored], ending: Ending = Ending.WHOLE, tolerance: float = 0.0) -> Verdict:
+def verify(scenario: Scenario, bag: Iterable[Stored], *, whole: bool = True, tolerance: float = 0.0) -> Verdict:
     verification = LockstepVerification(scenario, tolerance=tolerance)
     for stored in bag:
         verification.add(*stored)
-    verification.finish(ending)
+    verification.finish(whole=whole)
     return verification.found
 
 
@@ -399,7 +399,7 @@ def test_a_run_that_ended_early_is_verified_as_far_as_it_goes() -> None:
     named = WORLDS["faults"]
     scenario, bag = world(*named), recorded(*named)
     early = [stored for stored in bag if stored.message.step <= 40]
-    found = verify(scenario, early, Ending.EARLY)
+    found = verify(scenario, early, whole=False)
     assert (found.difference, found.steps) == (None, 41)
     unsaid = first_difference(scenario, early)
     assert place(unsaid) == ("swarm/agent_state", 41, None, "message")
@@ -410,34 +410,33 @@ def test_a_bag_that_is_cut_off_anywhere_is_verified_up_to_there() -> None:
     named = WORLDS["faults"]
     scenario, bag = world(*named), recorded(*named)
     for length in range(0, len(bag), 7):
-        found = verify(scenario, bag[:length], Ending.CUT)
+        found = verify(scenario, bag[:length], whole=False)
         assert found.difference is None
         rest = [s for s in bag[:length] if s.message.step >= found.steps]
         assert found.messages >= length - len(rest)
         assert len({s.message.step for s in rest}) <= 1
     changed = [*bag[:200], bag[200].changed(stamp=1), *bag[201:203]]
-    assert verify(scenario, changed, Ending.CUT).difference is not None
+    assert verify(scenario, changed, whole=False).difference is not None
 
 
-@pytest.mark.parametrize("ending", [Ending.EARLY, Ending.CUT])
-def test_a_bag_that_says_so_may_break_off_within_its_last_step(ending: Ending) -> None:
+def test_a_bag_that_says_so_may_break_off_within_its_last_step() -> None:
     named = ("pd_het_4", SHORT)
     scenario, bag = world(*named), recorded(*named)
     begin = next(n for n, s in enumerate(bag) if s.message.step == 40)
     for length in range(9):
-        found = verify(scenario, bag[: begin + length], ending)
+        found = verify(scenario, bag[: begin + length], whole=False)
         assert found.difference is None
         assert (found.steps, found.messages) == (40 + (length == 8), begin + length)
-        assert found.digest == verify(scenario, bag[: begin + 8 * (length == 8)], Ending.EARLY).digest
+        assert found.digest == verify(scenario, bag[: begin + 8 * (length == 8)], whole=False).digest
     for n in range(begin, begin + 7):  # what is there of it is still compared
         part = [*bag[:n], bag[n].changed(stamp=1), *bag[n + 1 : begin + 7]]
-        found_there = first_difference(scenario, part, ending=ending)
+        found_there = first_difference(scenario, part, whole=False)
         assert place(found_there) == (bag[n].topic.name, 40, agent_id_of(bag[n].message) or None, "stamp")
     for n in (begin + 1, begin + 4, begin + 6):  # a hole is no end
         hole = [*bag[:n], *bag[n + 1 : begin + 8]]
-        assert place(first_difference(scenario, hole, ending=ending))[:2] == (bag[n].topic.name, 40)
+        assert place(first_difference(scenario, hole, whole=False))[:2] == (bag[n].topic.name, 40)
         before = [*bag[: n - 8], *bag[n - 7 : begin + 5]]
-        assert place(first_difference(scenario, before, ending=ending))[:2] == (bag[n].topic.name, 39)
+        assert place(first_difference(scenario, before, whole=False))[:2] == (bag[n].topic.name, 39)
     unsaid = first_difference(scenario, bag[: begin + 2])
     assert place(unsaid) == ("swarm/agent_state", 40, 3, "message")
 
@@ -466,7 +465,7 @@ def test_a_run_that_had_to_fail_cannot_go_on(monkeypatch: pytest.MonkeyPatch) ->
     assert "1.5 rad" in found.reason
     assert found.step is not None
     before = [stored for stored in bag if stored.message.step < found.step]
-    assert verify(scenario, before, Ending.EARLY).difference is None
+    assert verify(scenario, before, whole=False).difference is None
 
 
 def auxiliary(bag: Sequence[Stored], step: int) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from swarmabs_analysis.difference import PAYLOAD, Difference, in_hex
@@ -19,17 +18,6 @@ if TYPE_CHECKING:
 
 Finding: TypeAlias = "Difference | str | None"
 """None if a message is right, else what is wrong, or why it cannot be checked."""
-
-
-class Ending(Enum):
-    """How a bag ends."""
-
-    WHOLE = "whole"
-    """With the last step of the scenario."""
-    EARLY = "early"
-    """Before, and it says so: its run failed or was interrupted, or its recorder came to an end within a step."""
-    CUT = "cut"
-    """Anywhere: the rest was lost."""
 
 
 @dataclass(slots=True)
@@ -164,5 +152,5 @@ class Verification(ABC):
         return judged
 
     @abstractmethod
-    def finish(self, ending: Ending) -> None:
-        """Judge what is left at the end of the bag."""
+    def finish(self, *, whole: bool = True) -> None:
+        """Judge what is left at the end of the bag, which is whole if nothing says why it ends before its run."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
-from swarmabs_analysis.verification.base import Ending, Verification
+from swarmabs_analysis.verification.base import Verification
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_core.behaviours import Observer
 from swarmabs_core.cdr import agent_id_of, encode
@@ -37,7 +37,7 @@ _MOST_PER_MEMBER = 8
 
 
 class Slot:
-    """What a bag has of one step: messages by topic, what is none, and how many a step has once each are `present`."""
+    """What a bag has of one step: messages by topic, and what is none; `present` counts those that a step has once."""
 
     __slots__ = ("found", "malformed", "present")
 
@@ -104,9 +104,9 @@ class Window:
         else:
             slot.add(found)
 
-    def get(self, step: int) -> Slot:
-        """Return the slot of a step."""
-        return self._slots.get(step) or Slot()
+    def present(self, step: int) -> int:
+        """Return how many of the messages that a step has once are there."""
+        return self._slots[step].present if step in self._slots else 0
 
     def take(self, step: int) -> Slot:
         """Return the slot of a step, and forget it."""
@@ -162,18 +162,18 @@ class LockstepVerification(Verification):
             while self.found.difference is None and self._ready():
                 self._judge_step(last=False)
 
-    def finish(self, ending: Ending) -> None:
+    def finish(self, *, whole: bool = True) -> None:
         """Judge what is left at the end of the bag."""
-        found, early = self.found, ending is not Ending.WHOLE
+        found = self.found
         while found.difference is None and len(self._window) and not self._ended:
-            self._judge_step(last=early and self._window.newest == self.step)
-        if found.difference is None and self.step <= self._scenario.steps and not early:
+            self._judge_step(last=not whole and self._window.newest == self.step)
+        if found.difference is None and self.step <= self._scenario.steps and whole:
             reason = "the bag ends here and does not say why"
             found.difference = Difference(AGENT_STATE.name, self.step, None, MESSAGE, None, None, reason)
         if found.difference is None and self._beyond is not None:
             step, beyond = self._beyond
             found.difference = _unasked(beyond, step, "it is not a step of the run")
-        late = [event for event in self._late.values() if not early or event.step < self.step - WINDOW]
+        late = [event for event in self._late.values() if whole or event.step < self.step - WINDOW]
         if late:
             first = min(late, key=lambda event: event.step)
             known = found.difference
@@ -187,7 +187,7 @@ class LockstepVerification(Verification):
         if newest <= step:
             return self._window.full
         whole = len(self._expected.get(AGENT_STATE, ())) + len(MAIN_TOPICS[1:])
-        return self._window.full or newest > step + WINDOW or self._window.get(step).present >= whole
+        return self._window.full or newest > step + WINDOW or self._window.present(step) >= whole
 
     def _judge_step(self, *, last: bool) -> None:
         slot = self._window.take(self.step)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wrong_padding
-from swarmabs_analysis.verification.base import Ending, Verification
+from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.history import WAIT, History, wrong_stamp
 from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
 from swarmabs_bag.realtime import MEMORY
@@ -76,7 +76,7 @@ class RealtimeVerification(Verification):
             self._judged = now - MEMORY
         self._judge_until(self._newest - WAIT)
 
-    def finish(self, ending: Ending = Ending.WHOLE) -> None:  # noqa: ARG002 - a bag in real time may end anywhere
+    def finish(self, *, whole: bool = True) -> None:  # noqa: ARG002 - a bag in real time may end anywhere
         """Judge what is left at the end of the bag."""
         self._judge_until(max(self._history.steps, default=-1) + 1)
 
