@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from tests.swarmabs_bag.sample_run import write_bag
 
-from swarmabs_analysis.comparison.bags import compare_bags
+from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.rerun import recorded_run
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.attached import provenance

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmabs_analysis.comparison.bags import compare_bags
+from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import attached_provenance, attached_scenario

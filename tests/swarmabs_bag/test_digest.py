@@ -11,7 +11,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from swarmabs_analysis.comparison.bags import compare_bags
+from swarmabs_analysis.comparison import compare_bags
 from swarmabs_bag.arrays import digest_of, load_tables
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.messages import PLANE_STATE, Message

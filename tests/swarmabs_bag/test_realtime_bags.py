@@ -18,7 +18,7 @@ from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_core.realtime.bags import LATENCY, Stored, world
 from tests.virtual_fleet import EPOCH
 
-from swarmabs_analysis.comparison.bags import compare_bags
+from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.export.arrays import export_arrays
 from swarmabs_analysis.export.tables import export_tables
 from swarmabs_analysis.replay.source import open_source

@@ -10,13 +10,8 @@ import numpy as np
 import pytest
 from tests.swarmabs_bag.sample_run import AGENTS, changed, make_run, make_step
 
-from swarmabs_analysis.comparison.messages import (
-    FieldDeviation,
-    MessageComparison,
-    TopicComparison,
-    compare_steps,
-    recorded_steps,
-)
+from swarmabs_analysis.comparison import compare_steps, recorded_steps
+from swarmabs_analysis.comparison.messages import FieldDeviation, MessageComparison, TopicComparison
 from swarmabs_analysis.difference import Difference
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
