@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -52,7 +53,7 @@ def test_complete_bag(bag: Path, run: list[Message]) -> None:
 
 
 def test_information_is_plain_data(bag: Path) -> None:
-    found = json.loads(json.dumps(bag_info(bag).to_dict(), allow_nan=False))
+    found = json.loads(json.dumps(asdict(bag_info(bag)), allow_nan=False))
     assert found["scenario"] == {"name": "sample", "seed": 5, "agents": 3, "duration": 0.4, "step": 0.01}
     assert found["topics"][1]["message_count"] == 41
     assert found["complete"] is True

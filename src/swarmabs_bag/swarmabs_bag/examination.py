@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from swarmabs_bag.attached import SCENARIO_FILE, is_realtime
+from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, scan_index
@@ -20,7 +20,7 @@ from swarmabs_bag.rebuild import OWN, Rebuilt
 from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
 from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
 from swarmabs_config import configure
-from swarmabs_config.scenario import ScenarioError, parse_scenario
+from swarmabs_config.scenario import ScenarioError
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Membership, Span
@@ -226,11 +226,9 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
     """Find out how far a bag goes; None if it is not the bag of one swarm with its scenario."""
     try:
         bag = open_bag(path, damaged=True)
-        attached = bag.attachment(SCENARIO_FILE)
-        # In real time a step need not have all messages.
-        if attached is None or is_realtime(bag) or bag.contradicts_itself(SCENARIO_FILE):
+        if is_realtime(bag):  # a step need not have all messages
             return None
-        scenario = parse_scenario(attached.decode(), source=SCENARIO_FILE)
+        scenario = attached_scenario(bag, steered=False)
         members = configure.members(scenario)
         membership = Membership(members, configure.schedule(scenario))
         found: dict[tuple[Topic, int], _Spans] = {}
@@ -242,7 +240,7 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
             found.setdefault((topic, agent), _Spans()).add(message.step)
             if isinstance(message, AgentState) and message.status == Status.LEFT and agent in membership:
                 membership.end(agent, message.step, stays=False, reason="left")
-    except (NotABagError, DamagedBagError, InputError, UnicodeDecodeError):
+    except (DamagedBagError, InputError):
         return None
 
     def first_missing(topic: Topic, start: int) -> int:

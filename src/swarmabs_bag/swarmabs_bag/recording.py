@@ -31,11 +31,9 @@ from swarmabs_core.record import Record
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, change_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from swarmabs_core.membership import Change
-
-    Reference = Callable[[float], float]
 
 _COORDINATED = MAIN_TOPICS[1:]
 """The main topics of which there is one message per step."""

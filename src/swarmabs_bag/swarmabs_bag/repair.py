@@ -6,9 +6,9 @@ import os
 import shutil
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
@@ -94,10 +94,6 @@ class RepairReport:
     first_step: int | None
     last_complete_step: int | None
     last_planned_step: int | None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain data for JSON."""
-        return asdict(self)
 
 
 def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool = False) -> RepairReport:

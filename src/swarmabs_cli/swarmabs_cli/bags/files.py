@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -20,7 +21,7 @@ def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
     """Say what bags hold; a BAG is a run's folder, its bag folder, or an .mcap file."""
     found = [bag_info(path) for path in bags]
     if as_json:
-        print_documents([one.to_dict() for one in found])
+        print_documents([asdict(one) for one in found])
     else:
         print_tables(*map(render, found))
     return 0 if all(one.complete for one in found) else 1
@@ -39,7 +40,7 @@ def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> 
     """
     report = repair_bag(bag, output, in_place=in_place)
     if as_json:
-        print_json(report.to_dict())
+        print_json(asdict(report))
     else:
         for line in _lines(report):
             click.echo(printable(line))
