@@ -13,7 +13,7 @@ from swarmabs_analysis.sweep.folder import SweepFolder, find_folder, make_folder
 from swarmabs_analysis.sweep.study import Study, load_sweep
 from swarmabs_core.errors import InputError, RunError
 
-FIRST, SECOND = '{"case": 4, "status": "ok"}', '{"case": 1, "status": "ok"}'
+FIRST, SECOND = '{"case": 4, "outcome": "settled"}', '{"case": 1, "outcome": "failed"}'
 
 
 @pytest.mark.parametrize("torn", [b"", b'{"case": 2', b'{"case": 2}', b"\0\0\0\n", b"[]\n", b'{"x": 1}\n{"case": 9}\n'])
@@ -28,6 +28,7 @@ def test_what_a_crash_has_torn_is_cut_off(tmp_path: Path, torn: bytes) -> None:
     assert folder.journal.read_text() == f"{FIRST}\n{SECOND}\n"
     with SweepFolder(tmp_path) as folder:
         assert folder.rows == {4: json.loads(FIRST), 1: json.loads(SECOND)}
+        assert folder.outcomes == {"settled": 1, "failed": 1}
 
 
 def test_two_sweeps_cannot_write_one_folder(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import fcntl
 import json
 import os
 import time
+from collections import Counter
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,8 @@ class SweepFolder:
         """The finished cases of a sweep that is not complete."""
         self.rows: dict[int, dict[str, Any]] = {}
         """The finished cases by index."""
+        self.outcomes: Counter[str] = Counter()
+        """How many of them have ended how."""
         self._journal = -1
         self._synced = time.monotonic()
 
@@ -76,23 +79,25 @@ class SweepFolder:
         """Read the finished cases, and cut off what a crash has left after them."""
         os.lseek(self._journal, 0, os.SEEK_SET)
         self.rows.clear()
+        self.outcomes.clear()
         good = 0
         with open(self._journal, "rb", closefd=False) as file:
             for line in file:
                 try:
                     row = json.loads(line)
-                    index = row["case"]
+                    index, outcome = row["case"], row["outcome"]
                 except (ValueError, TypeError, KeyError):
                     break
                 if not line.endswith(b"\n"):
                     break
                 self.rows[index] = row
+                self.outcomes[outcome] += 1
                 good += len(line)
         os.ftruncate(self._journal, good)
         os.lseek(self._journal, good, os.SEEK_SET)
 
-    def add(self, line: str) -> dict[str, Any]:
-        """Keep the row of a finished case, and return it.
+    def add(self, line: str) -> None:
+        """Keep the row of a finished case.
 
         Raises
         ------
@@ -109,7 +114,7 @@ class SweepFolder:
         except OSError as error:
             raise RunError(f"{self.journal}: {error.strerror}; free space, then go on with --resume") from error
         self.rows[row["case"]] = row
-        return row
+        self.outcomes[row["outcome"]] += 1
 
     def write_whole(self, path: Path, content: bytes) -> None:
         """Write a file of the folder, whole or not at all."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -18,6 +16,7 @@ from swarmabs_core.errors import RunError
 from swarmabs_run.ending import terminable
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Callable, Mapping, Sequence
 
     from swarmabs_analysis.sweep.executor import Executor
@@ -33,29 +32,25 @@ _KINDS = {
 """Types of columns that do not hold floating-point numbers."""
 
 
-@dataclass
-class SweepProgress:
-    """How far a sweep is: cases in all, finished, and how they ended."""
-
-    cases: int
-    done: int
-    outcomes: Counter[str]
-
-
 def run_sweep(
-    study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[SweepProgress], None]
+    study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[Counter[str]], None]
 ) -> dict[str, Any]:
     """Compute the cases that are not finished yet, write table, pictures and summary, and return the summary.
 
     Its ``status`` is ok, failed or interrupted; in the latter cases what is finished is kept, and another start goes on
-    from there. The folder is taken; `on_progress` is told how far the sweep is, after each case and now and then.
+    from there. The folder is taken; `on_progress` is told how cases have ended, after each of them and now and then.
     """
     begun = time.monotonic()
     before = len(folder.rows)
     status, reason, computing = "ok", None, None
     try:
         with terminable():
-            _compute(study, folder, executor, on_progress)
+            on_progress(folder.outcomes)
+            tasks = (study.task(index) for index in range(study.sweep.count) if index not in folder.rows)
+            if before < study.sweep.count:
+                for row in executor.compute(tasks, lambda: on_progress(folder.outcomes)):
+                    folder.add(row)
+                    on_progress(folder.outcomes)
             computing = time.monotonic() - begun
             folder.write_whole(folder.results, parquet(study, folder.rows))
             for name, content in pictures(study, folder.rows).items():
@@ -69,12 +64,11 @@ def run_sweep(
     folder.read()  # an interrupt comes at any moment, such as between writing a row and counting it
     wall_time = time.monotonic() - begun
     computed = len(folder.rows) - before
-    outcomes = _outcomes(folder)
     summary = {
         "sweep": study.sweep.name,
         "cases": study.sweep.count,
         "finished": len(folder.rows),
-        "outcomes": {name: outcomes[name] for name in OUTCOMES},
+        "outcomes": {name: folder.outcomes[name] for name in OUTCOMES},
         "engine": executor.description,
         "wall_time": round(wall_time, 3),
         "computed": computed,
@@ -86,25 +80,6 @@ def run_sweep(
     if status == "ok":
         folder.journal.unlink()
     return summary
-
-
-def _compute(
-    study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[SweepProgress], None]
-) -> None:
-    progress = SweepProgress(study.sweep.count, len(folder.rows), _outcomes(folder))
-    on_progress(progress)
-    if progress.done == progress.cases:
-        return
-    tasks = (study.task(index) for index in range(study.sweep.count) if index not in folder.rows)
-    for line in executor.compute(tasks, lambda: on_progress(progress)):
-        row = folder.add(line)
-        progress.done += 1
-        progress.outcomes[row["outcome"]] += 1
-        on_progress(progress)
-
-
-def _outcomes(folder: SweepFolder) -> Counter[str]:
-    return Counter(row["outcome"] for row in folder.rows.values())
 
 
 def parquet(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> bytes:

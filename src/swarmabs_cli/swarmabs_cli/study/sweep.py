@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarmabs_cli.options import A_PATH, RUNS, json_option, output_option, set_option
 from swarmabs_cli.output import print_json
@@ -19,7 +20,7 @@ from swarmabs_core.errors import InputError
 try:
     from swarmabs_analysis.sweep.executor import Executor, LocalExecutor, SchedulerExecutor
     from swarmabs_analysis.sweep.folder import find_folder, make_folder
-    from swarmabs_analysis.sweep.run import SweepProgress, run_sweep
+    from swarmabs_analysis.sweep.run import run_sweep
     from swarmabs_analysis.sweep.study import load_sweep
 except ModuleNotFoundError as missing:
     raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
@@ -61,7 +62,7 @@ def sweep(
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
         summary = folder.complete()
         if summary is None:
-            with folder, _shown(study.sweep.name) as show:
+            with folder, _shown(study.sweep.name, study.sweep.count) as show:
                 summary = run_sweep(study, folder, executor, show)
     if as_json:
         print_json(summary)
@@ -86,28 +87,27 @@ def _executor(jobs: int | None, scheduler: str | None) -> Executor:
 
 
 @contextmanager
-def _shown(name: str) -> Iterator[Callable[[SweepProgress], None]]:
+def _shown(name: str, cases: int) -> Iterator[Callable[[Counter[str]], None]]:
     """Show how far a sweep is on standard error: a bar on a terminal, now and then a line elsewhere."""
+
+    def describe(outcomes: Counter[str]) -> str:
+        ended = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
+        return f"{name}: {outcomes.total()} of {cases} cases" + (f"; {ended}" if ended else "")
+
     if sys.stderr.isatty():
         columns = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn())
         text = TextColumn("{task.description}", markup=False)
-        with Bar(*columns, text, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(name)
-            yield lambda now: bar.update(task, total=now.cases, completed=now.done, description=describe(name, now))
+        with Progress(*columns, text, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(name, total=cases)
+            yield lambda outcomes: bar.update(task, completed=outcomes.total(), description=describe(outcomes))
         return
     shown = -_LINE_INTERVAL
 
-    def update(progress: SweepProgress) -> None:
+    def update(outcomes: Counter[str]) -> None:
         nonlocal shown
         now = time.monotonic()
-        if now - shown >= _LINE_INTERVAL or progress.done == progress.cases:
+        if now - shown >= _LINE_INTERVAL or outcomes.total() == cases:
             shown = now
-            click.echo(describe(name, progress), err=True)
+            click.echo(describe(outcomes), err=True)
 
     yield update
-
-
-def describe(name: str, progress: SweepProgress) -> str:
-    """Say in a line how far a sweep is."""
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in sorted(progress.outcomes.items()))
-    return f"{name}: {progress.done} of {progress.cases} cases" + (f"; {outcomes}" if outcomes else "")
