@@ -120,7 +120,7 @@ def choose_topics(
     names = [channel.name for channel in channels]
     chosen = {f"/{name.lstrip('/')}" for name in wanted}
     for name in sorted(chosen - set(names)):
-        raise InputError(f"--topics: {bag.path} has no topic {name}; it has {listed(sorted(names))}")
+        raise InputError(f"--topics: {bag.path} has no topic {name}; it has {_listed(sorted(names))}")
     playable, warnings = [], []
     for channel in channels:
         if chosen and channel.name not in chosen:
@@ -147,7 +147,7 @@ def _of_swarm(bag: BagReader, name: str) -> bool:
     return inmost is not None and inmost == bag.namespace
 
 
-def listed(names: Collection[str]) -> str:
+def _listed(names: Collection[str]) -> str:
     """Return the first names of many, such that they fit into a line."""
     more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
     return ", ".join([*map(shown, list(names)[:_MOST_NAMED]), *more])
@@ -208,9 +208,23 @@ def play(
         publishers = {
             topic.channel: node.create_publisher(topic.message_class, topic.channel.name, topic.qos) for topic in topics
         }
+
+        def read() -> Iterator[tuple[int, tuple[Publisher, bytes]]]:
+            for channel, message in bag.stored_messages():
+                if (publisher := publishers.get(channel)) is not None:
+                    yield message.log_time, (publisher, message.payload)
+
         while wait and not asked_to_end() and not all(p.get_subscription_count() for p in publishers.values()):
             time.sleep(SLICE / 5.0)
-        count = _publish(bag, publishers, pace, asked_to_end)
+        count = 0
+        begun = time.monotonic()
+        for due, (publisher, payload) in pace.schedule(bag.start, read):
+            while (left := begun + due - time.monotonic()) > 0.0 and not asked_to_end():
+                time.sleep(min(left, SLICE))
+            if asked_to_end():
+                break
+            publisher.publish(payload)
+            count += 1
         if not asked_to_end():
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
@@ -218,30 +232,6 @@ def play(
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _publish(
-    bag: BagReader,
-    publishers: dict[BagChannel, Publisher],
-    pace: Pace,
-    asked_to_end: Callable[[], bool],
-) -> int:
-    def read() -> Iterator[tuple[int, tuple[Publisher, bytes]]]:
-        for channel, message in bag.stored_messages():
-            publisher = publishers.get(channel)
-            if publisher is not None:
-                yield message.log_time, (publisher, message.payload)
-
-    count = 0
-    begun = time.monotonic()
-    for due, (publisher, payload) in pace.schedule(bag.start, read):
-        while (left := begun + due - time.monotonic()) > 0.0 and not asked_to_end():
-            time.sleep(min(left, SLICE))
-        if asked_to_end():
-            break
-        publisher.publish(payload)
-        count += 1
-    return count
 
 
 def recorded_profiles(text: str) -> list[QoSProfile]:
@@ -252,9 +242,8 @@ def recorded_profiles(text: str) -> list[QoSProfile]:
     The text is YAML as rosbag2 writes it: policies by name, or, in bags of older versions, by number.
     """
     found = load_yaml(text)
-    listed = found if isinstance(found, list) else []
     profiles: list[QoSProfile] = []
-    for entry in listed:
+    for entry in found if isinstance(found, list) else []:
         if isinstance(entry, dict):
             made = _profile(entry)
             if made not in profiles:

@@ -58,13 +58,6 @@ class _Key(NamedTuple):
     agent_id: int
 
 
-class _Heard(NamedTuple):
-    """The newest answer on a topic."""
-
-    step: int
-    publisher: NodeName
-
-
 class _Phase(NamedTuple):
     """What is published at once, and what has to be there before anything else is; `played`: states' topics in it."""
 
@@ -101,7 +94,7 @@ class Player:
         self._phases: deque[_Phase] = deque()
         self._awaited: frozenset[_Key] = frozenset()
         self._heard: dict[tuple[Topic, int], int] = {}
-        self._newest: dict[Topic, _Heard] = {}
+        self._newest: dict[Topic, Message] = {}
         self.hears = (*answered(live), RECORDING_PROGRESS) if window else answered(live)
 
     def start(self) -> Messages:
@@ -127,7 +120,7 @@ class Player:
             return ()
         self._heard[key] = message.step
         if topic not in self._newest or message.step > self._newest[topic].step:
-            self._newest[topic] = _Heard(message.step, publisher)
+            self._newest[topic] = message
         return self._proceed()
 
     def awaits(self) -> tuple[Topic, ...]:
@@ -180,9 +173,9 @@ class Player:
         if phase.played:
             latest[AGENT_STATE] = phase.step
         for topic, step in latest.items():
-            if topic in self._newest and self._newest[topic].step > step:
-                heard = self._newest[topic]
-                raise StepAheadError(str(heard.publisher), got=heard.step, expected=step)
+            heard = self._newest.get(topic)
+            if heard is not None and heard.step > step:
+                raise StepAheadError(str(publisher_of(heard)), got=heard.step, expected=step)
 
     def _next_step(self) -> bool:
         """Load the next recorded step; tell whether there is one, and credit for it."""
