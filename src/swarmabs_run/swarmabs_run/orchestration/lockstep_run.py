@@ -14,7 +14,6 @@ from swarmabs_run.steering.client import SOCKET
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.launcher_client import LauncherClient
     from swarmabs_run.orchestration.plan import Arrange
     from swarmabs_run.orchestration.supervision import Failure
     from swarmabs_run.run import Outcome
@@ -49,13 +48,13 @@ class LockstepRun(ProcessRun):
         finally:
             (self._folder.path / SOCKET).unlink(missing_ok=True)
 
-    def _start(self, launcher: LauncherClient, now: float) -> float:
+    def _start(self, now: float) -> float:
         self._note("all processes have met their counterparts: start")
-        launcher.start_all()
+        self._launcher.start_all()
         return now
 
-    def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:
-        self._inject_faults(launcher)
+    def _watch(self, now: float) -> Failure | None:
+        self._inject_faults()
         return self._check_stalls(now)
 
     def _take_orders(self) -> None:
@@ -68,7 +67,7 @@ class LockstepRun(ProcessRun):
                 self._faults = sorted((change, *later))
         self._supervision.orders.clear()
 
-    def _inject_faults(self, launcher: LauncherClient) -> None:
+    def _inject_faults(self) -> None:
         """End or stop the processes whose last state is recorded; from then on nobody listens to them any more."""
         self._take_orders()
         while self._faults and self._faults[0].step <= self._recorded():
@@ -78,7 +77,7 @@ class LockstepRun(ProcessRun):
                 continue
             self._supervision.expect_end(name)
             self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
-            launcher.signal(name, _SIGNALS[fault.kind])
+            self._launcher.signal(name, _SIGNALS[fault.kind])
 
     def _recorded(self) -> int:
         """Return the last step that is known to be recorded, -1 for none."""

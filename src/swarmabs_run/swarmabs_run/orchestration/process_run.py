@@ -15,6 +15,7 @@ import psutil
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.graph import LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_config.ports import domains_spanned
+from swarmabs_run.ending import end_asked
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.network import claimed_domain, dds_environment, multicast_works, profile_xml
 from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, plan
@@ -24,7 +25,7 @@ from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from typing import Any, ClassVar
 
     from swarmabs_bag.run_folder import RunFolder
@@ -63,7 +64,9 @@ class ProcessRun:
             dispensable=frozenset(hosts.values()) if survives else frozenset(),
             hosts=hosts,
         )
-        self._interrupted = False
+        self._interrupted: Callable[[], bool] = lambda: False
+        self._launcher: LauncherClient
+        self._wake: int
         self._begun = time.monotonic()
         self._started: float | None = None
         self._finished: float | None = None
@@ -83,86 +86,61 @@ class ProcessRun:
             profile.write_text(profile_xml(domain, multicast=multicast_works(), realtime=realtime), encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._told.over)
-            wake = stack.enter_context(self._interruptible())
-            environment = dds_environment(domain, str(profile.resolve()))
+            self._interrupted = stack.enter_context(end_asked())
+            self._wake = stack.enter_context(_woken_by_signals())
             client = LauncherClient(
-                environment,
+                dds_environment(domain, str(profile.resolve())),
                 self._folder.logs / "launcher.log",
                 processes=len(self._plan),
                 controller=self._scenario.controller.type,
                 law=self._scenario.swarm.law.type,
                 driver=self._driver,
             )
-            launcher = stack.enter_context(client)
-            failure = self._supervise(launcher, wake)
-            return self._conclude(launcher, wake, failure)
+            self._launcher = stack.enter_context(client)
+            return self._conclude(self._supervise())
 
-    @contextmanager
-    def _interruptible(self) -> Iterator[int]:
-        """Turn SIGINT and SIGTERM into a flag and a byte on a pipe, whose read end is yielded."""
-        read, write = os.pipe()
-        os.set_blocking(write, False)
-        main = threading.current_thread() is threading.main_thread()
-        previous = {}
-        if main:
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                previous[number] = signal.signal(number, self._interrupt)
-            signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-        try:
-            yield read
-        finally:
-            if main:
-                signal.set_wakeup_fd(-1)
-                for number, handler in previous.items():
-                    signal.signal(number, handler)
-            os.close(read)
-            os.close(write)
-
-    def _interrupt(self, *_: object) -> None:
-        self._interrupted = True
-
-    def _supervise(self, launcher: LauncherClient, wake: int) -> Failure | None:
+    def _supervise(self) -> Failure | None:
         """Drive the run until it is complete, fails or is interrupted."""
         state = self._supervision
-        self._spawn(launcher, self._plan)
+        self._spawn(self._plan)
         news = time.monotonic()
         known = 0
-        while not self._interrupted:
-            self._listen(launcher, wake)
+        while not self._interrupted():
+            self._listen()
             now = time.monotonic()
             failure = self._failure(now)
             if failure is not None:
                 return failure
-            if not launcher.alive():
+            if not self._launcher.alive():
                 return Failure("the launcher has died", ("launcher",))
             if state.done is not None:
                 return None
             if self._started is None:
                 come = len(state.pids) + len(state.ready)
-                if come > known or self._restart_lost(launcher):
+                if come > known or self._restart_lost():
                     known, news = come, now
                 if state.all_ready():
                     state.started = True
-                    write_processes(self._folder.logs, {"launcher": launcher.pid, **state.pids})
-                    self._started = self._start(launcher, now)
+                    write_processes(self._folder.logs, {"launcher": self._launcher.pid, **state.pids})
+                    self._started = self._start(now)
                 elif now - news > START_SILENCE:
                     if not state.hanging():
                         return self._not_started()
                     news = now
                     for name in state.hanging():
-                        launcher.signal(name, signal.SIGKILL)
+                        self._launcher.signal(name, signal.SIGKILL)
             else:
-                failure = self._watch(launcher, now)
+                failure = self._watch(now)
                 if failure is not None:
                     return failure
             self._tell("starting" if self._started is None else "running")
         return None
 
-    def _start(self, launcher: LauncherClient, now: float) -> float:
+    def _start(self, now: float) -> float:
         """Let all processes begin, which are ready; return the time, s of the steady clock, of the first step."""
         raise NotImplementedError
 
-    def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:
+    def _watch(self, now: float) -> Failure | None:
         """Look after the run while it goes on, some ten times a second; return why it has failed, if it has."""
         raise NotImplementedError
 
@@ -170,63 +148,66 @@ class ProcessRun:
         """Return the failure that ends the run."""
         return self._supervision.failure
 
-    def _end(self, launcher: LauncherClient, wake: int) -> Failure | None:  # noqa: ARG002 - for those who have to
+    def _end(self) -> Failure | None:
         """Do what remains when the recording is complete and the processes still run; return what went wrong."""
         return None
 
-    def _spawn(self, launcher: LauncherClient, processes: Iterable[ProcessPlan]) -> None:
+    def _spawn(self, processes: Iterable[ProcessPlan]) -> None:
         for process in processes:
-            launcher.spawn(
-                process, process.arguments(self._options.namespace), self._folder.logs / f"{process.name}.log"
-            )
+            log = self._folder.logs / f"{process.name}.log"
+            self._launcher.spawn(process, process.arguments(self._options.namespace), log)
 
-    def _restart_lost(self, launcher: LauncherClient) -> bool:
+    def _restart_lost(self) -> bool:
         """Start again the robots' processes that have ended before the run began; tell whether there were any."""
         names = self._supervision.to_restart()
         for name in names:
             self._note(f"{name} (process {self._supervision.pids[name]}) {STARTED_AGAIN}")
-        self._spawn(launcher, (process for process in self._plan if process.name in names))
+        self._spawn(process for process in self._plan if process.name in names)
         return bool(names)
 
-    def _listen(self, launcher: LauncherClient, wake: int) -> None:
-        ready, _, _ = select.select([launcher.reports, wake], [], [], POLL)
-        if wake in ready:
-            os.read(wake, 4096)
-        if launcher.reports in ready:
-            for report in launcher.read():
+    def _listen(self) -> None:
+        ready, _, _ = select.select([self._launcher.reports, self._wake], [], [], POLL)
+        if self._wake in ready:
+            os.read(self._wake, 4096)
+        if self._launcher.reports in ready:
+            for report in self._launcher.read():
                 self._supervision.take(report)
         progress = self._supervision.progress
         if self._finished is None and progress is not None and progress["step"] >= self._scenario.steps:
             self._finished = time.monotonic()
+
+    def _listen_until(self, enough: Callable[[], bool], seconds: float) -> None:
+        """Listen while the run is closing, until that is enough, but not for longer than this."""
+        deadline = time.monotonic() + seconds
+        while not enough() and self._launcher.alive() and time.monotonic() < deadline:
+            self._listen()
+            self._tell("closing")
 
     def _not_started(self) -> Failure:
         missing = self._supervision.not_ready()
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         return Failure(f"not all processes have met within {START_SILENCE:g} s without news: {shown}", missing[:2])
 
-    def _conclude(self, launcher: LauncherClient, wake: int, failure: Failure | None) -> Outcome:
+    def _conclude(self, failure: Failure | None) -> Outcome:
         """Let the recorder complete the bag of a run that did not finish, and sum up."""
-        state = self._supervision
+        state, interrupted = self._supervision, failure is None and self._interrupted()
         reason = self._describe(failure)
-        if reason is None and self._interrupted:
+        if interrupted:
             reason = "interrupted"
         if reason is not None:
             self._note(reason)
         if RECORDER in state.pids and not (failure is not None and RECORDER in failure.culprits):
             # By the signal it knows what to write into the bag as the reason.
-            launcher.signal(RECORDER, signal.SIGINT if self._interrupted and failure is None else signal.SIGTERM)
-            deadline = time.monotonic() + CLOSING_SECONDS
-            while self._recorder_works(launcher) and time.monotonic() < deadline:
-                self._listen(launcher, wake)
-                self._tell("closing")
-        ended_badly = self._end(launcher, wake)
+            self._launcher.signal(RECORDER, signal.SIGINT if interrupted else signal.SIGTERM)
+            self._listen_until(lambda: state.done is not None or RECORDER in state.exited, CLOSING_SECONDS)
+        ended_badly = self._end()
         if failure is None and ended_badly is not None:
             failure, reason = ended_badly, self._describe(ended_badly)
             self._note(ended_badly.reason)
         done = state.done or {"complete": False, "figures": {}}
         complete = done["complete"] and failure is None
         return Outcome(
-            "ok" if complete else "interrupted" if self._interrupted and failure is None else "failed",
+            "ok" if complete else "interrupted" if self._interrupted() and failure is None else "failed",
             None if complete else reason or "the recorder could not complete the recording",
             self._figures(done["figures"]),
             None if self._started is None else self._started - self._begun,
@@ -241,10 +222,6 @@ class ProcessRun:
     def _warnings(self) -> tuple[str, ...]:
         """Return what people should know of a run that did not fail."""
         return ()
-
-    def _recorder_works(self, launcher: LauncherClient) -> bool:
-        state = self._supervision
-        return state.done is None and RECORDER not in state.exited and launcher.alive()
 
     def _note(self, text: str) -> None:
         """Write a line to the orchestrator's log, which becomes a part of the bag."""
@@ -282,6 +259,23 @@ class ProcessRun:
                 None if seen is None else SwarmSummary(**seen),
             )
         )
+
+
+@contextmanager
+def _woken_by_signals() -> Iterator[int]:
+    """Yield the read end of a pipe to which every signal writes a byte."""
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    main = threading.current_thread() is threading.main_thread()
+    if main:
+        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    try:
+        yield read
+    finally:
+        if main:
+            signal.set_wakeup_fd(-1)
+        os.close(read)
+        os.close(write)
 
 
 def process_state(pid: int) -> str:

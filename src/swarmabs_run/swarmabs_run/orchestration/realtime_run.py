@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
-    from swarmabs_run.orchestration.launcher_client import LauncherClient
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
 """Time, s, from the start signal to step 0, in which the nodes make their endpoints and discover each other."""
@@ -35,7 +34,7 @@ class RealtimeRun(ProcessRun):
 
     A robot's process that dies is not started again: the swarm goes on without it, as a fleet does. Without one of its
     coordinators, or if it loses the plane, the swarm stops, and the run fails a little later. Without its recorder it
-    fails at once. An `InputError` is raised if the scenario asks for what there is in lockstep only.
+    fails at once. Raises `InputError` if the scenario asks for what there is in lockstep only.
     """
 
     _driver = REALTIME
@@ -46,14 +45,14 @@ class RealtimeRun(ProcessRun):
         self._died: dict[str, str] = {}
         self._failed_at: float | None = None
 
-    def _start(self, launcher: LauncherClient, now: float) -> float:
+    def _start(self, now: float) -> float:
         lead = LEAD + LEAD_PER_PROCESS * len(self._plan)
         epoch_ns = time.time_ns() + round(lead * 1e9)
         self._note(f"all processes are ready: start, with step 0 at {epoch_ns} ns since 1970")
-        launcher.start_all(epoch_records(epoch_ns, len(self._plan)))
+        self._launcher.start_all(epoch_records(epoch_ns, len(self._plan)))
         return now + lead
 
-    def _watch(self, launcher: LauncherClient, now: float) -> Failure | None:  # noqa: ARG002 - the swarm needs nothing
+    def _watch(self, now: float) -> Failure | None:
         for name, code in self._supervision.exited.items():
             if name in self._supervision.dispensable and name not in self._died:
                 self._died[name] = how_it_ended(code)
@@ -73,21 +72,18 @@ class RealtimeRun(ProcessRun):
         grace = GRACE + max(limits.broadcast_age_limit, limits.state_age_limit, limits.plane_age_limit)
         return failure if now - self._failed_at >= grace else None
 
-    def _end(self, launcher: LauncherClient, wake: int) -> Failure | None:
+    def _end(self) -> Failure | None:
         """Let the nodes end in order, so that they report their timing. One that does not was no part of the swarm."""
         state = self._supervision
         running = [name for name in state.pids if name not in state.exited]
         for name in running:
             state.expect_end(name)
-            launcher.signal(name, signal.SIGTERM)
-        deadline = time.monotonic() + ENDING_SECONDS
-        while launcher.alive() and time.monotonic() < deadline and any(name not in state.exited for name in running):
-            self._listen(launcher, wake)
-            self._tell("closing")
+            self._launcher.signal(name, signal.SIGTERM)
+        self._listen_until(lambda: state.exited.keys() >= set(running), ENDING_SECONDS)
         hung = {name: process_state(state.pids[name]) for name in running if name not in state.exited}
         self._died |= {name: f"did not end (it is {hung[name]})" for name in hung if name in state.dispensable}
         culprits = tuple(name for name in hung if name not in state.dispensable)
-        if not culprits or not launcher.alive():
+        if not culprits or not self._launcher.alive():
             return None
         shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
         return Failure(f"{shown} did not end when it was told to; what it did before is not known", culprits[:2])
