@@ -93,7 +93,7 @@ class WaitSetReceiver:
         self._types = {topic: ros_type(topic) for topic in subscriptions}
         self._subscriptions: dict[Topic, Any] = {
             topic: node.create_subscription(
-                self._types[topic], topic.name, _never, profile(qos), callback_group=group, raw=True
+                self._types[topic], topic.name, unheard, profile(qos), callback_group=group, raw=True
             )
             for topic, qos in subscriptions.items()
         }
@@ -193,5 +193,5 @@ def receiver(node: Node, subscriptions: Mapping[Topic, Qos], waiting: Waiting) -
     return WaitSetReceiver(node, subscriptions)
 
 
-def _never(_: object) -> None:
+def unheard(_: object) -> None:
     """Stand in for a callback where no executor runs."""

@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Imu as ImuMessage, JointState
 
+from swarmabs_ros.endpoints import unheard
 from swarmabs_ros.readings import Imu, Joints, Odometry, Reading
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class SensorSubscription:
     ) -> None:
         self._type = TYPES[source]
         self._arrival = arrival
-        self._subscription = node.create_subscription(self._type, topic, _never, SENSOR, callback_group=group)
+        self._subscription = node.create_subscription(self._type, topic, unheard, SENSOR, callback_group=group)
 
     def take(self) -> list[Reading]:
         """Return what has arrived since the last call, in order; it does not wait."""
@@ -75,7 +76,3 @@ def _vector(given: Any) -> tuple[float, float, float]:
 
 def _quaternion(given: Any) -> tuple[float, float, float, float]:
     return given.x, given.y, given.z, given.w
-
-
-def _never(_: object) -> None:
-    """Stand in for a callback where no executor runs."""

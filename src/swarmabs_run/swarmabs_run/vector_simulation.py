@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message, Topic
-    from swarmabs_core.plant import SwarmLoad
 
     Floats = NDArray[np.float64]
 

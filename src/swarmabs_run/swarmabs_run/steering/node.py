@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
+from swarmabs_core.cdr import decode
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import Action, Message, Messages, PlaneState, Topic
+from swarmabs_core.messages import Action, Messages, PlaneState, Topic
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.lockstep import NodeSpec
@@ -40,49 +40,25 @@ LARGEST_OFFSET = 1.0
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
 
-class Paced:
-    """What steers a run, holding each order back until its step is due; every bit of the run is the same.
+class Pace:
+    """Holds orders back until their steps are due, so that a step takes so many s of wall time at least.
 
-    A step takes `seconds` of wall time at least; `clock` returns a time in s, and `sleep` waits for some.
+    A run that is late does not catch up: the next step is due its time after this one. No bit of the run changes.
     """
 
-    def __init__(
-        self,
-        controller: SteeringController,
-        seconds: float,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    def __init__(self, controller: SteeringController, seconds: float) -> None:
         self._controller = controller
         self._seconds = seconds
-        self._clock = clock
-        self._sleep = sleep
         self._due = 0.0
 
-    def start(self) -> Messages:
-        """Start what steers."""
-        self._due = self._clock()
-        return self._controller.start()
-
-    def handle(self, message: Message) -> Messages:
-        """Hand a message on; with the plane's state of a new step not before the next step is due.
-
-        A run that is late is not made up for: the next step is due its time after this one.
-        """
+    def hear(self, topic: Topic, data: bytes) -> Messages:
+        """Hand a message to the controller; the plane's state of a new step not before the next step is due."""
+        message = decode(topic.message, data)
         if isinstance(message, PlaneState) and message.step == self._controller.step:
-            wait = self._due + self._seconds - self._clock()
-            if wait > 0.0:
-                self._sleep(wait)
-            self._due = max(self._due + self._seconds, self._clock())
+            now = time.monotonic()
+            self._due = max(now, (self._due or now) + self._seconds)
+            time.sleep(self._due - now)
         return self._controller.handle(message)
-
-    def awaits(self) -> tuple[Topic, ...]:
-        """Wait for what it waits for."""
-        return self._controller.awaits()
-
-    def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and what is missing for it."""
-        return self._controller.missing()
 
 
 def steering_config(scenario: Scenario) -> SteeringConfig:
@@ -132,8 +108,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     requests = RequestQueue(controller, scenario.step_ns, facts, tell)
     SteeringServer(Path(settings.text("folder")), requests).start()
     seconds = settings.number("step_seconds")
-    behaviour = Paced(controller, seconds) if seconds else controller
-    return NodeSpec(behaviour, on_idle=requests.work)
+    hear = Pace(controller, seconds).hear if seconds else None
+    return NodeSpec(controller, on_idle=requests.work, hear=hear)
 
 
 def main(args: list[str] | None = None) -> int:
