@@ -325,7 +325,7 @@ FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Steer)
 
 
 class Session:
-    """What one page sees; of the messages that change by and by it gets each when it has not got it yet."""
+    """What one page sees. A message that a later one of its type replaces is sent once, the state every second."""
 
     def __init__(self) -> None:
         self._sent: dict[type[Message], Message] = {}
