@@ -22,9 +22,7 @@ from swarmabs_config.graph import (
     Option,
     endpoints,
     options_of,
-    readers,
     requested,
-    writers,
 )
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPICS
 from swarmabs_core.steering import STEERER
@@ -81,7 +79,7 @@ def test_every_topic_is_there_once_in_the_order_of_the_messages() -> None:
 def test_every_node_that_an_end_names_can_be_started(node: str) -> None:
     for module in NODES[node].modules.values():
         assert callable(importlib.import_module(module).main)
-    assert any(node in {*readers(link.topic), *writers(link.topic)} for link in GRAPH)
+    assert any(node in {end.node for end in (*link.readers, *link.writers)} for link in GRAPH)
 
 
 def test_every_end_names_a_node() -> None:

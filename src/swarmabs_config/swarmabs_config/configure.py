@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
-from swarmabs_config.graph import recording_window as window_of
+from swarmabs_config import graph
 from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
 from swarmabs_core.behaviours.base import Run
 from swarmabs_core.controllers import ParentLaw
@@ -72,7 +72,7 @@ def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
 
 def recording_window(scenario: Scenario) -> int:
     """Return how many steps a recorded run may be ahead of what is on disk."""
-    return window_of(len(scenario.agents))
+    return graph.recording_window(len(scenario.agents))
 
 
 def declared(scenario: Scenario) -> tuple[object, ...]:
@@ -117,11 +117,6 @@ def controller_config(scenario: Scenario, *, recording_window: int) -> Controlle
 def controller_settings(scenario: Scenario) -> Settings:
     """Return the settings of the control law, nested names joined by dots."""
     return _settings(scenario.controller)
-
-
-def law_settings(scenario: Scenario) -> Settings:
-    """Return the settings of the swarm's law besides the gains, nested names joined by dots."""
-    return _settings(scenario.swarm.law)
 
 
 def _settings(part: BaseModel) -> Settings:
@@ -172,7 +167,7 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
 
 def swarm_law(scenario: Scenario) -> dict[str, Any]:
     """Return the fields of a robot's configuration that say by which law it is moved."""
-    return {"law": scenario.swarm.law.type, "law_settings": law_settings(scenario)}
+    return {"law": scenario.swarm.law.type, "law_settings": _settings(scenario.swarm.law)}
 
 
 def robot(agent: Agent) -> dict[str, Any]:

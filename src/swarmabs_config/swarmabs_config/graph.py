@@ -20,7 +20,7 @@ machines, where it has an event and a test.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -331,15 +331,6 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
     return frozenset(option for option, given in asked.items() if given)
 
 
-def readers(topic: Topic) -> tuple[str, ...]:
-    """Return the nodes that read a topic, under whatever driver and with whatever options."""
-    return _nodes(link.readers for link in GRAPH if link.topic is topic)
-
-
 def writers(topic: Topic) -> tuple[str, ...]:
     """Return the nodes that publish a topic, under whatever driver and with whatever options."""
-    return _nodes(link.writers for link in GRAPH if link.topic is topic)
-
-
-def _nodes(ends: Iterable[tuple[End, ...]]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(end.node for each in ends for end in each))
+    return tuple(dict.fromkeys(end.node for link in GRAPH if link.topic is topic for end in link.writers))

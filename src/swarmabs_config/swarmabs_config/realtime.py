@@ -47,12 +47,8 @@ def schedule(scenario: Scenario, epoch_ns: int) -> Schedule:
 
 def bounds(scenario: Scenario) -> Bounds:
     """Return what is known of the swarm and its plane beforehand."""
-    return Bounds(scenario.plane.gravity, scenario.plane.length, swarm_mass(scenario), scenario.period)
-
-
-def swarm_mass(scenario: Scenario) -> float:
-    """Return the mass of all robots, kg."""
-    return sum(agent.mass for agent in scenario.agents)
+    mass = sum(agent.mass for agent in scenario.agents)
+    return Bounds(scenario.plane.gravity, scenario.plane.length, mass, scenario.period)
 
 
 def agent_configs(scenario: Scenario, clock: Schedule) -> tuple[RealtimeAgentConfig, ...]:

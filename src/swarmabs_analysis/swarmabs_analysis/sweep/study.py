@@ -191,7 +191,7 @@ class Sweep(Model):
             ]
             if self.picture.x == self.picture.y:
                 findings.append(Finding.of(("picture",), "both axes are the same parameter", "name two parameters"))
-        raise_findings("Sweep", findings)
+        raise_findings(findings)
         return self
 
     @property

@@ -93,7 +93,7 @@ class Fleet(Model):
 
     @model_validator(mode="after")
     def _check_together(self) -> Fleet:
-        raise_findings("Fleet", checks.findings(self))
+        raise_findings(checks.findings(self))
         return self
 
     @cached_property

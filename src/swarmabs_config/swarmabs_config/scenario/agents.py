@@ -138,7 +138,7 @@ class Generate(Model):
             findings.append(
                 Finding.of((), f"{count} robots are more than there are ids", f"generate at most {LARGEST_ID} in all")
             )
-        raise_findings("Generate", findings)
+        raise_findings(findings)
         return self
 
     def agents(self) -> tuple[Agent, ...]:

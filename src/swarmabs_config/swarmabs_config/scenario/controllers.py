@@ -27,8 +27,8 @@ from .fields import (
     NonNegative,
     Tagged,
     WithoutNegativeZero,
+    as_error,
     problem,
-    raise_findings,
 )
 
 MOST_ROWS = 2000
@@ -72,23 +72,25 @@ class CsvTrajectory(Model):
             )
         for index, (earlier, later) in enumerate(itertools.pairwise(self.times), start=1):
             if not later - earlier >= SHORTEST:
-                finding = Finding.of(
-                    ("times", index),
-                    f"{later!r} s follows {earlier!r} s",
-                    f"let the times increase by at least {SHORTEST} s",
+                raise as_error(
+                    Finding.of(
+                        ("times", index),
+                        f"{later!r} s follows {earlier!r} s",
+                        f"let the times increase by at least {SHORTEST} s",
+                    )
                 )
-                raise_findings("CsvTrajectory", [finding])
         curve = QuinticSpline(self.times, self.angles)
         for index, (earlier, later) in enumerate(itertools.pairwise(self.times)):
             for part in range(1, 16):
                 time = earlier + (later - earlier) * part / 16
                 if not abs(angle := curve.derivatives(time)[0]) < STEEPEST:
-                    finding = Finding.of(
-                        ("times", index),
-                        f"the smooth curve through the rows is at {angle:.3g} rad at {time:.6g} s",
-                        f"give rows closer together, such that it stays within +-{STEEPEST} rad",
+                    raise as_error(
+                        Finding.of(
+                            ("times", index),
+                            f"the smooth curve through the rows is at {angle:.3g} rad at {time:.6g} s",
+                            f"give rows closer together, such that it stays within +-{STEEPEST} rad",
+                        )
                     )
-                    raise_findings("CsvTrajectory", [finding])
         return self
 
 

@@ -70,7 +70,7 @@ class DeclaredModel(Model):
             return declaration(**values)
         except SettingError as error:
             location = tuple(error.name.split(".")) if error.name else ()
-            raise as_error(declaration.__name__, [Finding.of(location, error.problem, error.remedy)]) from error
+            raise as_error(Finding.of(location, error.problem, error.remedy)) from error
 
 
 @cache

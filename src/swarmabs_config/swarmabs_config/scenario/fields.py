@@ -55,16 +55,16 @@ class Finding:
         return cls(location, problem(text, remedy, see))
 
 
-def as_error(title: str, findings: Sequence[Finding]) -> ValidationError:
+def as_error(*findings: Finding) -> ValidationError:
     """Return one validation error with all findings."""
     details = [InitErrorDetails(type=f.error, loc=f.location, input=None) for f in findings]
-    return ValidationError.from_exception_data(title, details)
+    return ValidationError.from_exception_data("file", details)
 
 
-def raise_findings(title: str, findings: Sequence[Finding]) -> None:
+def raise_findings(findings: Sequence[Finding]) -> None:
     """Raise all findings as one validation error; do nothing if there are none."""
     if findings:
-        raise as_error(title, findings)
+        raise as_error(*findings)
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
@@ -108,11 +108,10 @@ class Model(BaseModel):
             return data
         known = set(cls.key_names())
         unknown = [key for key, value in data.items() if key not in known and not cls.tolerates(key, value)]
-        raise_findings(cls.__name__, [Finding((str(key),), cls.unknown_key(str(key))) for key in unknown])
+        raise_findings([Finding((str(key),), cls.unknown_key(str(key))) for key in unknown])
         required = {field.alias or name: field for name, field in cls.model_fields.items() if field.is_required()}
         missing = {key: field.description for key, field in required.items() if key not in data}
         raise_findings(
-            cls.__name__,
             [Finding.of((key,), f"'{key}' is missing", f"add '{key}: ...' ({what})") for key, what in missing.items()],
         )
         return {key: value for key, value in data.items() if key in known}
@@ -296,13 +295,13 @@ class Tagged:
         text = show(name) if isinstance(name, str) else f"({describe(name)})"
         remedy = nearest(name if isinstance(name, str) else "", known)
         error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
-        raise as_error(self.tag, [error])
+        raise as_error(error)
 
     def _find(self, name: object) -> type[Model] | None:
         try:
             return self.registry.get(name) if isinstance(name, str) else None
         except PluginError as error:
-            raise as_error(self.tag, [Finding.of((self.tag,), error.problem, error.remedy)]) from error
+            raise as_error(Finding.of((self.tag,), error.problem, error.remedy)) from error
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate by the registry and serialise by the model found."""

@@ -152,7 +152,7 @@ class Scenario(Model):
 
     @model_validator(mode="after")
     def _check_together(self) -> "Scenario":
-        raise_findings("Scenario", checks.findings(self))
+        raise_findings(checks.findings(self))
         return self
 
     @cached_property
