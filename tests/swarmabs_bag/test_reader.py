@@ -520,7 +520,7 @@ MESSAGE = record(Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + b"data")
         (chunk(MESSAGE[:-1], name=b""), "reaches beyond its chunk"),
         (chunk(MESSAGE + b"\x05", name=b""), "ends within the head of a record"),
         (chunk(record(Opcode.MESSAGE, b"short"), name=b""), "a message record is cut off"),
-        (record(Opcode.CHUNK, b""), "malformed Chunk record"),
+        (record(Opcode.CHUNK, b""), "malformed Chunk record: a field of 8 bytes, but 0 are left"),
         (record(Opcode.CHUNK, b"", length=2**63), "a record of 9223372036854775808 bytes begins"),
         (record(Opcode.MESSAGE, b"short"), "a message record is cut off"),
         (record(Opcode.SCHEMA, b"\1"), "malformed Schema record"),

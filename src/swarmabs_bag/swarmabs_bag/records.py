@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import struct
 import zlib
+from contextlib import suppress
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk
 
@@ -143,7 +144,9 @@ class _Content(ReadDataStream):
     """The content of a record, of which no field is taken that reaches beyond it."""
 
     def read(self, length: int) -> bytes:
-        data: bytes = super().read(length)
+        data = b""
+        with suppress(EndOfFile):
+            data = super().read(length)
         if len(data) < length:
             raise ValueError(f"a field of {length} bytes, but {len(data)} are left")
         return data
