@@ -9,8 +9,8 @@ import yaml
 from swarmabs_config import configure
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import FAULTS, SettingFault
-from swarmabs_core.membership import UNPLANNED, Change, ChangeKind
+from swarmabs_core.faults import FAULTS, Fault, JoinFault, MembershipFault, SettingFault
+from swarmabs_core.membership import UNPLANNED, Change
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_core.steering import ENDS
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from .model import Scenario
 
-_VALUE = {kind: each.sets for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
+_SETTINGS = {kind: each for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
+_ENDING = {kind: each for kind, each in FAULTS.items() if issubclass(each, MembershipFault)}
 _ENDS = {kind.value: kind for kind in ENDS.values()}
 
 
@@ -53,7 +54,7 @@ def as_planned(
     InputError
         If the events tell of what cannot be planned, or contradict the scenario.
     """
-    settings = {kind: dict(configure.step_changes(scenario, kind)) for kind in _VALUE}
+    settings = {kind: dict(configure.step_changes(scenario, kind)) for kind in _SETTINGS}
     joined: dict[int, int] = {}
     ended = {change.agent_id: change for change in ends}
     absent = {change.agent_id for change in configure.schedule(scenario) if change.step == UNPLANNED}
@@ -91,25 +92,17 @@ def _planned(
     ended = {agent_id: change for agent_id, change in ended.items() if change not in schedule}
     if not (steered or joined or ended):
         return None
-    faults = []
+    faults: list[Fault] = []
     for fault in scenario.faults:
-        data: dict[str, Any] = {"kind": fault.kind, **tree_of(fault)}
-        agent_id = data.get("agent")
-        if data["kind"] in steered or (agent_id in ended and data["kind"] in _ENDING):
-            continue
-        if data["kind"] == ChangeKind.JOIN.value and agent_id in joined:
-            data["at"] = at(joined[agent_id])
-        faults.append(data)
-    faults += [
-        {"kind": kind, "at": at(step), _VALUE[kind]: settings[kind][step]}
-        for kind in sorted(steered)
-        for step in sorted(settings[kind])
-    ]
-    faults += [
-        {"kind": change.kind.value, "at": at(change.step), "agent": change.agent_id}
-        for change in sorted(ended.values())
-    ]
-    return faults
-
-
-_ENDING = {kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN}
+        if isinstance(fault, JoinFault) and fault.agent in joined:
+            faults.append(JoinFault(at=at(joined[fault.agent]), agent=fault.agent))
+        elif isinstance(fault, JoinFault) or not (
+            fault.kind in steered or (isinstance(fault, MembershipFault) and fault.agent in ended)
+        ):
+            faults.append(fault)
+    for kind in sorted(steered):
+        setting = _SETTINGS[kind]
+        faults += [setting(at=at(step), **{setting.sets: value}) for step, value in sorted(settings[kind].items())]
+    for change in sorted(ended.values()):
+        faults.append(_ENDING[change.kind.value](at=at(change.step), agent=change.agent_id))
+    return [{"kind": fault.kind, **tree_of(fault)} for fault in faults]
