@@ -124,11 +124,11 @@ class RealtimeController:
             return (*events, self._event(now, EventKind.STALLED, 0.0, doubt))
         return events
 
-    def stop(self, now: int, why: str = "stop commanded") -> Messages:
+    def stop(self, now: int) -> Messages:
         """Stop the swarm until `reset`; the message goes out at once."""
         if self._mode is Mode.STOP:
             return (self._keep_still(now, self._config.schedule.step(now)),)
-        return self._change(Mode.STOP, now, why)
+        return self._change(Mode.STOP, now, "stop commanded")
 
     def reset(self, now: int) -> Messages:
         """Let the swarm go on after `stop`, or after a stop before this node began: law and reference begin anew."""
