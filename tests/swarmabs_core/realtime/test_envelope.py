@@ -47,7 +47,7 @@ def drive_about(
     for command, periods in commands:
         limited = controller.limit(v, command)
         kept = lane.apply(p, v, limited)
-        assert min(limited, controller.brake(v)) <= kept <= max(limited, controller.brake(v))
+        assert min(limited, controller.brake(v), 0.0) <= kept <= max(limited, controller.brake(v), 0.0)
         for _ in range(periods):
             p, v = controller.ideal.advance(p, v, kept)
             farthest = max(farthest, abs(p))
@@ -80,6 +80,12 @@ def test_a_double_integrator_never_leaves_its_lane(
     )
     held = [(command, lateness.choice((1, 2))) for command in commands for _ in range(5)]
     assert drive_about(controller, lane, start, held) <= LANE + 1e-9
+
+
+def test_a_full_brake_that_is_held_too_long_does_not_throw_a_robot_out_at_the_other_end() -> None:
+    controller, lane = envelope(Kind.DOUBLE_INTEGRATOR, period=0.1, mass=0.2, damping=1.0)
+    held = [(620.0, 1), (620.0, 1), (0.0, 2), (0.0, 2), (-24.0, 1), (-24.0, 2), (-24.0, 1), (5.0, 2), (5.0, 1)]
+    assert drive_about(controller, lane, 0.0, held) <= LANE + 1e-9
 
 
 @pytest.mark.parametrize("force", [0.3, 2.0, 40.0])

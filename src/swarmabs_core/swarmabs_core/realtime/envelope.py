@@ -5,7 +5,7 @@ A forged or foreign broadcast can make a robot move, but not beyond its limits a
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from math import copysign, inf, sqrt
 from typing import TYPE_CHECKING
 
 from swarmabs_core.drive import SingleIntegratorDrive
@@ -31,6 +31,8 @@ class LaneEnvelope:
         self._period = period
         self._limit = lane_limit
         self._deceleration = deceleration
+        # A brake that takes less time reverses a robot that holds its force for all these periods.
+        self._braking_time = max(controller.braking_time, LATENCY * period)
 
     def apply(self, position: float, velocity: float, command: float) -> float:
         """Return the command (m/s or N, within the drive's limits), or the nearest that keeps the robot in its lane."""
@@ -50,8 +52,11 @@ class LaneEnvelope:
 
     def _fits(self, position: float, velocity: float, force: float) -> bool:
         """Tell whether the robot can still come to rest in its lane, however long it was under this force (N)."""
+        farthest = max(self._limit, abs(position))
         for _ in range(LATENCY):
             position, velocity = self._controller.ideal.advance(position, velocity, force)
+            if abs(position) > farthest:
+                return False
             ahead = position if velocity > 0.0 else -position
             if velocity and ahead + self._braking_distance(abs(velocity)) > self._limit:
                 return False
@@ -59,16 +64,20 @@ class LaneEnvelope:
 
     def _braking_distance(self, velocity: float) -> float:
         """Return a bound of the way (m) in which the brake stops the robot."""
-        controller = self._controller
-        mass, tau, force = controller.mass, controller.braking_time, controller.braking_force(velocity)
+        mass, tau, force = self._controller.mass, self._braking_time, self._braking_force(velocity)
         if not force:  # so slow that the brake's force vanishes
             return 0.0
         # First the brake's full force, then, below the velocity F tau / m, one that follows the velocity.
         return 0.5 * (mass * velocity * velocity / force + force * tau * tau / mass)
 
+    def _braking_force(self, velocity: float) -> float:
+        """Return the size (N) of the force with which the robot brakes if each command may be held for some periods."""
+        controller = self._controller
+        return min(controller.braking_force(velocity), controller.mass * abs(velocity) / self._braking_time)
+
     def _nearest(self, position: float, velocity: float, force: float) -> float:
         """Return the force nearest to the one asked for that still lets the robot stop in time, else the full brake."""
-        brake = self._controller.brake(velocity)
+        brake = -copysign(self._braking_force(velocity), velocity)
         if not self._fits(position, velocity, brake):
             return brake
         allowed, refused = brake, force
