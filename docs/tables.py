@@ -32,11 +32,11 @@ from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_cli import swarm
 from swarmabs_config.graph import GRAPH, LOCKSTEP, OFFERED, REALTIME, RECORDER, End, Link
+from swarmabs_config.model.agents import AGENT_KINDS
+from swarmabs_config.model.controllers import CONTROLLER_CONFIGS, TRAJECTORY_CONFIGS
+from swarmabs_config.model.declared import Declared, DeclaredModel, model_of
+from swarmabs_config.model.scenario import FAULT_KINDS, OBSERVERS
 from swarmabs_config.scenario import Scenario
-from swarmabs_config.scenario.agents import AGENT_KINDS
-from swarmabs_config.scenario.controllers import CONTROLLER_CONFIGS, TRAJECTORY_CONFIGS
-from swarmabs_config.scenario.declared import Declared, DeclaredModel, model_of
-from swarmabs_config.scenario.model import FAULT_KINDS, OBSERVERS
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.messages import TOPICS

@@ -20,7 +20,7 @@ import rclpy
 from rclpy.node import Node
 from tests.hosts.namespaces import say
 
-from swarmabs_config.fleet.model import Fleet
+from swarmabs_config.fleet.checked import Fleet
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.ports import metatraffic_port

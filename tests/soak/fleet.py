@@ -15,8 +15,8 @@ from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
+from swarmabs_config.model.controllers import AriseConfig
 from swarmabs_config.scenario import Scenario
-from swarmabs_config.scenario.controllers import AriseConfig
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
 from swarmabs_core.record import Record

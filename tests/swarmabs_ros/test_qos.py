@@ -6,7 +6,7 @@ import pytest
 from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, QoSLivelinessPolicy, qos_check_compatible
 
 from swarmabs_config.graph import LEASE, LOCKSTEP, OFFERED, REALTIME, Qos, requested
-from swarmabs_config.scenario.model import Realtime
+from swarmabs_config.model.scenario import Realtime
 from swarmabs_core.messages import BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, Topic
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_ros.endpoints import profile

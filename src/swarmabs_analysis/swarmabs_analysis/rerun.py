@@ -22,7 +22,7 @@ from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recording import Digest
 from swarmabs_config import configure
-from swarmabs_config.scenario.errors import printable, shorten, show
+from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints

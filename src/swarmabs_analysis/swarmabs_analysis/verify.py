@@ -22,7 +22,7 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import RECORDED, realtime_world
 from swarmabs_config import configure
 from swarmabs_config.graph import REALTIME
-from swarmabs_config.scenario.errors import show
+from swarmabs_config.model.errors import show
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints

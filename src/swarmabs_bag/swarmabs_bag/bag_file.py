@@ -29,7 +29,7 @@ from swarmabs_bag.records import (
     read_records,
     uncompress,
 )
-from swarmabs_config.scenario.errors import show
+from swarmabs_config.model.errors import show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

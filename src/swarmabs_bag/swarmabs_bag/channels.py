@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import NotABagError, UnknownTypeError
 from swarmabs_bag.metadata import BagChannel
-from swarmabs_config.scenario.errors import printable, shorten
+from swarmabs_config.model.errors import printable, shorten
 from swarmabs_core.messages import TOPICS, Topic
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
 from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_config.model.errors import shorten, show
 from swarmabs_config.scenario import ScenarioError, parse_scenario
-from swarmabs_config.scenario.errors import shorten, show
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,7 +11,7 @@ import yaml
 
 from swarmabs_bag.run_folder import write_whole
 from swarmabs_config.graph import Qos
-from swarmabs_config.scenario.errors import ScenarioError
+from swarmabs_config.model.errors import ScenarioError
 from swarmabs_config.scenario.yaml_tree import read_tree
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from swarmabs_bag.errors import UnknownTypeError
-from swarmabs_config.scenario.errors import show
+from swarmabs_config.model.errors import show
 
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]{,99})/msg/([A-Z][A-Za-z0-9]{,99})")
 _SEPARATOR = "=" * 80

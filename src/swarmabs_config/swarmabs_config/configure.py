@@ -20,17 +20,18 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-    from swarmabs_config.scenario import Agent, Scenario
+    from swarmabs_config.model.agents import Agent
+    from swarmabs_config.model.scenario import UncheckedScenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.parameters import Settings, Value
 
 
-def members(scenario: Scenario) -> tuple[int, ...]:
+def members(scenario: UncheckedScenario) -> tuple[int, ...]:
     """Return the ids of all robots, ascending."""
     return tuple(agent.id for agent in scenario.agents)
 
 
-def schedule(scenario: Scenario) -> tuple[Change, ...]:
+def schedule(scenario: UncheckedScenario) -> tuple[Change, ...]:
     """Return the scheduled membership changes by step."""
     return tuple(
         sorted(
@@ -40,7 +41,7 @@ def schedule(scenario: Scenario) -> tuple[Change, ...]:
     )
 
 
-def robot_faults(scenario: Scenario, agent_id: int) -> tuple[InjectedFault, ...]:
+def robot_faults(scenario: UncheckedScenario, agent_id: int) -> tuple[InjectedFault, ...]:
     """Return what is injected into a robot besides changes of the membership."""
     return tuple(
         InjectedFault.of(fault, *scenario.fault_steps(fault))
@@ -49,7 +50,7 @@ def robot_faults(scenario: Scenario, agent_id: int) -> tuple[InjectedFault, ...]
     )
 
 
-def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
+def falsifications(scenario: UncheckedScenario) -> tuple[Falsification, ...]:
     """Return the injected lies of all robots, by robot."""
     return tuple(
         Falsification(agent.id, injected)
@@ -59,7 +60,7 @@ def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
     )
 
 
-def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
+def step_changes(scenario: UncheckedScenario, kind: str) -> tuple[StepChange, ...]:
     """Return the changes of a setting (`REFERENCE` or `DISTURBANCE`) by step; one that ends is 0 from then on."""
     found: dict[int, float] = {}
     for fault in scenario.faults_of(SettingFault):
@@ -70,12 +71,12 @@ def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
     return tuple(StepChange(step, found[step]) for step in sorted(found))
 
 
-def recording_window(scenario: Scenario) -> int:
+def recording_window(scenario: UncheckedScenario) -> int:
     """Return how many steps a recorded run may be ahead of what is on disk."""
     return graph.recording_window(len(scenario.agents))
 
 
-def declared(scenario: Scenario) -> tuple[object, ...]:
+def declared(scenario: UncheckedScenario) -> tuple[object, ...]:
     """Return what a scenario declares, of which the configurations of the nodes are made."""
     run = Run(
         period_ns=scenario.step_ns,
@@ -90,31 +91,31 @@ def declared(scenario: Scenario) -> tuple[object, ...]:
     return run, *of_plane, swarm.gains, swarm.sensor, scenario.limits, scenario.realtime
 
 
-def observer_config(scenario: Scenario) -> ObserverConfig:
+def observer_config(scenario: UncheckedScenario) -> ObserverConfig:
     """Return the observer's configuration."""
     return gathered(ObserverConfig, *declared(scenario), type=scenario.observer.type)
 
 
-def plane_config(scenario: Scenario) -> PlaneConfig:
+def plane_config(scenario: UncheckedScenario) -> PlaneConfig:
     """Return the simulated plane's configuration."""
     return gathered(
         PlaneConfig, *declared(scenario), lies=falsifications(scenario), torques=step_changes(scenario, DISTURBANCE)
     )
 
 
-def parent_law(scenario: Scenario) -> ParentLaw:
+def parent_law(scenario: UncheckedScenario) -> ParentLaw:
     """Return which law controls the plane."""
     plane = scenario.plane
     return ParentLaw(scenario.controller.type, controller_settings(scenario), plane.inertia, plane.friction)
 
 
-def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig:
+def controller_config(scenario: UncheckedScenario, *, recording_window: int) -> ControllerConfig:
     """Return the configuration of the parent controller's node."""
     offsets = step_changes(scenario, REFERENCE)
     return gathered(ControllerConfig, *declared(scenario), recording_window=recording_window, offsets=offsets)
 
 
-def controller_settings(scenario: Scenario) -> Settings:
+def controller_settings(scenario: UncheckedScenario) -> Settings:
     """Return the settings of the control law, nested names joined by dots."""
     return _settings(scenario.controller)
 
@@ -133,18 +134,18 @@ def _settings(part: BaseModel) -> Settings:
     return found
 
 
-def parent_controller(scenario: Scenario) -> ParentController:
+def parent_controller(scenario: UncheckedScenario) -> ParentController:
     """Return the control law of the plane."""
     return parent_law(scenario).make(scenario.period, scenario.manifold)
 
 
-def reference(scenario: Scenario) -> OffsetReference:
+def reference(scenario: UncheckedScenario) -> OffsetReference:
     """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
     offsets = StepSchedule(step_changes(scenario, REFERENCE))
     return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
 
 
-def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
+def agent_configs(scenario: UncheckedScenario) -> tuple[AgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
@@ -165,7 +166,7 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig, ...]:
     )
 
 
-def swarm_law(scenario: Scenario) -> dict[str, Any]:
+def swarm_law(scenario: UncheckedScenario) -> dict[str, Any]:
     """Return the fields of a robot's configuration that say by which law it is moved."""
     return {"law": scenario.swarm.law.type, "law_settings": _settings(scenario.swarm.law)}
 

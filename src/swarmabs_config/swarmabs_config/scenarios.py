@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import AfterValidator
 
+from swarmabs_config.model.errors import show
+from swarmabs_config.model.fields import problem
 from swarmabs_config.scenario import ScenarioError, load_scenario
-from swarmabs_config.scenario.errors import show
-from swarmabs_config.scenario.fields import problem
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:

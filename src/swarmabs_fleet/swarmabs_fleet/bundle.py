@@ -18,7 +18,7 @@ from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
 from swarmabs_config.fleet.participants import ports
 from swarmabs_config.fleet.parts import Account, Address, FolderPath, Interface
 from swarmabs_config.graph import RECORDER
-from swarmabs_config.scenario.fields import AsTuple, Model, Name
+from swarmabs_config.model.fields import AsTuple, Model, Name
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_fleet.host_plan import HostPlan

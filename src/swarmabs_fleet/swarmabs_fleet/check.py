@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.loader import FLEET_FILE, LoadedFleet, load_fleet
-from swarmabs_config.scenario.fields import nearest
+from swarmabs_config.model.fields import nearest
 from swarmabs_core.errors import InputError
 from swarmabs_fleet.bundle import MANIFEST, SECRET, SUMS, Manifest, host_bundle, manifest_of, read_manifest, versions
 from swarmabs_fleet.host_check import check_host
@@ -23,7 +23,7 @@ from swarmabs_run.doctor import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_config.fleet.checked import Fleet
     from swarmabs_run.doctor import Verdict
 
 _MADE_THERE = ("complete", "workspace.env")

@@ -12,7 +12,7 @@ from swarmabs_core.messages import EVENTS
 from swarmabs_core.realtime.instruments import TopicSettings
 
 if TYPE_CHECKING:
-    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_config.fleet.checked import Fleet
     from swarmabs_config.fleet.participants import NodePlan
     from swarmabs_fleet.host_plan import HostPlan
 

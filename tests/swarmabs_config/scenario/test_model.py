@@ -9,12 +9,12 @@ from dataclasses import FrozenInstanceError
 import pytest
 from pydantic import ValidationError
 
+from swarmabs_config.model.agents import DoubleIntegratorAgent, Generate, SingleIntegratorAgent
+from swarmabs_config.model.controllers import AriseConfig, LqrConfig, PdConfig
+from swarmabs_config.model.scenario import Swarm
 from swarmabs_config.scenario import Scenario, parse_scenario
-from swarmabs_config.scenario.agents import DoubleIntegratorAgent, Generate, SingleIntegratorAgent
 from swarmabs_config.scenario.checks import spread
-from swarmabs_config.scenario.controllers import AriseConfig, LqrConfig, PdConfig
 from swarmabs_config.scenario.loader import default_name
-from swarmabs_config.scenario.model import Swarm
 from swarmabs_core.faults import LossFault
 from swarmabs_core.plant import Plane
 from swarmabs_core.theory.constraint_sets import ConstraintSets

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from swarmabs_config.model.agents import Generate
+from swarmabs_config.model.controllers import AriseConfig, LqrConfig, PdConfig
 from swarmabs_config.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
-from swarmabs_config.scenario.agents import Generate
-from swarmabs_config.scenario.controllers import AriseConfig, LqrConfig, PdConfig
 from swarmabs_core.faults import LossFault
 from swarmabs_core.trajectory import Constant, Sine
 

@@ -10,8 +10,8 @@ from tests.plugin_packages import BANG_BANG, SCALED, install
 from swarmabs_bag.attached import provenance
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.configure import agent_configs, controller_settings, parent_controller
+from swarmabs_config.model.controllers import CONTROLLER_CONFIGS
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, json_schema, parse_scenario
-from swarmabs_config.scenario.controllers import CONTROLLER_CONFIGS
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.parameters import resolve
 from swarmabs_core.swarm_law import LAWS

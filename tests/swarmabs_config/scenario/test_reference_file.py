@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from swarmabs_config.model.controllers import CsvTrajectory
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, load_scenario, parse_scenario
-from swarmabs_config.scenario.controllers import CsvTrajectory
 
 TEXT = """\
 schema: 1

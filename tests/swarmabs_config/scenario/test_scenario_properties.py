@@ -7,6 +7,9 @@ import yaml
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 from pydantic import ValidationError
 
+from swarmabs_config.model.agents import DoubleIntegratorAgent, Generate, SingleIntegratorAgent
+from swarmabs_config.model.controllers import AriseConfig, ControllerConfig, CsvTrajectory, LqrConfig, PdConfig
+from swarmabs_config.model.scenario import Swarm, is_name
 from swarmabs_config.scenario import (
     Agent,
     Scenario,
@@ -16,9 +19,6 @@ from swarmabs_config.scenario import (
     parse_scenario,
     yaml_tree,
 )
-from swarmabs_config.scenario.agents import DoubleIntegratorAgent, Generate, SingleIntegratorAgent
-from swarmabs_config.scenario.controllers import AriseConfig, ControllerConfig, CsvTrajectory, LqrConfig, PdConfig
-from swarmabs_config.scenario.model import Swarm, is_name
 from swarmabs_core.behaviours.base import Lockstep
 from swarmabs_core.faults import (
     ClockOffsetFault,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
+from swarmabs_config.model.controllers import AriseConfig, PdConfig
 from swarmabs_config.scenario import Scenario, dump_scenario, json_schema, load_scenario, parse_scenario
-from swarmabs_config.scenario.controllers import AriseConfig, PdConfig
 from swarmabs_core.trajectory import Sine
 
 FOLDER = Path(__file__).parents[3] / "src" / "swarmabs_bringup" / "scenarios"

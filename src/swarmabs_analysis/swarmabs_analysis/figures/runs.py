@@ -13,8 +13,8 @@ from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder, find_bag, new_run_folder
+from swarmabs_config.model.errors import printable, shorten
 from swarmabs_config.scenario import Scenario, dump_scenario
-from swarmabs_config.scenario.errors import printable, shorten
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError

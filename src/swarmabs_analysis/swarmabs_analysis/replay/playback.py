@@ -22,7 +22,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.metadata import load_yaml
 from swarmabs_bag.schemas import message_schema
-from swarmabs_config.scenario.errors import printable, shorten, show
+from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_core.errors import InputError
 from swarmabs_ros.start import SwarmNode, initialise
 

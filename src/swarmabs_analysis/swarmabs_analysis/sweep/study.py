@@ -16,10 +16,8 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from swarmabs_analysis.sweep.evaluate import Task
-from swarmabs_config.scenario import ScenarioError, parse_scenario
-from swarmabs_config.scenario.dump import dump_tree
-from swarmabs_config.scenario.errors import describe, show
-from swarmabs_config.scenario.fields import (
+from swarmabs_config.model.errors import describe, show
+from swarmabs_config.model.fields import (
     AsPair,
     AsTuple,
     Finding,
@@ -31,8 +29,10 @@ from swarmabs_config.scenario.fields import (
     problem,
     raise_findings,
 )
+from swarmabs_config.model.scenario import FolderName
+from swarmabs_config.scenario import ScenarioError, parse_scenario
+from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import default_name, read_mapping, validated
-from swarmabs_config.scenario.model import FolderName
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_config.scenario.yaml_tree import Node
 from swarmabs_config.scenarios import DottedPath, as_override, at_parameter, find_scenario, named_scenario

@@ -7,18 +7,18 @@ import math
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet import participants
-from swarmabs_config.scenario.fields import Finding, Location, nearest
+from swarmabs_config.model.fields import Finding, Location, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator
 
-    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_config.fleet.model import UncheckedFleet
 
 _TUNNEL = ("security", "level")
 _LOOPBACK = "lo"
 
 
-def findings(fleet: Fleet) -> list[Finding]:
+def findings(fleet: UncheckedFleet) -> list[Finding]:
     """Return every error of a fleet whose fields are valid one by one."""
     # A later check relies on the earlier ones.
     for group in ((_hosts, _ids), (_references,), (_network, _loopback, _security, _installation, _participants)):
@@ -27,7 +27,7 @@ def findings(fleet: Fleet) -> list[Finding]:
     return []
 
 
-def warnings(fleet: Fleet) -> tuple[str, ...]:
+def warnings(fleet: UncheckedFleet) -> tuple[str, ...]:
     """Return what is legal but likely to go wrong, one line each."""
     found = []
     used = {node.host for node in participants.node_plans(fleet)}
@@ -51,7 +51,7 @@ def _twice(kind: str, values: Iterable[tuple[Location, Hashable]], remedy: str) 
         first.setdefault(value, location)
 
 
-def _hosts(fleet: Fleet) -> Iterator[Finding]:
+def _hosts(fleet: UncheckedFleet) -> Iterator[Finding]:
     if not fleet.hosts:
         yield Finding.of(("hosts",), "no hosts", "list at least one, e.g. {name: base, address: 192.168.10.1}")
     listed = list(enumerate(fleet.hosts))
@@ -68,7 +68,7 @@ def _hosts(fleet: Fleet) -> Iterator[Finding]:
             yield Finding.of(("hosts", n), f"no interface for {host.name}", "add 'interface: ...' here or in 'network'")
 
 
-def _ids(fleet: Fleet) -> Iterator[Finding]:
+def _ids(fleet: UncheckedFleet) -> Iterator[Finding]:
     if len(fleet.robots) < 2:
         yield Finding.of(
             ("robots",),
@@ -84,7 +84,7 @@ def _ids(fleet: Fleet) -> Iterator[Finding]:
     yield from _twice("robot", ids, "give every robot its own id")
 
 
-def _references(fleet: Fleet) -> Iterator[Finding]:
+def _references(fleet: UncheckedFleet) -> Iterator[Finding]:
     known = [host.name for host in fleet.hosts]
     parts = fleet.coordinators
     named: list[tuple[Location, str | None]] = [
@@ -100,7 +100,7 @@ def _references(fleet: Fleet) -> Iterator[Finding]:
             yield Finding.of(location, f"unknown host '{name}'", nearest(name, known))
 
 
-def _network(fleet: Fleet) -> Iterator[Finding]:
+def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
     network = fleet.network
     if network.discovery == "server" and network.server is None:
         yield Finding.of(("network", "discovery"), "no server", "add 'server: HOST' to 'network'")
@@ -128,7 +128,7 @@ def _network(fleet: Fleet) -> Iterator[Finding]:
                 )
 
 
-def _loopback(fleet: Fleet) -> Iterator[Finding]:
+def _loopback(fleet: UncheckedFleet) -> Iterator[Finding]:
     """Refuse the loopback interface where others have to be met; a fleet on one host may be on it."""
     for n, host in enumerate(fleet.hosts):
         alone = len(fleet.hosts) == 1 and ipaddress.IPv4Address(host.address).is_loopback
@@ -145,7 +145,7 @@ def _loopback(fleet: Fleet) -> Iterator[Finding]:
         )
 
 
-def _installation(fleet: Fleet) -> Iterator[Finding]:
+def _installation(fleet: UncheckedFleet) -> Iterator[Finding]:
     """Refuse to install a bundle where the checkout is, or around it."""
     place = fleet.installation
     installed = f"{place.prefix}/{fleet.name}"
@@ -158,7 +158,7 @@ def _installation(fleet: Fleet) -> Iterator[Finding]:
         )
 
 
-def _security(fleet: Fleet) -> Iterator[Finding]:
+def _security(fleet: UncheckedFleet) -> Iterator[Finding]:
     level = fleet.security.level
     for n, host in enumerate(fleet.hosts):
         if fleet.tunnel is not None and host.tunnel_address is None:
@@ -188,7 +188,7 @@ def _security(fleet: Fleet) -> Iterator[Finding]:
             )
 
 
-def _participants(fleet: Fleet) -> Iterator[Finding]:
+def _participants(fleet: UncheckedFleet) -> Iterator[Finding]:
     for host in fleet.hosts:
         highest = max((node.participant for node in participants.nodes_on(fleet, host.name)), default=0)
         if highest > participants.LARGEST_PARTICIPANT:

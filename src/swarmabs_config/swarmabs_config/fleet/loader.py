@@ -7,12 +7,12 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmabs_config.fleet.model import Fleet
+from swarmabs_config.fleet.checked import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
+from swarmabs_config.model.fields import LONGEST_FILE_NAME, schema_of
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
-from swarmabs_config.scenario.fields import LONGEST_FILE_NAME, schema_of
 from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_config.scenarios import as_override, at_parameter, find_scenario, named_scenario
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from swarmabs_config.fleet.robots import Robot
-    from swarmabs_config.scenario.fields import Location
+    from swarmabs_config.model.fields import Location
     from swarmabs_config.scenario.yaml_tree import Node, Plain
 
 FLEET_FILE = "fleet.yaml"

@@ -1,4 +1,4 @@
-"""The fleet file: robots, hosts, coordinators, network, security; checked once and then immutable."""
+"""The fleet file: robots, hosts, coordinators, network, security."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from datetime import datetime, timedelta, timezone
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator
 
-from swarmabs_config.fleet import checks
 from swarmabs_config.fleet.parts import (
     LEVELS,
     Coordinators,
@@ -22,8 +21,8 @@ from swarmabs_config.fleet.parts import (
     TunnelSecurity,
 )
 from swarmabs_config.fleet.robots import ROBOT_KINDS, Robot
-from swarmabs_config.scenario.errors import show
-from swarmabs_config.scenario.fields import (
+from swarmabs_config.model.errors import show
+from swarmabs_config.model.fields import (
     AsTuple,
     Model,
     Name,
@@ -31,7 +30,6 @@ from swarmabs_config.scenario.fields import (
     Tagged,
     known_version,
     problem,
-    raise_findings,
 )
 from swarmabs_config.scenarios import DEFAULT, DottedPath
 
@@ -39,8 +37,8 @@ _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-class Fleet(Model):
-    """A fleet, completely described apart from its scenario. Build it with `load_fleet`, which names file and line."""
+class UncheckedFleet(Model):
+    """A fleet, completely described apart from its scenario; what involves several settings is not checked yet."""
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
@@ -91,11 +89,6 @@ class Fleet(Model):
             )
         return text
 
-    @model_validator(mode="after")
-    def _check_together(self) -> Fleet:
-        raise_findings(checks.findings(self))
-        return self
-
     @cached_property
     def epoch_ns(self) -> int:
         """Time of step 0, Unix time in ns."""
@@ -135,7 +128,3 @@ class Fleet(Model):
     def tunnel(self) -> TunnelSecurity | None:
         """The tunnel, if there is one."""
         return self.security if isinstance(self.security, TunnelSecurity) else None
-
-    def warnings(self) -> tuple[str, ...]:
-        """Return what is legal but likely to go wrong, one line each."""
-        return checks.warnings(self)

@@ -25,7 +25,7 @@ from swarmabs_config.graph import (
 from swarmabs_config.ports import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_port
 
 if TYPE_CHECKING:
-    from swarmabs_config.fleet.model import Fleet
+    from swarmabs_config.fleet.model import UncheckedFleet
     from swarmabs_config.fleet.robots import Robot
 
 OPERATOR = FIRST_SPARE
@@ -56,7 +56,7 @@ class NodePlan:
     robot: Robot | None = None
 
 
-def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
+def node_plans(fleet: UncheckedFleet) -> tuple[NodePlan, ...]:
     """Return all nodes of a fleet: the coordinators first, then the robots by id."""
     parts = fleet.coordinators
     hosts = {
@@ -81,12 +81,12 @@ def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
     return tuple(nodes)
 
 
-def nodes_on(fleet: Fleet, host: str) -> tuple[NodePlan, ...]:
+def nodes_on(fleet: UncheckedFleet, host: str) -> tuple[NodePlan, ...]:
     """Return the nodes of a host."""
     return tuple(node for node in node_plans(fleet) if node.host == host)
 
 
-def ports(fleet: Fleet, node: NodePlan) -> tuple[int, int]:
+def ports(fleet: UncheckedFleet, node: NodePlan) -> tuple[int, int]:
     """Return the two UDP ports of a node: for discovery and for data."""
     first = metatraffic_port(fleet.network.domain, node.participant)
     return first, first + DATA_OFFSET - METATRAFFIC_OFFSET

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import AfterValidator, Field
 
+from swarmabs_config.model.declared import model_of
+from swarmabs_config.model.errors import show
+from swarmabs_config.model.fields import WORD, AsTuple, Model, Name, Positive, Tagged, matching, problem
 from swarmabs_config.ports import LARGEST_DOMAIN
-from swarmabs_config.scenario.declared import model_of
-from swarmabs_config.scenario.errors import show
-from swarmabs_config.scenario.fields import WORD, AsTuple, Model, Name, Positive, Tagged, matching, problem
 from swarmabs_core.declaration import part, setting
 from swarmabs_core.realtime.instruments import PlaneInstrument
 

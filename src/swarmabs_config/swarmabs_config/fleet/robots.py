@@ -9,10 +9,10 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from swarmabs_config.fleet.parts import PluginName, SettingName
-from swarmabs_config.scenario.agents import AgentId, Damping, Mass, Position, Velocity
-from swarmabs_config.scenario.declared import like, model_of
-from swarmabs_config.scenario.errors import describe
-from swarmabs_config.scenario.fields import LARGEST, Model, Name, Positive, Tagged, problem
+from swarmabs_config.model.agents import AgentId, Damping, Mass, Position, Velocity
+from swarmabs_config.model.declared import like, model_of
+from swarmabs_config.model.errors import describe
+from swarmabs_config.model.fields import LARGEST, Model, Name, Positive, Tagged, problem
 from swarmabs_core.behaviours.agent import RobotConfig
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.instruments import TopicSettings

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
+from swarmabs_config.model.fields import NANOSECONDS, SMALLEST, Finding, Location
 from swarmabs_core import behaviours
 from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
@@ -19,19 +20,17 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .fault_checks import faults, offset_law
-from .fields import NANOSECONDS, SMALLEST, Finding, Location
 
 if TYPE_CHECKING:
+    from swarmabs_config.model.agents import Agent
+    from swarmabs_config.model.scenario import UncheckedScenario
     from swarmabs_core.manifold import Manifold
-
-    from .agents import Agent
-    from .model import Scenario
 
 SMALLEST_SPREAD = 1e-12
 """S3 must exceed this many S0^2 L^2: below, the robots cannot tell torque from inertia."""
 
 
-def findings(scenario: "Scenario") -> list[Finding]:
+def findings(scenario: "UncheckedScenario") -> list[Finding]:
     """Return every error of a scenario whose fields are valid one by one."""
     # A later check relies on, or is only of interest after, the earlier ones.
     for checks in (
@@ -47,7 +46,7 @@ def findings(scenario: "Scenario") -> list[Finding]:
     return []
 
 
-def warnings(scenario: "Scenario") -> tuple[str, ...]:
+def warnings(scenario: "UncheckedScenario") -> tuple[str, ...]:
     """Return what is legal but likely to go wrong, one line each."""
     checks = (_outside_reachable_set, _underdamped, _wrong_feedback, _membership)
     return tuple(text for check in checks for text in check(scenario))
@@ -61,7 +60,7 @@ def spread(agents: Iterable["Agent"]) -> tuple[float, float]:
     return s0, s0 * math.fsum(square * (position - centre) ** 2 for square, position in members)
 
 
-def _timing(scenario: "Scenario") -> Iterator[Finding]:
+def _timing(scenario: "UncheckedScenario") -> Iterator[Finding]:
     if scenario.duration_ns % scenario.step_ns:
         below = scenario.duration_ns // scenario.step_ns * scenario.step_ns
         near = [ns for ns in (below, below + scenario.step_ns) if ns > 0]
@@ -73,7 +72,7 @@ def _timing(scenario: "Scenario") -> Iterator[Finding]:
         )
 
 
-def _ids(scenario: "Scenario") -> Iterator[Finding]:
+def _ids(scenario: "UncheckedScenario") -> Iterator[Finding]:
     if len(scenario.agents) < 2:
         count = len(scenario.agents)
         yield Finding.of(
@@ -95,7 +94,7 @@ def _ids(scenario: "Scenario") -> Iterator[Finding]:
         first.setdefault(agent.id, location)
 
 
-def _positions(scenario: "Scenario") -> Iterator[Finding]:
+def _positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
     half = scenario.plane.length / 2
     placed: list[tuple[Location, float]] = [
         (("swarm", "agents", index, "position"), agent.position)
@@ -113,7 +112,7 @@ def _positions(scenario: "Scenario") -> Iterator[Finding]:
             )
 
 
-def _plane(scenario: "Scenario") -> Iterator[Finding]:
+def _plane(scenario: "UncheckedScenario") -> Iterator[Finding]:
     plane = scenario.plane
     if plane.end_stop is not None and abs(plane.angle) > plane.end_stop:
         yield Finding.of(
@@ -131,7 +130,7 @@ def _plane(scenario: "Scenario") -> Iterator[Finding]:
         )
 
 
-def _spread(scenario: "Scenario") -> Iterator[Finding]:
+def _spread(scenario: "UncheckedScenario") -> Iterator[Finding]:
     where = _swarm_location(scenario)
     present = scenario.initial_agents
     if len(present) < 2:
@@ -151,7 +150,7 @@ def _spread(scenario: "Scenario") -> Iterator[Finding]:
         )
 
 
-def _preimage(scenario: "Scenario") -> Iterator[Finding]:
+def _preimage(scenario: "UncheckedScenario") -> Iterator[Finding]:
     # A tau^2 + B - tau^2/(g^2 M) is linear in tau^2, positive at 0: if negative anywhere, then at torque_max.
     manifold, mass = scenario.manifold, _total_mass(scenario.agents)
     if (failing := _empty_from(manifold, mass, scenario.plane.gravity)) is None:
@@ -182,7 +181,7 @@ def _rounded_up(value: float) -> float:
     return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal_from_float(value))
 
 
-def _brought(scenario: "Scenario") -> Iterator[Finding]:
+def _brought(scenario: "UncheckedScenario") -> Iterator[Finding]:
     """Make the controller, and what installed packages bring, so that what these refuse is refused before the start."""
     made: list[tuple[Location, Callable[[], object]]] = []
     made.append((("controller",), partial(configure.parent_controller, scenario)))
@@ -201,7 +200,7 @@ def _brought(scenario: "Scenario") -> Iterator[Finding]:
             return
 
 
-def _swarm_location(scenario: "Scenario") -> Location:
+def _swarm_location(scenario: "UncheckedScenario") -> Location:
     return ("swarm", "agents" if scenario.swarm.agents is not None else "generate")
 
 
@@ -209,7 +208,7 @@ def _total_mass(agents: Iterable["Agent"]) -> float:
     return math.fsum(agent.mass for agent in agents)
 
 
-def _outside_reachable_set(scenario: "Scenario") -> Iterator[str]:
+def _outside_reachable_set(scenario: "UncheckedScenario") -> Iterator[str]:
     manifold, plane = scenario.manifold, scenario.plane
     sets = ConstraintSets([agent.mass for agent in scenario.agents], plane.length, plane.gravity)
     leaves = max(0.0, sets.admissible_reach(manifold.curvature, manifold.offset))
@@ -221,7 +220,7 @@ def _outside_reachable_set(scenario: "Scenario") -> Iterator[str]:
         )
 
 
-def _underdamped(scenario: "Scenario") -> Iterator[str]:
+def _underdamped(scenario: "UncheckedScenario") -> Iterator[str]:
     if all(agent.kind != "double_integrator" for agent in scenario.initial_agents):
         return
     kp, kd = scenario.swarm.gains.kp[1], scenario.swarm.gains.kd[1]
@@ -237,13 +236,13 @@ def _underdamped(scenario: "Scenario") -> Iterator[str]:
         )
 
 
-def _wrong_feedback(scenario: "Scenario") -> Iterator[str]:
+def _wrong_feedback(scenario: "UncheckedScenario") -> Iterator[str]:
     gains = configure.controller_settings(scenario).get("gains")
     if scenario.controller.type == PD.name and isinstance(gains, tuple) and float(gains[0]) <= 0.0:
         yield f"controller.gains: k1 = {gains[0]!r} does not level the plane; use a positive gain"
 
 
-def _membership(scenario: "Scenario") -> Iterator[str]:
+def _membership(scenario: "UncheckedScenario") -> Iterator[str]:
     """Follow the robots that are there through all faults: their number, and the preimage of the manifold."""
     active = {agent.id for agent in scenario.initial_agents}
     heavy = set(active)

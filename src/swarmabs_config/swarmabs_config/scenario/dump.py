@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 
-from .model import Scenario
+from .checked import Scenario
 from .yaml_tree import Plain
 
 _PLAIN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

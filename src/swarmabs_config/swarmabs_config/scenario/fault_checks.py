@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
+from swarmabs_config.model.fields import Finding, Location
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.declaration import LONGEST_TIME
 from swarmabs_core.faults import (
@@ -22,10 +23,8 @@ from swarmabs_core.faults import (
 )
 from swarmabs_core.membership import UNPLANNED
 
-from .fields import Finding, Location
-
 if TYPE_CHECKING:
-    from .model import Scenario
+    from swarmabs_config.model.scenario import UncheckedScenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ class _Span:
     end: float
 
 
-def faults(scenario: "Scenario") -> Iterator[Finding]:
+def faults(scenario: "UncheckedScenario") -> Iterator[Finding]:
     """Check each fault by itself, then those that hit the same robots, or set the same."""
     ids = {agent.id for agent in scenario.agents}
     spans: list[_Span] = []
@@ -59,7 +58,7 @@ def faults(scenario: "Scenario") -> Iterator[Finding]:
         yield from _second(span, spans[:number], ids)
 
 
-def _within_run(span: _Span, scenario: "Scenario") -> Iterator[Finding]:
+def _within_run(span: _Span, scenario: "UncheckedScenario") -> Iterator[Finding]:
     fault, (begin, end) = span.fault, span.fault.when
     if span.first > scenario.steps and fault.at is not None:
         yield Finding.of(
@@ -125,7 +124,7 @@ def _second(span: _Span, others: list[_Span], ids: set[int]) -> Iterator[Finding
             return
 
 
-def offset_law(scenario: "Scenario") -> Iterator[Finding]:
+def offset_law(scenario: "UncheckedScenario") -> Iterator[Finding]:
     """Check that the parent controller's reference can be offset, if it shall be."""
     index = next((index for index, fault in enumerate(scenario.faults) if isinstance(fault, ReferenceFault)), None)
     if index is not None and not isinstance(configure.parent_controller(scenario), OffsetController):

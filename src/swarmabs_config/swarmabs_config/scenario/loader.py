@@ -12,9 +12,11 @@ from typing import TypeAlias, TypeVar
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from .errors import ScenarioError, describe, show
-from .fields import Location, Model, nearest
-from .model import LONGEST_NAME, Scenario
+from swarmabs_config.model.errors import ScenarioError, describe, show
+from swarmabs_config.model.fields import Location, Model, nearest
+from swarmabs_config.model.scenario import LONGEST_NAME
+
+from .checked import Scenario
 from .overrides import apply_overrides
 from .reference_file import with_rows
 from .text_file import read_text

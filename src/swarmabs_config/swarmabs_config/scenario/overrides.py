@@ -4,10 +4,12 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from .controllers import DEFAULT_CONTROLLER, DEFAULT_LAW, DEFAULT_TRAJECTORY
-from .errors import describe, shorten
-from .fields import Location
-from .model import DEFAULT_OBSERVER, Scenario
+from swarmabs_config.model.controllers import DEFAULT_CONTROLLER, DEFAULT_LAW, DEFAULT_TRAJECTORY
+from swarmabs_config.model.errors import describe, shorten
+from swarmabs_config.model.fields import Location
+from swarmabs_config.model.scenario import DEFAULT_OBSERVER
+
+from .checked import Scenario
 from .yaml_tree import Entry, Mark, Node, read_tree
 
 _LONGEST_SHOWN = 100

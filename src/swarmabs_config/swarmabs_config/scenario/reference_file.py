@@ -5,13 +5,13 @@ import math
 from functools import partial
 from pathlib import Path
 
+from swarmabs_config.model.controllers import MOST_ROWS
+from swarmabs_config.model.errors import ScenarioError, show
+from swarmabs_config.model.fields import LARGEST
 from swarmabs_core.declaration import LONGEST_TIME
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.trajectory import SHORTEST
 
-from .controllers import MOST_ROWS
-from .errors import ScenarioError, show
-from .fields import LARGEST
 from .text_file import read_text
 from .yaml_tree import Entry, Node
 

@@ -19,7 +19,7 @@ from .loader import parse_scenario
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from .model import Scenario
+    from .checked import Scenario
 
 _SETTINGS = {kind: each for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
 _ENDING = {kind: each for kind, each in FAULTS.items() if issubclass(each, MembershipFault)}

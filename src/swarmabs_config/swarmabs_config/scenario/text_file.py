@@ -4,8 +4,9 @@ import os
 import stat
 from pathlib import Path
 
-from .errors import ScenarioError
-from .fields import nearest
+from swarmabs_config.model.errors import ScenarioError
+from swarmabs_config.model.fields import nearest
+
 from .yaml_tree import LARGEST_TEXT
 
 

@@ -14,8 +14,8 @@ from typing import NoReturn, TypeAlias
 
 import yaml
 
-from .errors import ScenarioError, describe, show
-from .fields import Location
+from swarmabs_config.model.errors import ScenarioError, describe, show
+from swarmabs_config.model.fields import Location
 
 LARGEST_TEXT = 16 * 2**20
 """Largest text in bytes; 65,535 listed robots, the most there can be, fit."""

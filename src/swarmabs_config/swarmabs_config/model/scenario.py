@@ -1,4 +1,4 @@
-"""The scenario: everything a run depends on, checked once and then immutable."""
+"""The scenario: everything a run depends on."""
 
 from functools import cached_property
 from typing import Annotated, Literal, TypeAlias, TypeVar
@@ -16,7 +16,6 @@ from swarmabs_core.robot_controller import Limits
 from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.swarm_law import SwarmGains
 
-from . import checks
 from .agents import AGENT_KINDS, Agent, Generate
 from .controllers import (
     CONTROLLER_CONFIGS,
@@ -39,8 +38,6 @@ from .fields import (
     known_version,
     nearest_step,
     problem,
-    raise_findings,
-    schema_of,
     to_nanoseconds,
 )
 
@@ -114,12 +111,8 @@ class Swarm(Model):
         return tuple(sorted(self.agents or (), key=lambda agent: agent.id))
 
 
-class Scenario(Model):
-    """A run, completely described.
-
-    Instances are valid and immutable. Build them with `load_scenario` or `parse_scenario`, which name file
-    and line of an error, or directly; then an invalid value raises `pydantic.ValidationError`.
-    """
+class UncheckedScenario(Model):
+    """A run, completely described; what involves several settings is not checked yet."""
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
@@ -149,11 +142,6 @@ class Scenario(Model):
     faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )
-
-    @model_validator(mode="after")
-    def _check_together(self) -> "Scenario":
-        raise_findings(checks.findings(self))
-        return self
 
     @cached_property
     def step_ns(self) -> int:
@@ -200,21 +188,3 @@ class Scenario(Model):
         What has no time is not planned: `swarmabs_core.membership.UNPLANNED`.
         """
         return UNPLANNED if at is None else nearest_step(at, self.step_ns)
-
-    def resolved(self) -> "Scenario":
-        """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""
-        swarm = self.swarm.model_copy(update={"agents": self.agents, "generate": None})
-        return self.model_copy(update={"swarm": swarm})
-
-    def warnings(self) -> tuple[str, ...]:
-        """Return what is legal but likely to go wrong, one line each."""
-        return checks.warnings(self)
-
-
-def json_schema() -> dict[str, object]:
-    """Return the JSON Schema (2020-12) of a scenario file, with the registered controllers and trajectories.
-
-    It covers names, types, units and ranges. What involves several fields at once is not in it: that is
-    checked when a scenario is loaded.
-    """
-    return schema_of(Scenario, "swarmabs scenario")

@@ -1,0 +1,1 @@
+"""What a scenario consists of; `swarmabs_config.scenario` reads it and checks what involves several settings."""

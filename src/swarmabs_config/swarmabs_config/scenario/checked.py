@@ -1,0 +1,39 @@
+"""The checked scenario: what involves several settings holds too."""
+
+from pydantic import model_validator
+
+from swarmabs_config.model.fields import raise_findings, schema_of
+from swarmabs_config.model.scenario import UncheckedScenario
+
+from . import checks
+
+
+class Scenario(UncheckedScenario):
+    """A run, completely described.
+
+    Instances are valid and immutable. Build them with `load_scenario` or `parse_scenario`, which name file
+    and line of an error, or directly; then an invalid value raises `pydantic.ValidationError`.
+    """
+
+    @model_validator(mode="after")
+    def _check_together(self) -> "Scenario":
+        raise_findings(checks.findings(self))
+        return self
+
+    def resolved(self) -> "Scenario":
+        """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""
+        swarm = self.swarm.model_copy(update={"agents": self.agents, "generate": None})
+        return self.model_copy(update={"swarm": swarm})
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what is legal but likely to go wrong, one line each."""
+        return checks.warnings(self)
+
+
+def json_schema() -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of a scenario file, with the registered controllers and trajectories.
+
+    It covers names, types, units and ranges. What involves several fields at once is not in it: that is
+    checked when a scenario is loaded.
+    """
+    return schema_of(Scenario, "swarmabs scenario")
