@@ -21,7 +21,10 @@ PARAMETERS = (RealtimeAgentConfig,)
 
 
 def drive_of(config: RealtimeAgentConfig, node: RealtimeNode) -> Drive:
-    """Return the drive that is asked for, open."""
+    """Return the drive that is asked for, open.
+
+    Raises `InputError` if its settings contradict each other, or the package that brings it is unfit.
+    """
     body = Body(
         agent_id=config.agent_id,
         kind=config.kind,

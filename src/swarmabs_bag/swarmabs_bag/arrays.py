@@ -67,7 +67,10 @@ def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
 
 
 def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:
-    """Load the messages of each main topic as rows of an array, in the order of the file; as of `load_arrays`."""
+    """Load the messages of each main topic as rows of a structured array, in the order of the file.
+
+    `every` and errors are as of `load_arrays`; a bag without its end may lack topics.
+    """
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")

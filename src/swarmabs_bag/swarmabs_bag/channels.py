@@ -66,7 +66,10 @@ def swarm_topics(index: FileIndex) -> dict[int, tuple[str, Topic]]:
 
 
 def chosen_swarm(path: Path, swarms: Sequence[str], namespace: str | None) -> str | None:
-    """Return which of the swarms is read, None if there is none, or none of several is named."""
+    """Return which of the swarms is read, None if there is none, or none of several is named.
+
+    Raises `NotABagError` if there is no swarm of that name.
+    """
     if namespace is None:
         return swarms[0] if len(swarms) == 1 else None
     name = namespace.strip("/")

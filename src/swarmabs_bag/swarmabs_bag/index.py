@@ -2,6 +2,7 @@
 
 The format lets a writer leave out the summary section, or any part of it: what is missing is gathered by a scan. A file
 whose writer was killed is read from the start, as far as its records are whole, and `tail` makes its end from that.
+What is not as the format says raises `RecordError` with its place in the file.
 """
 
 from __future__ import annotations
@@ -250,7 +251,8 @@ def scan_index(stream: BinaryIO, size: int) -> FileIndex:
     """Find out what the first `size` bytes of a file hold by reading them from the start.
 
     The scan ends before the first record that is not whole or not as the format says; `FileIndex.problem`
-    tells of it. It also ends, without a problem, at the end of the data section.
+    tells of it. It also ends, without a problem, at the end of the data section. Only a file without even a header
+    raises `RecordError`.
     """
     stream.seek(0)
     if stream.read(len(MAGIC)) != MAGIC:

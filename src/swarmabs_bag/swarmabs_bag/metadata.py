@@ -202,7 +202,7 @@ def bag_metadata(
 
 
 def write_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, whole or not at all, also if power fails."""
+    """Write ``metadata.yaml``, whole or not at all (`OSError`), also if power fails."""
     write_whole(folder / METADATA_FILE, dump_yaml({"rosbag2_bagfile_information": metadata}).encode(), sync=True)
 
 

@@ -17,7 +17,8 @@ class RecordFile:
     """A new file as output stream of an MCAP writer that collects what is written until `commit`.
 
     A commit that fails is undone: the file is cut back to where the commit before ended. So between two
-    commits it always ends behind a whole record, also when the process is killed.
+    commits it always ends behind a whole record, also when the process is killed. A file that exists, or cannot be
+    created, raises `OSError`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -46,7 +47,7 @@ class RecordFile:
         """Do nothing: only `commit` reaches the disk."""
 
     def commit(self) -> None:
-        """Hand all that was written to the operating system; after an error nothing of it is in the file."""
+        """Hand all that was written to the operating system; after an `OSError` nothing of it is in the file."""
         data = memoryview(b"".join(self._pending))
         self._pending.clear()
         self._pending_size = 0
@@ -88,7 +89,7 @@ class Reserve:
         self._size = 0
 
     def hold(self, size: int) -> None:
-        """Hold at least `size` bytes, in steps of 64 KiB; after an error what was held before still is."""
+        """Hold at least `size` bytes, in steps of 64 KiB; after an `OSError` what was held before still is."""
         if size <= self._size:
             return
         wanted = -(-size // _RESERVE_STEP) * _RESERVE_STEP

@@ -169,7 +169,10 @@ def law_begins(bag: BagReader) -> dict[int, int]:
 
 
 def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
-    """Return the figures of a bag, by the same arithmetic as while it was recorded."""
+    """Return the figures of a bag, by the same arithmetic as while it was recorded.
+
+    Raises `DamagedBagError` where the bag is damaged.
+    """
     figures = RealtimeFigures(configure.parent_controller(scenario).reference, Schedule(scenario.step_ns))
     for record in bag.records(RECORDED):
         figures.add(record)

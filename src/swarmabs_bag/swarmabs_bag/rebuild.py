@@ -41,7 +41,7 @@ _CHUNK_BYTES = 2**20
 
 
 class Rebuilt:
-    """What can be saved of a file, and what becomes of it: chunks that are whole are taken over as they are.
+    """What can be saved of a file of `size` bytes, and what becomes of it: whole chunks are taken over as they are.
 
     Parameters
     ----------

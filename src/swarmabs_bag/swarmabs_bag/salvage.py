@@ -79,7 +79,7 @@ class Salvage:
 
     Behind damage the search goes on at the next chunk, attachment, or end of the data section that is whole. Beside
     chunks, a message outside of them is believed only if the CRC of the data section is right: no other CRC covers it,
-    and one wrong bit makes a message of a message index.
+    and one wrong bit makes a message of a message index. The file has `size` bytes.
 
     Attributes
     ----------

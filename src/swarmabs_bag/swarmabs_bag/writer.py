@@ -191,7 +191,7 @@ class BagWriter:
             self.abort(reason=str(error) or type(error).__name__)
 
     def write(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None) -> None:
-        """Write a message on one of the topics named at opening.
+        """Write a message, CDR with its encapsulation header, on one of the topics named at opening.
 
         Times are in ns and not negative. In lockstep the log time is that of the message's header; the publish time is
         by default the same.

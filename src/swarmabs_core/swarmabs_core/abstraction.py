@@ -61,7 +61,7 @@ class DampingSums(NamedTuple):
 
 
 def abstraction(robots: Iterable[Weight] | Columns, gravity: float, sums: Sums = robot_sums) -> Abstraction:
-    """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState)."""
+    """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState); gravity is in m/s^2."""
     moment, inertia, momentum, half_inertia_rate, q = sums(robots, _weight_terms)
     return Abstraction(gravity * moment, inertia, gravity * momentum, 2.0 * half_inertia_rate, q)
 
@@ -114,7 +114,19 @@ def damping_sums(
 def observed(
     stamp: int, step: int, weights: Sequence[Weight], followers: Sequence[AgentState], gravity: float, ksd: float
 ) -> tuple[AbstractState, AuxiliaryState]:
-    """Return what an observer publishes of all robots whose weight is on the plane, and those that follow the law."""
+    """Return what an observer publishes.
+
+    Parameters
+    ----------
+    stamp, step : int
+        Of both messages; ns and steps.
+    weights, followers : sequence of Weight, sequence of AgentState
+        All robots whose weight is on the plane, and those of them that follow the law.
+    gravity : float
+        m/s^2.
+    ksd : float
+        Damping that the double integrators' law adds, N s/m.
+    """
     *abstract, q = abstraction(weights, gravity)
     moments = second_moments((s.mass, s.position) for s in followers)
     damped = ((s.mass, s.position, s.damping) for s in followers if s.kind == Kind.DOUBLE_INTEGRATOR)

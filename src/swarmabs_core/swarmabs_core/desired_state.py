@@ -50,7 +50,7 @@ class CommandFilter:
 
 
 class DesiredStateGenerator:
-    """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period."""
+    """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period (ns)."""
 
     def __init__(self, period_ns: int, manifold: Manifold, law: ParentController) -> None:
         self._manifold = manifold
@@ -65,7 +65,7 @@ class DesiredStateGenerator:
         self._state = (torque, rate)
 
     def advance(self, time_ns: int, plane: PlaneState, *, offset: float = 0.0) -> tuple[Messages, DesiredAbstractState]:
-        """Return events, and the desired abstract state that follows a state of the plane.
+        """Return events, and the desired abstract state that follows a state of the plane and has its step.
 
         The law and its reference are asked at a time (ns); the angle wanted is by an offset (rad) above the reference.
 

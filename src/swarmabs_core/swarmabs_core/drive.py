@@ -62,7 +62,11 @@ class SingleIntegratorDrive:
 
 
 class DoubleIntegratorDrive(NamedTuple):
-    """m v' = f - c v, p' = v, with f held: exact zero-order-hold discretisation, in kg, m, s and N."""
+    """m v' = f - c v, p' = v, with f held: exact zero-order-hold discretisation.
+
+    `decay` is the share of the velocity that is left after a period. The factors are in s/kg (force to velocity), s
+    (velocity to position) and s^2/kg (force to position).
+    """
 
     decay: float
     force_to_velocity: float

@@ -37,17 +37,17 @@ class RobotPath(NamedTuple):
 
 
 def standing(mass: float, position: float) -> RobotPath:
-    """Return the path of a robot that does not move."""
+    """Return the path of a robot of a mass (kg) that does not move from its position (m)."""
     return RobotPath(mass, position, 0.0, 0.0, 0.0)
 
 
 def straight(mass: float, start: float, end: float) -> RobotPath:
-    """Return the path of a robot that moves from `start` to `end` (m) at constant velocity."""
+    """Return the path of a robot of a mass (kg) that moves from `start` to `end` (m) at constant velocity."""
     return RobotPath(mass, start, end - start, 0.0, 0.0)
 
 
 def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], period: float) -> RobotPath:
-    """Return the cubic path between two states, each a position (m) and a velocity (m/s), a period (s) apart."""
+    """Return the cubic path of a mass (kg) between two states, position (m) and velocity (m/s), a period (s) apart."""
     p0, v0 = start
     p1, v1 = end
     d0, d1, rise = v0 * period, v1 * period, p1 - p0
@@ -63,7 +63,10 @@ class SwarmLoad:
 
 
 def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
-    """Sum the loads of all robots on the plane, correctly rounded, so that their order does not matter."""
+    """Sum the loads of all robots on the plane, correctly rounded, so that their order does not matter.
+
+    Gravity is in m/s^2.
+    """
     curved = [path for path in paths if path.c2 or path.c3]
     return summed_load(
         term_columns((path[:3] for path in paths), linear_terms), term_columns(curved, cubic_terms), gravity
@@ -173,7 +176,7 @@ class Plane:
 
 
 class PlaneDynamics:
-    """Integrates the plane over one control period by the classical Runge-Kutta method with fixed substeps.
+    """Integrates the plane over one control period (s) by the classical Runge-Kutta method with fixed substeps.
 
     The period is divided into equal substeps; 0.5 to 1 ms suit the paper's friction, whose slope at rest makes the
     plane stiff. The end stops are inelastic: at the end of a substep that leads beyond one, the plane is at the stop

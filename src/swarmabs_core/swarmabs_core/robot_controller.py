@@ -63,6 +63,8 @@ class RobotController:
         Position (m), velocity (m/s) and the three broadcasts in, the command of the law (m/s or N) out.
     ideal : SingleIntegratorDrive or DoubleIntegratorDrive
         The motion that the law expects.
+    mass, braking_time : float
+        kg; time constant of the brake, s.
 
     Raises
     ------
@@ -99,7 +101,7 @@ class RobotController:
         return min(self.mass * abs(velocity) / self.braking_time, self._limits.force)
 
     def limit(self, velocity: float, command: float) -> float:
-        """Return the command within the drive's limits, at a velocity (m/s)."""
+        """Return the command (m/s or N) within the drive's limits, at a velocity (m/s)."""
         limits, ideal = self._limits, self.ideal
         if isinstance(ideal, SingleIntegratorDrive):
             return min(max(command, -limits.velocity), limits.velocity)

@@ -93,7 +93,10 @@ class StepSchedule:
 
 
 class OffsetReference:
-    """The angle wanted: what a law wants by itself at a time (s) and the offset of the step, both in rad."""
+    """The angle wanted: what a law wants by itself at a time (s) and the offset of the step, both in rad.
+
+    The step of a time follows from the control period (ns).
+    """
 
     def __init__(self, reference: Callable[[float], float], offsets: StepSchedule, period_ns: int) -> None:
         self._reference = reference

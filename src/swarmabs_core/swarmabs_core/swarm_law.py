@@ -40,7 +40,8 @@ Command: TypeAlias = Callable[[float, float, AbstractState, AuxiliaryState, Desi
 def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float) -> Pair:
     """Return a robot's row of the pseudo-inverse (eq. pinv, with the missing 1/g); S3 must not vanish.
 
-    It is the velocity per torque rate, m/(N m), and per inertia rate, m/(kg m^2).
+    Mass in kg, position in m and gravity in m/s^2 give velocity per torque rate, m/(N m), and per inertia rate,
+    m/(kg m^2).
     """
     return (
         mass * (sums.s2 - position * sums.s1) / (gravity * sums.s3),
@@ -52,7 +53,7 @@ def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, 
     """Return C_a, by which damping acts on the rate of the abstract state (in eq. nodeControlLaw_double, corrected).
 
     It is Phi diag((c_i + k_sd)/m_i) Phi+, the diagonal being that of the double integrators, row by row: 1/s on the
-    diagonal, (N m)/(kg m^2 s) above and kg m^2/(N m s) below it. S3 must not vanish.
+    diagonal, (N m)/(kg m^2 s) above and kg m^2/(N m s) below it. Gravity is in m/s^2; S3 must not vanish.
     """
     s0, s1, s2, s3 = sums.s0, sums.s1, sums.s2, sums.s3
     d0, d1, d2 = sums.d0, sums.d1, sums.d2
@@ -83,7 +84,11 @@ def single_integrator_command(
     sums: AuxiliaryState,
     desired: DesiredAbstractState,
 ) -> float:
-    """Return the velocity command (m/s) of a single integrator (eq. nodeControlLaw); S3 must not vanish."""
+    """Return the velocity command (m/s) of a single integrator (eq. nodeControlLaw); S3 must not vanish.
+
+    Mass (kg) and position (m) are those of the robot, gravity is in m/s^2; the broadcasts are those of one step. Of the
+    gains only `k` is used.
+    """
     r0, r1 = pinv_row(mass, position, sums, gravity)
     k0, k1 = gains.k
     return r0 * (k0 * (desired.torque - abstract.torque) + desired.mean_torque_rate) + r1 * (
@@ -104,7 +109,16 @@ def double_integrator_command(
 ) -> float:
     """Return the force command (N) of a double integrator (eq. nodeControlLaw_double, corrected); S3 must not vanish.
 
-    Mass, damping, position and velocity are those of the robot: kg, N s/m, m, m/s.
+    Parameters
+    ----------
+    mass, damping, position, velocity : float
+        Of the robot, kg, N s/m, m and m/s.
+    gains : SwarmGains
+        All but `k` are used.
+    gravity : float
+        m/s^2.
+    abstract, sums, desired : AbstractState, AuxiliaryState, DesiredAbstractState
+        The broadcasts of one step.
     """
     r0, r1 = pinv_row(mass, position, sums, gravity)
     c00, c01, c10, c11 = damping_matrix(sums, gravity)

@@ -160,6 +160,7 @@ class Lockstep:
         """Drive the behaviour until `stop` is called, or until it has finished if it does not linger.
 
         A lingering behaviour that has finished goes on repeating its last messages, in case somebody still lacks one.
+        Raises `RunError` if the behaviour refuses to go on.
         """
         behaviour, receiver = self._behaviour, self._receiver
         repeater = Repeater(time.monotonic(), first=self._repeat_after, most=self._repeat_steps)

@@ -1,7 +1,8 @@
 """What the sensors of robots and planes say, as immutable values without ROS, and what of it is believed.
 
 Frames are those of REP 103: right-handed, x forward, y left, z up. A rotation is a unit quaternion (x, y, z, w) that
-turns a vector of the body into the frame of the message. Stamps are ns since 1970.
+turns a vector of the body into the frame of the message. Stamps are ns since 1970. What is refused raises
+`RefusedReadingError`.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ def joint_values(reading: Joints, joint: str) -> tuple[float, float | None]:
 
 
 def imu_values(reading: Imu, axis: int, sign: float) -> tuple[float, float]:
-    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor, if it measures them."""
+    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor; refuse it if it lacks one."""
     if reading.rotation is None or reading.angular_velocity is None:
         raise RefusedReadingError("orientation", "the IMU measures no orientation, or no angular velocity")
     check_finite(*reading.angular_velocity)

@@ -203,7 +203,10 @@ class RealtimeLoop:
         self._halting(self._deactivate)
 
     def command(self, work: Callable[[int], Messages]) -> None:
-        """Have an operator's command done, given the time in ns since 1970, and publish what it answers."""
+        """Have an operator's command done, given the time in ns since 1970, and publish what it answers.
+
+        Raises `RunError` if the node is not active.
+        """
         self.call(lambda: self._command(work))
 
     def health(self, timeout: float = ANSWER_WITHIN) -> Health:

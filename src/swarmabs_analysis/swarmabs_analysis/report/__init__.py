@@ -70,7 +70,10 @@ def _numbers(recorded: Recorded) -> dict[str, Any]:
 
 
 def default_folder(bag: Path) -> Path:
-    """Return the folder of the run that a bag is of, or the one in which a lone MCAP file lies."""
+    """Return the folder of the run that a bag is of, or the one in which a lone MCAP file lies.
+
+    Raises `NotABagError` if there is no bag.
+    """
     folder = find_bag(bag).parent
     return folder.parent if folder.name == "bag" else folder
 

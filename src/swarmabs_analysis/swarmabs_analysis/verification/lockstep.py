@@ -61,7 +61,7 @@ class Slot:
 
 
 class Window:
-    """The steps that are not judged yet, of a run with this period and so many robots."""
+    """The steps that are not judged yet, of a run with this period (ns) and so many robots."""
 
     def __init__(self, period_ns: int, robots: int) -> None:
         self._period_ns = period_ns

@@ -75,6 +75,11 @@ class Recording(_Recording[RunFigures]):
         As of `swarmabs_bag.attached.provenance`.
     namespace, split
         As of `BagWriter`.
+
+    Raises
+    ------
+    InputError
+        If the folder is not empty or cannot be written.
     """
 
     def __init__(

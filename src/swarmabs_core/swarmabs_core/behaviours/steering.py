@@ -54,8 +54,8 @@ class Decision(NamedTuple):
 class SteeringConfig:
     """Configuration of what steers a run, with all that is scheduled.
 
-    Offsets of the reference are in rad, torques on the plane in N m; the largest are bounds of what may be asked for, 0
-    for an offset if the law knows none.
+    The control period is in ns, offsets of the reference are in rad, torques on the plane in N m. The largest ones are
+    bounds of what may be asked for, 0 for an offset if the law knows none.
     """
 
     members: tuple[int, ...]
@@ -108,7 +108,10 @@ class SteeringController:
         return self._settings[action].at(self._step)
 
     def ask(self, request: Request) -> int:
-        """Take a request or refuse it; return its number, under which `decisions` tells what has become of it."""
+        """Take a request; return its number, under which `decisions` tells what has become of it.
+
+        Raises `InputError` if the request is refused at once.
+        """
         if self._over:
             raise InputError(OVER)
         if len(self._waiting) >= MOST_WAITING:

@@ -91,7 +91,10 @@ class RealtimeLaw:
 
 
 class RealtimeAgent:
-    """One robot of the swarm. It never learns of any other."""
+    """One robot of the swarm. It never learns of any other.
+
+    Raises `InputError` if there is no law of the configured name, or it refuses its settings.
+    """
 
     def __init__(self, config: RealtimeAgentConfig, drive: Drive) -> None:
         self._config = config

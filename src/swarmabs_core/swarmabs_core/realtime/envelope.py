@@ -21,7 +21,8 @@ _HALVINGS = 40
 class LaneEnvelope:
     """Limits commands so that a robot comes to rest before the end of its lane, -limit to +limit (m).
 
-    The base of a single integrator brakes with a deceleration (m/s^2), infinite if it stops at once.
+    A new command is due every `period` (s). The base of a single integrator brakes with a deceleration (m/s^2),
+    infinite if it stops at once.
     """
 
     def __init__(
@@ -35,7 +36,10 @@ class LaneEnvelope:
         self._braking_time = max(controller.braking_time, LATENCY * period)
 
     def apply(self, position: float, velocity: float, command: float) -> float:
-        """Return the command (m/s or N, within the drive's limits), or the nearest that keeps the robot in its lane."""
+        """Return the command, or the nearest that keeps the robot in its lane.
+
+        Position in m, velocity in m/s; the command is in m/s or N, within the drive's limits.
+        """
         if isinstance(self._controller.ideal, SingleIntegratorDrive):
             return min(max(command, -self._fastest(position + self._limit)), self._fastest(self._limit - position))
         if self._fits(position, velocity, command):

@@ -47,7 +47,10 @@ FASTEST_TURN = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What is known beforehand of a swarm and its plane; the period (s) is the shortest time to cross the plane in."""
+    """What is known beforehand of a swarm and its plane: gravity (m/s^2), length of the plane (m), mass of the swarm.
+
+    The period (s) is the shortest time in which a robot may cross the plane.
+    """
 
     gravity: float
     plane_length: float

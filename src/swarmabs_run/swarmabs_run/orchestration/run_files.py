@@ -161,7 +161,7 @@ def is_realtime(run: Path) -> bool:
 
 
 def environment_of_run(run: Path) -> dict[str, str]:
-    """Return the environment variables with which a tool sees the nodes of a run, unless it is over."""
+    """Return the environment variables with which a tool sees the nodes of a run; a `RunOverError` if it is over."""
     if not goes_on(run):
         raise RunOverError(run)
     return dds_environment(_network(run)["domain"], str((run / "logs" / TOOL_PROFILE).resolve()))
