@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from tests.plugin_packages import BANG_BANG, SCALED, install
 
 from swarmabs_bag.recording import Digest
 from swarmabs_config.scenario import Scenario, parse_scenario
+from swarmabs_core import law_registry, swarm_law
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import EventKind, Kind, Status, SwarmEvent
+from swarmabs_core.realtime import drive_registry, drives
 from swarmabs_run.simulation import Simulation, simulate, simulated_steps
 from swarmabs_run.vector_simulation import vectorisable
 
@@ -89,3 +92,10 @@ def test_every_parent_controller_leads_every_kind_of_swarm(law: str, kind: str) 
     assert late < 0.05 * abs(run.angle[0])
     assert abs(run.desired.torque - run.abstract.torque)[-200:].max() < 0.02
     assert abs(run.desired.inertia - run.abstract.inertia)[-200:].max() < 1e-3
+
+
+@pytest.mark.parametrize(("former", "module"), [(law_registry, swarm_law), (drive_registry, drives)])
+def test_packages_find_the_parts_where_they_have_imported_them_from(former: ModuleType, module: ModuleType) -> None:
+    assert {name: getattr(former, name) for name in former.__all__} == {
+        name: getattr(module, name) for name in former.__all__
+    }
