@@ -150,6 +150,16 @@ def test_keys_that_others_can_read_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "again").exists()
 
 
+@pytest.mark.parametrize("content", ["", "not base64!", "c2hvcnQ="])
+def test_a_damaged_key_of_a_tunnel_is_named_with_the_remedy(tmp_path: Path, content: str) -> None:
+    keys = tmp_path / "keys"
+    deploy(example("tunnel"), tmp_path / "out", keys)
+    (keys / "floor" / "wireguard" / "cart-2.key").write_text(content)
+    with pytest.raises(InputError, match=r"cart-2\.key holds no private key; restore it"):
+        deploy(example("tunnel"), tmp_path / "again", keys)
+    assert not (tmp_path / "again").exists()
+
+
 def test_parameters_are_what_a_node_of_ros_reads(tmp_path: Path, ros: None) -> None:
     robot = "damping: 0.8, drive: {type: simulated, position: -0.1}}"
     plugin = (

@@ -124,10 +124,12 @@ def _wireguard(keys: Keys, host: HostPlan) -> str:
 
 def _wireguard_key(keys: Keys, host: str) -> X25519PrivateKey:
     """Return the private key of a host, made at the first call."""
-    kept = keys.kept(
-        f"wireguard/{host}.key", lambda: base64.b64encode(X25519PrivateKey.generate().private_bytes_raw()) + b"\n"
-    )
-    return X25519PrivateKey.from_private_bytes(base64.b64decode(kept.strip(), validate=True))
+    name = f"wireguard/{host}.key"
+    kept = keys.kept(name, lambda: base64.b64encode(X25519PrivateKey.generate().private_bytes_raw()) + b"\n")
+    try:
+        return X25519PrivateKey.from_private_bytes(base64.b64decode(kept.strip(), validate=True))
+    except ValueError as error:
+        raise InputError(f"{keys.folder / name} holds no private key; {_RESTORE}") from error
 
 
 def _in_base64(key: bytes) -> str:
