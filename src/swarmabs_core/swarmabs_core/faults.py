@@ -503,9 +503,6 @@ class RobotFaults:
         self._seed = seed
         self._agent_id = agent_id
 
-    def __bool__(self) -> bool:
-        return bool(self._faults)
-
     def acting(self, step: int) -> list[RobotFault]:
         """Return the faults that act in a step."""
         return [each.fault for each in self._faults if each.acts(step)]

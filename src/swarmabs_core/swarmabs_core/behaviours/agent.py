@@ -161,7 +161,7 @@ class Agent:
         self.needs = (STEERING, *self._topics) if self._absent else self._topics
         self._begin(config.life.first_step)
         self._heard: dict[Topic, Message] = {}
-        self._faults = RobotFaults(config.faults, config.seed, config.agent_id)
+        self._faults = RobotFaults(config.faults, config.seed, config.agent_id) if config.faults else None
         self._reception, self._transmission = Reception(self._faults), Transmission(self._faults)
         self._ended = False
         self._position, self._velocity = config.position, config.velocity
@@ -190,7 +190,7 @@ class Agent:
             self._steer(message)
             return ()
         answers = self._hear(topic, message)
-        if self._faults and self._faults.double(message.step, "heard"):
+        if self._faults is not None and self._faults.double(message.step, "heard"):
             answers = (*answers, *self._hear(topic, message))
         return answers
 

@@ -15,7 +15,7 @@ class Reception:
         The newest set that has arrived.
     """
 
-    def __init__(self, faults: RobotFaults) -> None:
+    def __init__(self, faults: RobotFaults | None) -> None:
         self._faults = faults
         self._coming: dict[int, list[Broadcast]] = {}
         self._stop_at = self._reset_at = -1
@@ -23,11 +23,13 @@ class Reception:
 
     def send(self, step: int, broadcasts: Broadcast) -> bool:
         """Send the set of the current step; tell whether the robot hears in this step at all."""
-        acting, draw = self._faults.acting(step), self._faults.draw(step)
-        self._coming.setdefault(step + sum(fault.late(draw) for fault in acting), []).append(broadcasts)
-        come = self._coming.pop(step, [])
-        if any(fault.loses(draw) for fault in acting):
-            return False
+        come = [broadcasts]
+        if self._faults is not None:
+            acting, draw = self._faults.acting(step), self._faults.draw(step)
+            self._coming.setdefault(step + sum(fault.late(draw) for fault in acting), []).append(broadcasts)
+            come = self._coming.pop(step, [])
+            if any(fault.loses(draw) for fault in acting):
+                return False
         for sent in come:
             sent_at, mode = sent.step, sent.desired.mode
             if mode == Mode.RESET:
@@ -47,32 +49,30 @@ class Reception:
 class Transmission:
     """Announces a robot's faults, duplicates its messages, shifts their stamps, falsifies its states."""
 
-    def __init__(self, faults: RobotFaults) -> None:
+    def __init__(self, faults: RobotFaults | None) -> None:
         self._faults = faults
         self._begun = False
 
     def published(self, answers: Messages) -> Messages:
         """Return what is published instead of the robot's answers."""
-        if not self._faults:
+        faults = self._faults
+        if faults is None:
             return answers
         said: list[Message] = []
         for answer in answers:
             if isinstance(answer, AgentState):
-                said.extend(self._announced(answer))
+                said.extend(self._announced(faults, answer))
                 state = answer
-                for fault in self._faults.acting(answer.step):
+                for fault in faults.acting(answer.step):
                     state = fault.falsified(state)
-                said.extend([state] * (2 if self._faults.double(answer.step, "state") else 1))
+                said.extend([state] * (2 if faults.double(answer.step, "state") else 1))
             else:
                 said.append(answer)
-        return tuple(m._replace(stamp=m.stamp + self._clock_offset(m.step)) for m in said)
+        return tuple(m._replace(stamp=m.stamp + sum(f.clock_offset() for f in faults.acting(m.step))) for m in said)
 
-    def _clock_offset(self, step: int) -> int:
-        return sum(fault.clock_offset() for fault in self._faults.acting(step))
-
-    def _announced(self, state: AgentState) -> list[SwarmEvent]:
+    def _announced(self, faults: RobotFaults, state: AgentState) -> list[SwarmEvent]:
         """Return the events of the faults that begin or end with a state; with the first, of all that act."""
-        found = self._faults.announced(state.step, first=not self._begun)
+        found = faults.announced(state.step, first=not self._begun)
         self._begun = True
         kind = EventKind.FAULT_INJECTED
         return [SwarmEvent(state.stamp, state.step, state.agent_id, kind, value, text) for value, text in found]
