@@ -1,4 +1,4 @@
-"""Write tables and chart of docs/performance.md from a result: python -m benchmarks.page RESULT."""
+"""Write tables and charts of the pages on performance from a result: python -m benchmarks.page RESULT."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from benchmarks.results import read_result
 from benchmarks.tables import draw, draw_large, markdown, notes, tables
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE = DOCS / "performance.md"
+PAGES = tuple(DOCS / "explanation" / name for name in ("performance.md", "scaling.md"))
 CHART, LARGE_CHART = DOCS / "images" / "speed.svg", DOCS / "images" / "large.svg"
 _PART = re.compile(r"(<!-- bench: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -29,7 +29,8 @@ def main(arguments: list[str]) -> int:
     def renewed(found: re.Match[str]) -> str:
         return f"{found[1]}{parts[found[2]]}{found[3]}" if found[2] in parts else found[0]
 
-    PAGE.write_text(_PART.sub(renewed, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(_PART.sub(renewed, page.read_text(encoding="utf-8")), encoding="utf-8")
     if "product" in document:
         draw(document, CHART)
     if "large" in document:

@@ -96,7 +96,8 @@ def main() -> int:
         with page_of(here, "run", "arise_het_20", "--duration", LIVE, "--view", said="view: ") as url:
             page = opened(browser, url, (1280, 900), "light")
             page.wait_for_selector("#processes tbody tr", timeout=60_000)
-            page.wait_for_timeout(6000)
+            page.wait_for_timeout(12_000)
+            page.get_by_text("20 of 20").wait_for(timeout=60_000)  # when what was missed has been read
             keep(page, folder / "view_live.webp", whole=True)
         steered = ("run", "pd_het_4", "--duration", LIVE, "--view", "--steer", "--rate", "1")
         with page_of(here, *steered, said="view, to steer: ") as url:

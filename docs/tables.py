@@ -1,4 +1,4 @@
-"""Write the tables of docs/*.md, and the schema of the view's messages, from the code: python docs/tables.py.
+"""Write the tables of the pages in docs, and the schema of the view's messages, from the code: python docs/tables.py.
 
 A table stands between the lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what is between them is replaced. A test
 fails when a table is not what this script would write.
@@ -7,10 +7,12 @@ fails when a table is not what this script would write.
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import re
 import sys
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args, get_type_hints
 from xml.etree import ElementTree as ET
@@ -30,7 +32,7 @@ import plane_sim.node
 import plane_sim.realtime
 from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
-from swarmabs_cli import swarm
+from swarmabs_cli import SECTIONS, swarm
 from swarmabs_config.graph import GRAPH, LOCKSTEP, OFFERED, REALTIME, RECORDER, End, Link
 from swarmabs_config.model.agents import AGENT_KINDS
 from swarmabs_config.model.controllers import CONTROLLER_CONFIGS, TRAJECTORY_CONFIGS
@@ -52,7 +54,7 @@ if TYPE_CHECKING:
 
 
 DOCS = Path(__file__).parent
-VIEW_SCHEMA = DOCS / "view_messages.schema.json"
+VIEW_SCHEMA = DOCS / "reference" / "view_messages.schema.json"
 SOURCES = DOCS.parent / "src"
 MESSAGES = SOURCES / "swarmabs_msgs" / "msg"
 _CHOSEN = {
@@ -63,6 +65,27 @@ _CHOSEN = {
     "faults": "`[]`",
 }
 """Fields whose content depends on a key in it, with their defaults."""
+PUBLIC = (
+    "swarmabs_config.scenarios",
+    "swarmabs_config.scenario",
+    "swarmabs_run.simulation",
+    "swarmabs_run.simulated_run",
+    "swarmabs_bag.arrays",
+    "swarmabs_bag.reader",
+    "swarmabs_bag.info",
+    "swarmabs_bag.repair",
+    "swarmabs_analysis.verification",
+    "swarmabs_analysis.comparison.bags",
+    "swarmabs_analysis.export",
+    "swarmabs_analysis.sweep",
+    "swarmabs_core.registry",
+    "swarmabs_core.controllers",
+    "swarmabs_core.swarm_law",
+    "swarmabs_core.declaration",
+    "swarmabs_core.messages",
+    "swarmabs_core.theory",
+)
+"""Modules that programs, notebooks and packages of other people import."""
 _TABLE = re.compile(r"(<!-- table: ([a-z_ ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -232,30 +255,67 @@ def controller_parameters() -> str:
     return table(("law", "parameter", "default", "allowed", "meaning"), rows)
 
 
-def commands() -> str:
-    """Return the commands with their arguments and options."""
-
-    def rows(group: click.Group, prefix: str = "") -> Iterator[tuple[str, str]]:
-        context = click.Context(group)
-        for name in group.list_commands(context):
-            command = group.get_command(context, name)
-            if isinstance(command, click.Group):
-                yield from rows(command, f"{prefix}{name} ")
-            elif command is not None:
-                yield code(prefix + name), " · ".join(_parameter(found) for found in command.params)
-
-    return table(("command", "arguments and options"), rows(swarm))
+def commands(section: str) -> str:
+    """Return what the commands of a section do, with arguments, options and examples."""
+    context = click.Context(swarm, info_name="./scripts/swarm")
+    names = [name for name in swarm.list_commands(context) if _section(swarm.get_command(context, name)) == section]
+    return "\n".join(part for name in names for part in _described(swarm, name, context))
 
 
-def _parameter(found: click.Parameter) -> str:
-    """Return how an argument or an option is given."""
-    if not isinstance(found, click.Option):
-        name = str(found.name).upper()
-        return code(found.metavar or (name if found.required else f"[{name}]"))
+def _section(command: click.Command | None) -> str:
+    """Return the folder in which a command is."""
+    return "" if command is None else command.callback.__module__.split(".")[1]
+
+
+def _described(group: click.Group, name: str, parent: click.Context) -> Iterator[str]:
+    """Return the parts of the description of a command, those of a group one after the other."""
+    command = group.get_command(parent, name)
+    if command is None:
+        raise ValueError(f"no command {name}")
+    context = click.Context(command, info_name=name, parent=parent)
+    if isinstance(command, click.Group):
+        for inner in command.list_commands(context):
+            yield from _described(command, inner, context)
+        return
+    yield f"### {context.command_path.partition(' ')[2]}\n"
+    yield f"{_help(command)}\n"
+    yield f"```text\n{' '.join([context.command_path, *command.collect_usage_pieces(context)])}\n```\n"
+    options = [_option(found, context) for found in command.params if isinstance(found, click.Option)]
+    if options:
+        yield table(("option", "meaning"), options)
+    if shown := re.findall(r"^ +(.*swarm.*)$", command.epilog or "", re.MULTILINE):
+        yield "Examples:\n\n```sh\n" + "".join(f"{line}\n" for line in shown) + "```\n"
+
+
+def _help(command: click.Command) -> str:
+    """Return the help of a command as paragraphs."""
+    paragraphs = inspect.cleandoc(command.help or "").replace("\b\n", "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+def _option(found: click.Option, context: click.Context) -> tuple[str, str]:
+    """Return how an option is given, and what it means with its default."""
     *others, last = found.opts
-    kind = {"choice": "NAME", "path": "PATH", "text": "TEXT"}.get(found.type.name, "NUMBER")
-    given = "" if found.is_flag else f" {found.metavar or kind}"
-    return ", ".join([*map(code, others), code(last + given)])
+    kind = "PATH" if isinstance(found.type, click.Path) else "NUMBER"
+    if isinstance(found.type, click.Choice):
+        kind = "|".join(found.type.choices)
+    shown = [*others, last if found.is_flag else f"{last} {found.metavar or kind}"]
+    extra = found.get_help_extra(context).get("default")
+    meaning = " ".join((found.help or "").split())
+    return ", ".join(map(code, shown)), meaning + (f" Default: {code(extra)}." if extra else "")
+
+
+def modules() -> str:
+    """Return the modules for programs and notebooks, with the first line of their documentation."""
+    rows = ((code(name), (ast.get_docstring(ast.parse(_source(name))) or "").splitlines()[0]) for name in PUBLIC)
+    return table(("module", "content"), rows)
+
+
+def _source(name: str) -> str:
+    found = find_spec(name)
+    if found is None or found.origin is None:
+        raise ValueError(f"no module {name}")
+    return Path(found.origin).read_text(encoding="utf-8")
 
 
 @cache
@@ -350,7 +410,8 @@ def all_tables() -> dict[str, str]:
     return {
         "packages": package_table(),
         "structure": drawing(),
-        "commands": commands(),
+        **{f"commands {section}": commands(section) for section in SECTIONS},
+        "modules": modules(),
         "topics": topics(),
         "message fields": message_fields(),
         "events": events(),
@@ -396,7 +457,7 @@ def main() -> int:
     """Renew the tables of all pages, and the schema."""
     VIEW_SCHEMA.write_text(view_schema(), encoding="utf-8")
     tables = all_tables()
-    for page in sorted(DOCS.glob("*.md")):
+    for page in sorted(DOCS.glob("*/*.md")):
         text = page.read_text(encoding="utf-8")
         new = renewed(text, tables)
         if new != text:

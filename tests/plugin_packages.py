@@ -1,7 +1,5 @@
 """Installed packages that bring parts, made by tests: a module, and the metadata that an installer leaves beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from textwrap import dedent
 

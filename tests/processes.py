@@ -1,7 +1,5 @@
 """Processes that tests start: how they are found, and how a test waits for what they do."""
 
-from __future__ import annotations
-
 import configparser
 import os
 import time
@@ -32,14 +30,8 @@ def marked_processes(mark: str) -> dict[int, str]:
     return found
 
 
-def until(condition: Callable[[], object], what: str, seconds: float = 15.0) -> None:
-    """Wait until a condition holds.
-
-    Raises
-    ------
-    AssertionError
-        If it does not in time.
-    """
+def until(condition: Callable[[], object], what: str, seconds: float = 60.0) -> None:
+    """Wait until a condition holds; fail if it does not in time."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds:g} s: {what}"

@@ -1,7 +1,5 @@
 """The packages import as the contracts in ``pyproject.toml`` allow."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

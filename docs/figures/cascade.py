@@ -1,4 +1,4 @@
-"""Draw the picture of docs/cascade.md from the bags of two cascades.
+"""Draw the picture of docs/explanation/cascade.md from the bags of two cascades.
 
 Use: python docs/figures/cascade.py FOLDER SLOW_FOLDER [PICTURE]. The folders are those of examples/cascade/cascade.py,
 the second one with --bandwidth 4.

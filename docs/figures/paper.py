@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/figures.md from runs of the paper: python docs/figures/paper.py RUNS [FOLDER]."""
+"""Draw the pictures of docs/how-to/figures.md from runs of the paper: python docs/figures/paper.py RUNS [FOLDER]."""
 
 from __future__ import annotations
 

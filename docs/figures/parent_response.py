@@ -1,4 +1,4 @@
-"""Measure what docs/parent_response.md says, and draw its picture: python docs/figures/parent_response.py [PICTURE]."""
+"""Measure and draw docs/explanation/parent_response.md: python docs/figures/parent_response.py [PICTURE]."""
 
 from __future__ import annotations
 

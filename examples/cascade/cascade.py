@@ -1,7 +1,7 @@
 """Level an upper plane whose robots are moved by lower planes, each levelled by a swarm of its own, and record it all.
 
 In a shell prepared by `eval "$(./scripts/swarm env)"`: python examples/cascade/cascade.py. What it shows, and how the
-layers are coupled: docs/cascade.md.
+layers are coupled: docs/explanation/cascade.md.
 """
 
 from __future__ import annotations

@@ -20,13 +20,13 @@ class UdpBase:
     def __init__(self, settings: Settings, body: Body) -> None:  # noqa: ARG002 - SI and DI have the same datagrams
         address = cast("str", settings["address"]), cast("int", settings["port"])
         self._delay = round(cast("float", settings["delay"]) * 1e9)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.connect(address)  # from here on the kernel drops what others send
+            self.socket.connect(address)  # from here on the kernel drops what others send
         except OSError as error:
-            self._socket.close()
+            self.socket.close()
             raise InputError(f"drive.address: {address[0]!r} cannot be used ({error})") from error
-        self._socket.setblocking(False)
+        self.socket.setblocking(False)
         self._newest: Measurement | None = None
         self._refused = 0
 
@@ -34,7 +34,7 @@ class UdpBase:
         """Take what has arrived; its stamp is the time of arrival less the way here, since the base has no clock."""
         for _ in range(MOST_DATAGRAMS):
             try:
-                datagram = self._socket.recv(64)
+                datagram = self.socket.recv(64)
             except OSError:  # nothing there, or the base is: both show by the age of the measurement
                 break
             self._take(datagram, now - self._delay)
@@ -62,7 +62,7 @@ class UdpBase:
 
     def _send(self, command: float) -> None:
         try:
-            self._socket.send(COMMAND.pack(command))
+            self.socket.send(COMMAND.pack(command))
         except OSError:  # it stops by itself without commands
             return
 

@@ -22,6 +22,7 @@ LOCKS = ("run.lock", "build.lock")
 EXTRA_LOCKS = {
     "bench": "bench.lock",
     "deploy": "deploy.lock",
+    "docs": "docs.lock",
     "export": "sweep.lock",
     "foxglove": "foxglove.lock",
     "sweep": "sweep.lock",
@@ -86,12 +87,16 @@ def current_environment(checkout: Checkout, wanted: Optional[machine.Interpreter
         return {}
     if wanted and (wanted.path, wanted.version) != (stamp.get("python"), stamp.get("version")):
         return {}
-    for extra in EXTRA_LOCKS.values():
-        installed = state.read_stamp(checkout.extra_stamp(extra))
-        if installed and installed.get("key") != state.file_key(checkout.lock(extra)):
-            return {}
     key = environment_key(checkout, stamp.get("python", ""), stamp.get("version", ""))
     return stamp if stamp.get("key") == key else {}
+
+
+def forget_outdated_extras(checkout: Checkout) -> None:
+    """Let the next command that needs them install packages again whose lock has changed."""
+    for extra in EXTRA_LOCKS.values():
+        stamp = checkout.extra_stamp(extra)
+        if state.read_stamp(stamp).get("key") != state.file_key(checkout.lock(extra)):
+            state.remove_stamp(stamp)
 
 
 def install_extra(checkout: Checkout, command: str, environ: Mapping[str, str], lock: int) -> None:

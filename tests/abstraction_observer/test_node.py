@@ -1,65 +1,28 @@
-"""The adapter of the observer."""
+"""The adapters of the observer."""
 
-from __future__ import annotations
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from tests.swarmabs_core.helpers import agent_state
-from tests.swarmabs_ros.nodes import settings_from
+from tests.swarmabs_ros.nodes import realtime_settings_from, settings_from
 
+from abstraction_observer import realtime
+from abstraction_observer.memory import MemoryFile
 from abstraction_observer.node import PARAMETERS, make
-from swarmabs_config.graph import LOCKSTEP, OBSERVER
-from swarmabs_core.behaviours import Observer, ObserverConfig
-from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    EVENTS,
-    PLANE_STATE,
-    EventKind,
-    SwarmEvent,
-)
-from swarmabs_core.plant import Friction
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import NEVER, AgentState, EventKind, SwarmEvent
+from swarmabs_core.parameters import Value
+from swarmabs_core.realtime.base import OBSERVER_PHASE
+from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeObserverConfig
+from swarmabs_ros.managed import RealtimeNode
 from swarmabs_ros.status import StatusChannel
 
 CHANNEL = StatusChannel("abstraction_observer")
 
 
-def test_every_parameter_reaches_the_configuration() -> None:
-    settings = settings_from(
-        PARAMETERS,
-        period_ns=5_000_000,
-        last_step=77,
-        members=(2, 9),
-        schedule=("join 9 5",),
-        gravity=1.62,
-        ksd=0.3,
-    )
-    schedule = (Change(5, 9, ChangeKind.JOIN),)
-    assert settings.made(ObserverConfig) == ObserverConfig((2, 9), 5_000_000, 1.62, 0.3, schedule, 77)
-
-
-def test_it_hears_robots_and_sums_them_up() -> None:
-    settings = settings_from(PARAMETERS)
-    assert isinstance(make(settings, CHANNEL).behaviour, Observer)
-    ends = settings.endpoints(OBSERVER, LOCKSTEP)
-    assert set(ends.publications) == {ABSTRACT_STATE, AUXILIARY_STATE, EVENTS}
-    assert set(ends.subscriptions) == {AGENT_STATE}
-
-
-def test_it_watches_the_plane_if_that_is_wanted() -> None:
-    friction = (0.02, 900.0, 600.0, 0.03, 800.0, 1.5)
-    given = settings_from(PARAMETERS, type="parent_response", inertia=0.7, friction=friction, bandwidth=12.0)
-    config = given.made(ObserverConfig)
-    assert config.watches_plane
-    assert (config.inertia, config.friction, config.bandwidth) == (0.7, Friction(*friction), 12.0)
-    assert not settings_from(PARAMETERS).made(ObserverConfig).watches_plane
-    spec = make(given, CHANNEL)
-    assert spec.behaviour.awaits() == (AGENT_STATE, PLANE_STATE)
-    assert set(given.endpoints(OBSERVER, LOCKSTEP).subscriptions) == {AGENT_STATE, PLANE_STATE}
-
-
-def test_silent_robots_are_dropped_only_if_that_is_wanted() -> None:
+def test_silent_robots_are_dropped_only_if_that_is_wanted_and_never_those_that_wait_for_orders() -> None:
     assert make(settings_from(PARAMETERS), CHANNEL).on_stall is None
     spec = make(settings_from(PARAMETERS, members=(1, 2, 3), on_stall="drop"), CHANNEL)
     assert spec.on_stall is not None
@@ -71,9 +34,75 @@ def test_silent_robots_are_dropped_only_if_that_is_wanted() -> None:
     events = [message for message in messages if isinstance(message, SwarmEvent)]
     assert [(event.agent_id, event.kind, event.step) for event in events] == [(3, EventKind.DEAD, 1)]
     assert len(messages) == 3
+    assert spec.on_stall() == (), "nobody is silent any more"
+    spec = make(settings_from(PARAMETERS, members=(1, 2), on_stall="drop", steered=True), CHANNEL)
+    spec.behaviour.handle(agent_state(1))
+    assert spec.on_stall is not None and spec.on_stall() == ()
 
 
-@pytest.mark.parametrize("count", [4, 200])
-def test_a_large_swarm_has_room_to_wait_in(count: int) -> None:
-    settings = settings_from(PARAMETERS, members=tuple(range(1, count + 1)))
-    assert settings.endpoints(OBSERVER, LOCKSTEP).subscriptions[AGENT_STATE].depth >= 2 * count
+def real_time(**values: Value) -> RealtimeObserverConfig:
+    return realtime_settings_from(realtime.PARAMETERS, **values).made(RealtimeObserverConfig)
+
+
+def test_how_many_robots_are_waited_for() -> None:
+    for start, quorum, robots in (("wait", 0, 4), ("proceed", 0, 2), ("quorum", 3, 3)):
+        assert real_time(start=start, quorum=quorum).needed == robots
+    for quorum in (0, 1, 5):
+        with pytest.raises(InputError, match=rf"parameter quorum: {quorum} of 4 robots"):
+            real_time(start="quorum", quorum=quorum)
+
+
+def test_in_real_time_it_remembers_silent_robots_in_a_file_and_warns_where_it_cannot(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    node = cast("RealtimeNode", SimpleNamespace(notes=SimpleNamespace(warning=warnings.append)))
+    settings = realtime_settings_from(realtime.PARAMETERS, memory=str(tmp_path / "nowhere" / "m.json"))
+    spec = realtime.make(settings, node)
+    assert isinstance(spec.behaviour, RealtimeObserver)
+    assert spec.phase == OBSERVER_PHASE
+    (tmp_path / "m.json").write_text("no states")
+    with pytest.raises(InputError, match=r"parameter memory: .*holds no states of robots"):
+        realtime.make(realtime_settings_from(realtime.PARAMETERS, memory=str(tmp_path / "m.json")), node)
+    assert isinstance(realtime.make(realtime_settings_from(realtime.PARAMETERS), node).behaviour, RealtimeObserver)
+
+
+STATE = AgentState(1, 2, NEVER, 3, 2, 1, 0.5, 0.8, -0.1, 0.25, 1.5)
+
+
+def test_what_was_kept_is_there_for_the_next_node_unless_it_was_changed(tmp_path: Path) -> None:
+    problems: list[str] = []
+    memory = MemoryFile(tmp_path / "m.json", problems.append)
+    memory[3] = STATE
+    memory[4] = STATE._replace(agent_id=4)
+    del memory[4]
+    again = MemoryFile(tmp_path / "m.json", problems.append)
+    assert dict(again) == {3: STATE}
+    assert problems == []
+    assert [path.name for path in tmp_path.iterdir()] == ["m.json"]
+    MemoryFile(tmp_path / "m.json", print)[3] = STATE
+    text = (tmp_path / "m.json").read_text().replace("-0.1", '"-0.1"')
+    (tmp_path / "m.json").write_text(text)
+    with pytest.raises(InputError, match="no robot's state"):
+        MemoryFile(tmp_path / "m.json", print)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", '{"silent": 3}', '{"silent": [{}]}', '{"silent": [{"stamp": 1}]}', "\x00", '{"silent": ["a"]}'],
+)
+def test_a_file_of_something_else_is_refused_and_left(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "m.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"parameter memory: .*m\.json holds no states of robots"):
+        MemoryFile(path, print)
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("place", ["nowhere/m.json", "m.json"], ids=["no folder", "a folder of that name"])
+def test_a_file_that_cannot_be_written_is_told_and_costs_only_the_memory(tmp_path: Path, place: str) -> None:
+    problems: list[str] = []
+    memory = MemoryFile(tmp_path / place, problems.append)
+    (tmp_path / "m.json").mkdir()
+    memory[3] = STATE
+    assert memory[3] == STATE
+    assert "is not remembered" in problems[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["m.json"]

@@ -1,13 +1,14 @@
-"""What is read of processes, and what is concluded from it."""
-
-from __future__ import annotations
+"""What is read of processes and concluded from it, and what feeds the recorder when it is measured alone."""
 
 import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
+import psutil
 import pytest
+from benchmarks.feeder import FEWEST, IN_FLIGHT, MOST, Feeder
 from benchmarks.processes import (
     AGENTS,
     Sample,
@@ -20,60 +21,38 @@ from benchmarks.processes import (
     role_of,
     usage,
 )
+from benchmarks.simulate import measure_against_solver
+from benchmarks.start import busy_machine, busy_processes
 from tests.processes import until
 
-CREW = {1: "observer", 2: AGENTS, 3: AGENTS}
+from swarmabs_core.messages import NEVER, RECORDING_PROGRESS, PlaneState, RecordingProgress
+
 _NAMED = "import ctypes, sys; ctypes.CDLL(None).prctl(15, sys.argv[1].encode(), 0, 0, 0); sys.stdin.read()"
 
 
-@pytest.mark.parametrize(
-    ("name", "role"),
-    [
-        ("agent_007", AGENTS),
-        ("plane_sim", "plane"),
-        ("abstraction_obs", "observer"),
-        ("parent_controll", "controller"),
-        ("recorder", "recorder"),
-        ("python", None),
-    ],
-)
-def test_the_kernels_name_of_a_process_tells_its_role(name: str, role: str | None) -> None:
-    assert role_of(name) == role
-
-
-def test_processes_of_a_run_are_found_below_another_by_their_names() -> None:
+def test_processes_of_a_run_are_found_below_another_by_their_names_until_they_end() -> None:
+    names = ("agent_007", "plane_sim", "abstraction_obs", "parent_controll", "recorder", "python")
+    assert [role_of(name) for name in names] == [AGENTS, "plane", "observer", "controller", "recorder", None]
     with subprocess.Popen([sys.executable, "-c", _NAMED, "abstraction_observer"], stdin=subprocess.PIPE) as child:
         until(lambda: child.pid in crew_of(os.getpid()), "the process has its name")
-        found = crew_of(os.getpid())
+        assert crew_of(os.getpid())[child.pid] == "observer"
         assert child.stdin is not None
         child.stdin.close()
-    assert found[child.pid] == "observer"
     assert child.pid not in crew_of(os.getpid())
+    assert (usage(child.pid), proportional_memory(child.pid), memory_of({child.pid: AGENTS})) == (None, None, None)
 
 
-def test_usage_grows_with_work_and_counts_what_waits() -> None:
+def test_usage_grows_with_work_and_counts_what_waits_and_memory_is_told_by_role() -> None:
     before = usage(os.getpid())
     end = time.process_time() + 0.1
     while time.process_time() < end:
         pass
-    time.sleep(0.01)
+    subprocess.run(["true"], check=True)  # for which this process waits
     after = usage(os.getpid())
-    assert before is not None
-    assert after is not None
+    assert before and after
     assert after.cpu - before.cpu >= 0.05
     assert after.switches > before.switches
     assert machine_busy() > 0.0
-
-
-def test_nothing_is_known_of_a_process_that_has_ended() -> None:
-    child = subprocess.Popen([sys.executable, "-c", ""])
-    child.wait()
-    assert usage(child.pid) is None
-    assert proportional_memory(child.pid) is None
-    assert memory_of({child.pid: AGENTS}) is None
-
-
-def test_memory_is_told_by_role() -> None:
     found = memory_of({os.getpid(): AGENTS})
     assert found is not None
     assert found.agent_median == found.agent_largest == found.total > 2**20
@@ -81,26 +60,54 @@ def test_memory_is_told_by_role() -> None:
 
 
 def test_the_load_between_two_samples_is_per_second_step_and_robot() -> None:
-    first = Sample(10.0, 100, {1: Usage(1.0, 0), 2: Usage(0.0, 10), 3: Usage(0.0, 20)}, busy=50.0)
+    crew = {1: "observer", 2: AGENTS, 3: AGENTS, 4: AGENTS}  # the last has ended, and does not count
+    first = Sample(10.0, 100, {1: Usage(1.0, 0), 2: Usage(0.0, 10), 3: Usage(0.0, 20), 4: Usage(9.0, 9)}, busy=50.0)
     last = Sample(14.0, 300, {1: Usage(2.0, 9), 2: Usage(1.0, 410), 3: Usage(2.0, 620)}, busy=56.0)
-    load = load_between(first, last, CREW)
+    load = load_between(first, last, crew)
     assert load is not None
     assert (load.seconds, load.steps) == (4.0, 200)
     assert load.cpu_share == {"observer": 0.25, AGENTS: 0.75}
     assert load.cpu_ms_per_step == pytest.approx(20.0)
     assert load.switches_per_agent_step == pytest.approx(1000 / (2 * 200))
     assert load.other_load == pytest.approx((6.0 - 4.0) / 4.0 / (os.cpu_count() or 1))
+    for now, step in ((11.0, 100), (10.0, 300)):  # no time, or no step
+        assert load_between(first, replace(last, time=now, step=step), crew) is None
 
 
-def test_a_process_that_has_ended_does_not_count() -> None:
-    first = Sample(0.0, 0, {1: Usage(0.0, 0), 2: Usage(0.0, 0)}, busy=0.0)
-    load = load_between(first, Sample(1.0, 10, {1: Usage(0.5, 0)}, busy=0.2), CREW)
-    assert load is not None
-    assert load.cpu_share == {"observer": 0.5}
-    assert load.switches_per_agent_step == 0.0
-    assert load.other_load == 0.0
+@pytest.mark.usefixtures("nothing_survives")
+def test_the_machine_is_busy_within_the_block_only() -> None:
+    before = set(psutil.Process().children())
+    with busy_machine():
+        assert len(set(psutil.Process().children()) - before) == busy_processes() == 2 * (os.cpu_count() or 1)
+    assert set(psutil.Process().children()) == before
 
 
-@pytest.mark.parametrize(("time", "step"), [(1.0, 0), (0.0, 10)])
-def test_there_is_no_load_without_time_or_steps(time: float, step: int) -> None:
-    assert load_between(Sample(0.0, 0, {}, 0.0), Sample(time, step, {}, 0.0), CREW) is None
+def test_the_solver_and_the_simulation_agree_up_to_the_sampling() -> None:
+    found = measure_against_solver(2.0)
+    assert 0.0 < found.largest_difference < 1e-3
+    assert found.ratio == found.simulate_seconds / found.solver_seconds
+
+
+def feeder(count: int, each: int) -> Feeder:
+    return Feeder([[PlaneState(0, step, 0.0, 0.0)] * each for step in range(count)])
+
+
+def credit(step: int) -> RecordingProgress:
+    return RecordingProgress(0, 0, step)
+
+
+def test_no_more_is_fed_than_a_buffer_holds_credit_counts_once_and_the_end_is_when_everything_is_recorded() -> None:
+    for each, window in ((1, MOST), (IN_FLIGHT // 20, 20), (IN_FLIGHT, FEWEST)):
+        fed = feeder(1000, each)
+        assert len(fed.start()) == window * each
+        assert {message.step for message in fed.handle(credit(9))} == set(range(window, window + 10))
+    fed = feeder(1000, 1)
+    fed.start()
+    assert fed.handle(credit(NEVER)) == ()
+    assert len(fed.handle(credit(9))) == 10
+    assert fed.handle(credit(9)) == ()
+    assert fed.missing() == (10, ("recorder",))
+    fed = feeder(30, 1)
+    assert len(fed.start()) == 30
+    assert fed.awaits() == (RECORDING_PROGRESS,)
+    assert fed.handle(credit(29)) == fed.awaits() == ()

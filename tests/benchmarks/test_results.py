@@ -1,19 +1,67 @@
-"""Medians, ratios, tables, chart and comparison of results."""
-
-from __future__ import annotations
+"""Results of benchmarks, made by hand: medians, tables, charts, comparison, what is derived, and the page."""
 
 import json
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from benchmarks.common import spread
-from benchmarks.product import summary as product_summary
+from benchmarks import page
+from benchmarks.bench import bench, compare
+from benchmarks.common import Settings, spread
+from benchmarks.floor_programs import FLOORS
+from benchmarks.model import ROUND_TRIP, Line, Model, costs, fitted, model, spread_out
+from benchmarks.processes import Memory
+from benchmarks.product import summary
 from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES, read_result, write_result
-from benchmarks.tables import comparison, markdown, shown, tables
-from tests.benchmarks.results import document, of_large, of_starts, repeat
+from benchmarks.start import LaunchResult, start_row
+from benchmarks.tables import Table, comparison, markdown, shown, tables
+from scipy.optimize import nnls
 
+from swarmabs_cli import main
 from swarmabs_core.errors import InputError
+
+LOAD = {
+    "seconds": 2.0,
+    "steps": 100,
+    "cpu_ms_per_step": 16.5,
+    "switches_per_agent_step": 4.2,
+    "other_load": 0.1,
+    "cpu_share": {"plane": 0.1, "observer": 0.2, "controller": 0.05, "recorder": 0.3, "agents": 1.0},
+}
+
+
+def repeat(product: float, **floors: float) -> dict[str, Any]:
+    """Return the results of one repeat: speeds of the product and of floors; those that are not named make 1."""
+    speeds = {**dict.fromkeys(FLOORS, 1.0), "packed": product, **floors, "product": product}
+    return {name: {"steps_per_second": speed, "load": LOAD} for name, speed in speeds.items()}
+
+
+def document(*repeats: dict[str, Any], robots: int = 4) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "created": "2026-01-01T00:00:00+00:00",
+        "machine": {"usable_cores": 2, "cores": 2, "processor": "some", "kernel": "6.1", "load_before": 0.1},
+        "settings": {"repeat": len(repeats), "window": 6.0},
+        "product": [{"robots": robots, "summary": summary(list(repeats)), "repeats": list(repeats)}],
+    }
+
+
+def of_starts(*seconds: float, failures: tuple[str, ...] = (), retried: int = 0) -> dict[str, Any]:
+    """Return a result of the suite `start`: clean starts of 200 robots that took these times, and failed ones."""
+    results = [LaunchResult(second, 0.5, Memory(1, 1, {}, 1), retried) for second in seconds]
+    return {**document(repeat(1.0)), "start": [start_row(200, results, failures, busy=True)]}
+
+
+def of_large(speed: float | None) -> dict[str, Any]:
+    """Return a result of the suite `large`: a run of 2,000 robots with this speed, or one that failed."""
+    failures, speeds = (["it stalled"], []) if speed is None else ([], [speed])
+    measures = ("start_seconds", "steps_per_second", "total_bytes", "cpu_ms_per_step")
+    row = {"robots": 2000, "agents_per_process": 50, "failures": failures, "repeats": []}
+    row["summary"] = {name: spread(speeds) for name in measures}
+    return {**document(repeat(1.0)), "large": [row]}
+
 
 REPEATS = (
     repeat(80.0, rclpy_best_effort=100.0, rclpy_reliable=70.0, zeromq=160.0),
@@ -22,136 +70,194 @@ REPEATS = (
 )
 
 
-def test_a_spread_has_median_and_bounds_and_there_is_none_of_nothing() -> None:
-    assert spread([3.0, 1.0, 2.0, 10.0]) == {"median": 2.5, "smallest": 1.0, "largest": 10.0}
-    assert spread([]) is None
+def table_of(found: dict[str, Any], name: str) -> Table:
+    """Return a table of a result, in which every row fits the headings."""
+    (table,) = (table for table in tables(found) if table.name == name)
+    assert all(len(row) == len(table.headings) for row in table.rows)
+    return table
+
+
+def compared(old: dict[str, Any], new: dict[str, Any], suite: str) -> dict[str, tuple[str, ...]]:
+    """Return the rows of a comparison that belong to a suite, by measure."""
+    return {row[2]: row for row in comparison(old, new).rows if row[0] == suite}
+
+
+def test_a_spread_has_median_and_bounds_and_is_shown_in_three_digits() -> None:
+    for values, median, text in (
+        ([3.0, 1.0, 2.0, 10.0], 2.5, "2.5 (1-10)"),
+        ([1234.4, 1000.0, 2000.0], 1234.4, "1234 (1000-2000)"),
+        ([0.75], 0.75, "0.75"),
+    ):
+        assert spread(values) == {"median": median, "smallest": min(values), "largest": max(values)}
+        assert shown(spread(values)) == text
+    assert (spread([]), shown(None)) == (None, "-")
 
 
 def test_the_floor_is_the_better_form_and_ratios_are_within_a_repeat() -> None:
-    summary = product_summary(list(REPEATS))
-    assert summary["floor"] == "rclpy_best_effort"  # its median is 100, the other's 80
-    assert summary["ratio_to_floor"] == {"median": 0.75, "smallest": 0.75, "largest": 0.8}
-    assert summary["ratio_to_zeromq"] == {"median": 0.5, "smallest": 0.3, "largest": 0.5}
-    assert summary["steps_per_second"]["product"]["median"] == 80.0
-
-
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        (None, "-"),
-        ({"median": 1234.4, "smallest": 1000.0, "largest": 2000.0}, "1234 (1000-2000)"),
-        ({"median": 0.75, "smallest": 0.75, "largest": 0.75}, "0.75"),
-    ],
-)
-def test_a_spread_is_shown_in_three_digits(given: dict[str, float] | None, text: str) -> None:
-    assert shown(given) == text
+    found = summary(list(REPEATS))
+    assert found["floor"] == "rclpy_best_effort"  # its median is 100, the other's 80
+    assert found["ratio_to_floor"] == {"median": 0.75, "smallest": 0.75, "largest": 0.8}
+    assert found["ratio_to_zeromq"] == {"median": 0.5, "smallest": 0.3, "largest": 0.5}
+    assert found["steps_per_second"]["product"]["median"] == 80.0
 
 
 def test_tables_show_the_suites_that_were_measured() -> None:
-    speed, cost = tables(document(*REPEATS))
+    found = document(*REPEATS)
+    speed, cost = table_of(found, "speed"), table_of(found, "cost")
+    assert [table.name for table in tables(found)] == ["speed", "cost"]
     assert speed.rows[0][:2] == ("4", "80 (30-90)")
     assert speed.rows[0][-4::2] == ("0.75 (0.75-0.8)", "0.5 (0.3-0.5)")
     assert [row[1] for row in cost.rows] == ["swarm run", "swarm run --packed", "bare rclpy", "ZeroMQ"]
-    assert all(len(row) == len(table.headings) for table in (speed, cost) for row in table.rows)
     assert markdown(speed).splitlines()[0].startswith("| robots | swarm run | ")
 
 
-def test_packed_broadcasts_are_measured_beside_the_others() -> None:
-    (speed, *_) = tables(document(repeat(10.0, packed=15.0, rclpy_reliable=20.0, zeromq=30.0)))
+def test_a_result_without_packed_broadcasts_is_written_and_read_and_what_is_none_refused(tmp_path: Path) -> None:
+    speed = table_of(document(repeat(10.0, packed=15.0, rclpy_reliable=20.0, zeromq=30.0)), "speed")
     row = dict(zip(speed.headings, speed.rows[0], strict=True))
     assert (row["swarm run --packed"], row["packed of rclpy"], row["packed of ZeroMQ"]) == ("15", "0.75", "0.5")
-
-
-def test_a_result_without_packed_broadcasts_is_still_shown(tmp_path: Path) -> None:
     old = deepcopy(document(*REPEATS))
-    summary = old["product"][0]["summary"]
-    for key in ("packed_ratio_to_floor", "packed_ratio_to_zeromq"):
-        del summary[key]
-    for one in (summary["steps_per_second"], *old["product"][0]["repeats"]):
+    result = old["product"][0]
+    del result["summary"]["packed_ratio_to_floor"], result["summary"]["packed_ratio_to_zeromq"]
+    for one in (result["summary"]["steps_per_second"], *result["repeats"]):
         del one["packed"]
-    speed, cost = tables(old)
-    assert dict(zip(speed.headings, speed.rows[0], strict=True))["packed of rclpy"] == "-"
-    assert [row[1] for row in cost.rows] == ["swarm run", "bare rclpy", "ZeroMQ"]
+    assert table_of(old, "speed").rows[0][-3] == "-"
+    assert [row[1] for row in table_of(old, "cost").rows] == ["swarm run", "bare rclpy", "ZeroMQ"]
     write_result(old, tmp_path)
-
-
-def test_a_result_is_written_and_read_again(tmp_path: Path) -> None:
-    made = document(*REPEATS)
-    write_result(made, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {DOCUMENT, TABLES, CHART}
     assert "| 4 | 80 (30-90) |" in (tmp_path / TABLES).read_text(encoding="utf-8")
-    assert read_result(tmp_path) == read_result(tmp_path / DOCUMENT) == made
-
-
-@pytest.mark.parametrize("text", ["no JSON", "[]", json.dumps({"schema": 1})])
-def test_what_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / DOCUMENT).write_text(text)
-    with pytest.raises(InputError, match=r"bench\.json is no result of swarm bench"):
-        read_result(tmp_path)
-
-
-def test_a_result_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    assert read_result(tmp_path) == read_result(tmp_path / DOCUMENT) == old
+    for text in ("no JSON", "[]", '{"schema": 1}'):
+        (tmp_path / DOCUMENT).write_text(text)
+        with pytest.raises(InputError, match=r"bench\.json is no result of swarm bench"):
+            read_result(tmp_path)
     with pytest.raises(InputError, match="No such file"):
-        read_result(tmp_path)
+        read_result(tmp_path / "nothing")
 
 
-def test_a_comparison_tells_changes_from_noise() -> None:
+def test_a_comparison_tells_changes_from_noise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     old = document(repeat(50.0, zeromq=100.0), repeat(60.0, zeromq=110.0))
     new = document(repeat(90.0, zeromq=105.0), repeat(100.0, zeromq=112.0))
-    rows = {row[2]: row for row in comparison(old, new).rows}
+    rows = compared(old, new, "product")
     assert rows["product"] == ("product", "4", "product", "55 (50-60)", "95 (90-100)", "1.73", "")
     assert rows["zeromq"][-1] == "within the spread"
-
-
-def test_only_what_both_have_is_compared() -> None:
-    assert not comparison(document(*REPEATS), document(*REPEATS, robots=20)).rows
+    assert not comparison(old, document(*REPEATS, robots=20)).rows, "only what both have"
+    for name, result in (("old", old), ("new", new)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / DOCUMENT).write_text(json.dumps(result), encoding="utf-8")
+    paths = [str(tmp_path / name) for name in ("old", "new")]
+    compare(paths, as_json=False)
+    assert "1.73" in capsys.readouterr().out
+    compare(paths, as_json=True)
+    assert {row["measure"]: row["new/old"] for row in json.loads(capsys.readouterr().out)}["product"] == "1.73"
 
 
 def test_starts_are_counted_and_those_that_failed_have_no_time() -> None:
     found = of_starts(9.0, 30.0, 10.0, failures=("a run did not make its first step",), retried=1)
-    table = next(table for table in tables(found) if table.name == "start")
-    assert table.rows[0][:4] == ("200", "3 of 4", "3", "10 (9-30)")
-    assert int(table.rows[0][-1]) > 0
-    assert all(len(row) == len(table.headings) for row in table.rows)
-
-
-def test_no_clean_start_is_a_result_too(tmp_path: Path) -> None:
-    found = of_starts(failures=("no",))
-    write_result(found, tmp_path)
-    assert "| 200 | 0 of 1 | 0 | - | - |" in (tmp_path / TABLES).read_text(encoding="utf-8")
-    assert not [row for row in comparison(found, of_starts(1.0)).rows if row[0] == "start"]
-
-
-def test_clean_starts_are_compared() -> None:
-    rows = {row[2]: row for row in comparison(of_starts(1.0, 1.0), of_starts(2.0, failures=("no",))).rows}
+    (row,) = table_of(found, "start").rows
+    assert row[:4] == ("200", "3 of 4", "3", "10 (9-30)")
+    assert int(row[-1]) > 0
+    none = of_starts(failures=("no",))
+    assert table_of(none, "start").rows[0][:5] == ("200", "0 of 1", "0", "-", "-")
+    assert not compared(none, of_starts(1.0), "start")
+    rows = compared(of_starts(1.0, 1.0), of_starts(2.0, failures=("no",)), "start")
     assert rows["clean starts"] == ("start", "200", "clean starts", "2 of 2", "1 of 2", "0.50", "")
     assert rows["start_seconds"][5] == "2.00"
 
 
-def test_a_result_from_before_starts_were_counted_is_still_shown_and_compared() -> None:
-    old = of_starts(1.0)
-    for key in ("starts", "clean", "retried", "busy_processes", "failures"):
-        del old["start"][0][key]
-    table = next(table for table in tables(old) if table.name == "start")
-    assert table.rows[0] == ("200", "-", "-", "1", "0.5", "-")
-    assert [row[2] for row in comparison(old, of_starts(3.0)).rows if row[0] == "start"] == [
-        "start_seconds",
-        "shut_down_seconds",
-    ]
-
-
-@pytest.mark.parametrize(("speed", "shown_speed", "failed"), [(8.0, "8", "0"), (None, "-", "1")])
-def test_large_simulations_are_shown_and_drawn(
-    tmp_path: Path, speed: float | None, shown_speed: str, failed: str
-) -> None:
-    found = of_large(speed)
-    (row,) = next(table for table in tables(found) if table.name == "large").rows
-    assert (row[:2], row[3], row[-1]) == (("2000", "50"), shown_speed, failed)
-    write_result(found, tmp_path)
+def test_large_simulations_are_shown_compared_and_drawn_also_if_one_failed(tmp_path: Path) -> None:
+    for speed, shown_speed, failed in ((8.0, "8", "0"), (None, "-", "1")):
+        (row,) = table_of(of_large(speed), "large").rows
+        assert (row[:2], row[3], row[-1]) == (("2000", "50"), shown_speed, failed)
+    rows = compared(of_large(8.0), of_large(12.0), "large")
+    assert rows["steps_per_second"][1:] == ("2000", "steps_per_second", "8", "12", "1.50", "")
+    assert not compared(of_large(8.0), of_large(None), "large")
+    write_result(of_large(None), tmp_path)
     assert (tmp_path / LARGE_CHART).is_file()
 
 
-def test_large_simulations_are_compared() -> None:
-    rows = {row[2]: row for row in comparison(of_large(8.0), of_large(12.0)).rows if row[0] == "large"}
-    assert rows["steps_per_second"][1:] == ("2000", "steps_per_second", "8", "12", "1.50", "")
-    assert not [row for row in comparison(of_large(8.0), of_large(None)).rows if row[0] == "large"]
+@pytest.mark.parametrize(
+    "costs_ms", [(0.8, 2.1, 6.5, 31.2), (0.1, 2.0, 8.0, 40.0), (5.0, 5.0, 4.0, 3.0), (0.7, 2.3, 6.7, 20.3)]
+)
+def test_relative_errors_are_least_among_lines_that_are_nowhere_negative(costs_ms: tuple[float, ...]) -> None:
+    points = list(zip((4, 20, 64, 200), costs_ms, strict=True))
+    expected, _ = nnls(np.array([[1.0 / cost, robots / cost] for robots, cost in points]), np.ones(len(points)))
+    found = fitted(points)
+    assert (found.a, found.b, found.at(100)) == pytest.approx((*expected, expected @ [1.0, 100.0]))
+
+
+def two_sizes() -> dict[str, Any]:
+    small, large = document(repeat(100.0)), document(repeat(20.0), robots=24)
+    return {**small, "product": [*small["product"], *large["product"]]}
+
+
+def test_costs_are_ms_of_a_step_by_role_and_the_tables_say_what_was_fitted() -> None:
+    small, large = costs(two_sizes()["product"])
+    assert (small.robots, small.step, large.step) == (4, 10.0, 50.0)
+    # The results made by hand have 100 steps in 2 s: a whole core is 20 ms of each.
+    shares = {"plane": 2.0, "observer": 4.0, "controller": 1.0, "recorder": 6.0, "agents": 20.0}
+    assert small.cpu == pytest.approx(shares)
+    assert small.coordinators == pytest.approx(13.0)
+    cost, hosts = (table_of(two_sizes(), name) for name in ("model", "hosts"))
+    assert "2 ms + 2000 us per robot" in cost.caption
+    assert cost.rows[0][:3] == ("4", "10", "10")
+    assert hosts.caption.startswith("derived, not measured")
+    # One number of robots, or runs too short to look at twice, make no line.
+    found = document(repeat(100.0), repeat(90.0))["product"]
+    assert model(costs(found)) is model([]) is None
+    for results in found[0]["repeats"]:
+        results["product"] = {**results["product"], "load": None}
+    assert costs(found) == []
+
+
+def test_robots_on_hosts_by_hand() -> None:
+    coordinators = {"plane": (0.1, 0.01), "observer": (0.2, 0.02), "controller": (0.3, 0.0), "recorder": (0.0, 0.03)}
+    lines = {name: Line(*line) for name, line in {"agents": (0.0, 0.2), **coordinators}.items()}
+    known = Model(Line(1.0, 1.0), lines)
+    # 100 robots per host on 2 cores: 10 ms; the recorder takes 1,000 states: 30 ms; the controller 0.3 ms.
+    assert spread_out(known, 1000, 10, 2, relays=False) == pytest.approx(10.0 + 30.0 + 0.3 + ROUND_TRIP)
+    # A relay takes 100 states: 2 ms; the observer takes 10 messages: 0.4 ms.
+    assert spread_out(known, 1000, 10, 2, relays=True) == pytest.approx(10.0 + 2.0 + 0.4 + 0.3 + ROUND_TRIP)
+    # A robot alone uses one core of its host.
+    assert spread_out(known, 10, 10, 2, relays=False) == pytest.approx(0.2 + 0.4 + 0.3 + ROUND_TRIP)
+
+
+PAGE = "# Page\n\n<!-- bench: speed -->\nold\n<!-- end -->\n\n<!-- bench: memory -->\nkept\n<!-- end -->\n"
+
+
+def test_page_is_renewed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, file in (("CHART", "chart.svg"), ("LARGE_CHART", "large.svg")):
+        monkeypatch.setattr(page, name, tmp_path / file)
+    monkeypatch.setattr(page, "PAGES", (tmp_path / "page.md",))
+    (tmp_path / "page.md").write_text(PAGE, encoding="utf-8")
+    assert page.main([]) == 2
+    assert "python -m benchmarks.page RESULT" in capsys.readouterr().err
+    assert (tmp_path / "page.md").read_text(encoding="utf-8") == PAGE
+    (tmp_path / DOCUMENT).write_text(json.dumps({**of_large(8.0), **document(repeat(80.0))}), encoding="utf-8")
+    assert page.main([str(tmp_path)]) == 0
+    text = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert [part in text for part in ("| 4 | 80 |", "old", "kept")] == [True, False, True]
+    assert (tmp_path / "chart.svg").is_file() and (tmp_path / "large.svg").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--robots", "4,x"], "'4,x' is not a list such as 4,20"),
+        (["--robots", "1"], "a swarm has at least 2 robots"),
+        (["--suite", "all the rest"], "is not one of"),
+        (["--starts", "0"], "0 is not in the range"),
+        (["--large", "1"], "a swarm has at least 2 robots"),
+        (["--window", "0"], "0.0 is not in the range"),
+    ],
+)
+def test_bad_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], reason: str) -> None:
+    assert main(["bench", *arguments, "-o", str(tmp_path / "result")]) == 2
+    assert reason in capsys.readouterr().err
+    assert not (tmp_path / "result").exists()
+
+
+def test_a_missing_package_is_named_with_its_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.bench.find_spec", lambda _: None)
+    with pytest.raises(InputError, match=r"pyzmq is missing, .*; start with \./scripts/swarm bench"):
+        bench(Settings(suites=("product",)), tmp_path / "result", as_json=True)
+    assert not (tmp_path / "result").exists()

@@ -1,18 +1,28 @@
 """The pages of the documentation, and what tests look for in them."""
 
-from __future__ import annotations
-
 import re
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = tuple(page for pattern in ("*.md", "docs/*.md", "examples/*/*.md") for page in sorted(ROOT.glob(pattern)))
+PATTERNS = ("*.md", "docs/*.md", "docs/*/*.md", "examples/*/*.md", "src/*/*.md")
+PAGES = tuple(page for pattern in PATTERNS for page in sorted(ROOT.glob(pattern)))
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 
 
 def read(name: str) -> str:
     """Return the text of a page."""
     return (ROOT / name).read_text(encoding="utf-8")
+
+
+def script(path: str) -> Any:
+    """Return a script that is in no package, imported by its path."""
+    spec = spec_from_file_location(Path(path).name.replace(".", "_"), ROOT / path)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def section(text: str, heading: str) -> str:

@@ -1,17 +1,16 @@
-"""Links between pages, to files and to headings resolve."""
-
-from __future__ import annotations
+"""Links and paths resolve; commands and options that pages name exist, and those that exist are named."""
 
 import re
-import subprocess
-from typing import TYPE_CHECKING
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
 
-import pytest
-from tests.docs.pages import NAMES, ROOT, read
+import click
+from tests.docs.pages import NAMES, ROOT, blocks, read, spans
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+from swarmabs_cli import swarm
+
+PATH = r"(?:docs|examples|scripts|src|tests)/[\w./*-]*"
 
 
 def anchors(path: Path) -> set[str]:
@@ -32,16 +31,10 @@ def broken(name: str, text: str) -> Iterator[str]:
             yield target
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_links_resolve(name: str) -> None:
-    assert list(broken(name, read(name))) == []
-
-
-def test_broken_links_are_found() -> None:
-    text = (
-        "[a](docs/nothing.md) [b](docs/design.md#nothing) [c](docs/design.md#scenario) [d](#nothing) [e](https://x.y)"
-    )
-    assert list(broken("README.md", text)) == ["docs/nothing.md", "docs/design.md#nothing", "#nothing"]
+def test_links_resolve() -> None:
+    wrong = "[a](docs/nothing.md) [b](docs/README.md#nothing) [c](docs/reference/bag.md#digest) [d](#nothing) [e](https://x.y)"
+    assert list(broken("README.md", wrong)) == ["docs/nothing.md", "docs/README.md#nothing", "#nothing"]
+    assert {name: found for name in NAMES if (found := list(broken(name, read(name))))} == {}
 
 
 def test_every_page_can_be_reached_from_the_readme() -> None:
@@ -56,14 +49,47 @@ def test_every_page_can_be_reached_from_the_readme() -> None:
     assert reached == set(NAMES)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_paths_exist(name: str) -> None:
+def test_paths_exist() -> None:
     """Paths set as code, such as docs/figures/run.py; those that only a run or the set-up makes are left out."""
-    text = re.sub(r"^```.*?^```", "", read(name), flags=re.MULTILINE | re.DOTALL)
-    for path in re.findall(r"`((?:docs|examples|scripts|src|tests)/[\w./*-]*)`", text):
-        assert list(ROOT.glob(path.rstrip("/"))), path
+    named = {path for name in NAMES for path in spans(read(name)) if re.fullmatch(PATH, path)}
+    assert {path for path in named if not list(ROOT.glob(path.rstrip("/")))} == set()
 
 
-def test_no_page_is_ignored_by_git() -> None:
-    code = subprocess.run(["git", "check-ignore", *NAMES], cwd=ROOT, capture_output=True, check=False).returncode
-    assert code in {1, 128}  # none of them, or no checkout of git
+def commands(group: click.Group = swarm, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        if isinstance(command, click.Group):
+            yield from commands(command, f"{prefix}{name} ")
+        else:
+            yield f"{prefix}{name}", command
+
+
+COMMANDS = dict(commands())
+
+
+def options(command: click.Command) -> set[str]:
+    found = {o for p in command.params if isinstance(p, click.Option) for o in (*p.opts, *p.secondary_opts)}
+    return found - {"-h", "--help"}
+
+
+def invocations(text: str) -> Iterator[list[str]]:
+    """Return the words that follow ./scripts/swarm, wherever it stands as code."""
+    lines = [line for language in ("sh", "text", "") for block in blocks(text, language) for line in block.splitlines()]
+    for line in [*lines, *spans(text)]:
+        for found in re.findall(r"\./scripts/swarm((?: [^)#&;|]*)?)", line):
+            yield shlex.split(found.replace('"', ""))
+
+
+def test_invocations_exist() -> None:
+    found = [words for name in NAMES for words in invocations(read(name)) if words]
+    assert ["run"] in found
+    assert ["scenario", "list"] in found
+    for words in found:
+        command = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
+        assert command, f"no command: swarm {' '.join(words)}"
+        passing_on = "ignore_unknown_options" in COMMANDS[command].context_settings
+        for word in words:
+            if word.startswith("-") and not passing_on:
+                assert word in options(COMMANDS[command]), f"no option: swarm {' '.join(words)}"

@@ -1,83 +1,73 @@
 """Tables that describe code are what the code says."""
 
-from __future__ import annotations
-
-import importlib.util
 import re
-from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.docs.pages import NAMES, ROOT, read, rows, section
+from tests.docs.pages import NAMES, read, rows, script, section
 
+from swarmabs_analysis.sweep.evaluate import OUTCOMES
+from swarmabs_analysis.sweep.study import RESULTS, Distribution, Range, Sweep
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_config.scenarios import builtin_scenarios, find_scenario
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import TOPICS
 from swarmabs_run.run import Outcome
 from swarmabs_run.summary import Times, summarise
+from swarmabs_view.visualization.node import PARAMETERS
+from swarmabs_view.visualization.ros_messages import VISUAL_TOPICS
 
-if TYPE_CHECKING:
-    from types import ModuleType
-
-
-def load_tables() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_tables", ROOT / "docs" / "tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+pytestmark = pytest.mark.timeout(120)  # the first of these tests imports the whole system, and draws it
 
 
-@pytest.fixture(scope="module")
-def tables() -> ModuleType:
-    return load_tables()
-
-
-@pytest.fixture(scope="module")
-def written(tables: Any) -> dict[str, str]:
-    return tables.all_tables()  # type: ignore[no-any-return]
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("docs/")])
-def test_written_tables_are_up_to_date(name: str, tables: Any, written: dict[str, str]) -> None:
-    text = read(name)
-    assert tables.renewed(text, written) == text, "run: python docs/tables.py"
-
-
-def test_every_table_stands_somewhere(written: dict[str, str]) -> None:
+def test_what_is_written_by_the_script_is_up_to_date_and_a_changed_default_noticed() -> None:
+    tables = script("docs/tables.py")
+    written = tables.all_tables()
+    pages = {name: read(name) for name in NAMES if name.startswith("docs/")}
+    assert [name for name, text in pages.items() if tables.renewed(text, written) != text] == [], "run docs/tables.py"
+    assert tables.VIEW_SCHEMA.read_text(encoding="utf-8") == tables.view_schema(), "run docs/tables.py"
     marked = re.findall(r"<!-- table: ([a-z_ ]+) -->", "".join(read(name) for name in NAMES))
     assert sorted(marked) == sorted(written)
-
-
-def test_a_changed_default_is_noticed(tables: Any, written: dict[str, str]) -> None:
-    text = read("docs/ros.md")
+    text = read("docs/reference/parameters.md")
     changed = text.replace("| `stall_timeout` | `5.0`", "| `stall_timeout` | `6.0`")
-    assert changed != text
+    assert changed != text, "no default to change"
     assert tables.renewed(changed, written) == text
 
 
-def test_topics_are_those_of_the_code() -> None:
-    table = rows(section(read("docs/design.md"), "Topics and messages"))
+def test_topics_scenarios_and_changes_of_membership_are_those_of_the_code() -> None:
+    table = rows(section(read("docs/reference/topics.md"), "Topics and messages"))
     assert [f"`{topic.name}`" for topic in TOPICS] == [row[0] for row in table[: len(TOPICS)]]
+    assert set(re.findall(r"`((?:pd|arise)_\w+)`", read("docs/reference/scenario.md"))) == set(builtin_scenarios())
+    changes = {
+        name
+        for row in rows(section(read("docs/reference/faults.md"), "Membership and faults"))
+        for name in re.findall(r"`([a-z]+)`", row[0])
+    }
+    assert changes >= {kind.value for kind in ChangeKind}
 
 
 def test_fields_of_the_summary() -> None:
     scenario = find_scenario("pd_het_4")
     figures = Recording(scenario, None, driver="test").figures()
     summary = summarise(scenario, Outcome("ok", None, figures), Times(1.0))
-    text = section(read("docs/design.md"), "Results")
+    text = section(read("docs/reference/results.md"), "Results")
     described = [name for row in rows(text) for name in re.findall(r"`([a-z_]+)`", row[0])]
-    assert sorted(set(described) & set(summary)) == sorted(summary)
-    assert set(described) - set(summary) == set()
+    assert set(described) == set(summary)
 
 
-def test_built_in_scenarios_are_all_named() -> None:
-    text = section(read("docs/design.md"), "Scenario")
-    assert set(re.findall(r"`((?:pd|arise)_\w+)`", text)) == set(builtin_scenarios())
+def test_topics_and_parameters_for_rviz_and_foxglove() -> None:
+    table = rows(section(read("docs/how-to/ros_tools.md"), "On topics of ROS"))
+    cells = [[cell.strip("`") for cell in row] for row in table]
+    assert [row[:3] for row in cells if len(row) == 4] == [
+        [t.name, t.ros_type.replace("/msg/", "/"), f"{t.qos.reliability} {t.qos.durability} {t.qos.depth}"]
+        for t in VISUAL_TOPICS
+    ]
+    assert [row[:2] for row in cells if len(row) == 3] == [
+        [each.name, repr(each.default).lower() if isinstance(each.default, bool) else repr(each.default)]
+        for each in PARAMETERS
+    ]
 
 
-def test_kinds_of_membership_changes_are_described() -> None:
-    table = rows(section(read("docs/design.md"), "Membership and faults"))
-    described = {name for row in table for name in re.findall(r"`([a-z]+)`", row[0])}
-    assert described >= {kind.value for kind in ChangeKind}
+def test_keys_results_and_outcomes_of_sweeps_are_described() -> None:
+    keys = [key for model in (Sweep, Range, Distribution) for key in model.key_names()]
+    page = read("docs/how-to/sweep.md")
+    assert [name for name in (*keys, *RESULTS, *OUTCOMES) if f"`{name}`" not in page] == []

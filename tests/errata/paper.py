@@ -3,22 +3,19 @@
 Labels (eq., thm., app.) are those of the paper's LaTeX source.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.theory import check_scenario
 from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
+from swarmabs_core.theory.report import Condition
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 LENGTH = 1.0
@@ -34,6 +31,8 @@ PD_PRINTED = (3.1623, 3.2859)
 THETA_MAX = 0.2
 CURVATURE, OFFSET, TORQUE_MAX = 0.0125, 0.025, 5.0
 GAINS = SwarmGains(k=(10.0, 10.0), kp=(10.0, 10.0), kd=(5.0, 5.0), ksd=1.0)
+UNEVEN = SwarmGains(k=(10.0, 7.0), kp=(9.0, 11.0), kd=(5.0, 6.0), ksd=1.3)
+"""Gains of which no two can be taken for each other."""
 
 
 def friction(w: float) -> float:
@@ -67,6 +66,7 @@ class Swarm:
     p: Array
     v: Array
     double: Array
+    gains: SwarmGains = GAINS
 
     @property
     def phi(self) -> Array:
@@ -91,13 +91,14 @@ class Swarm:
         return AbstractState(0, 0, len(self.m), *map(float, self.a), *map(float, self.phi @ self.v))
 
     def sums(self) -> AuxiliaryState:
-        d = np.where(self.double, self.m * (self.c + GAINS.ksd), 0.0)
+        d = np.where(self.double, self.m * (self.c + self.gains.ksd), 0.0)
         return AuxiliaryState(0, 0, *self.s(), *(float(d @ self.p**k) for k in range(3)), self.q)
 
-    def commands(self, a_d: Array, da_d: Array, dda_d: Array) -> Array:
+    def commands(self, a_d: Array, da_d: Array, dda_d: Array, mean_da_d: Array | None = None) -> Array:
         """What the package's laws command the robots: velocities and forces."""
-        desired = DesiredAbstractState(0, 0, 1, *map(float, [*a_d, *da_d, *da_d, *dda_d]))
-        shared = (GAINS, GRAVITY, self.abstract(), self.sums(), desired)
+        mean_da_d = da_d if mean_da_d is None else mean_da_d
+        desired = DesiredAbstractState(0, 0, 1, *map(float, [*a_d, *da_d, *mean_da_d, *dda_d]))
+        shared = (self.gains, GRAVITY, self.abstract(), self.sums(), desired)
         return np.array(
             [
                 double_integrator_command(m, c, p, v, *shared) if double else single_integrator_command(m, p, *shared)
@@ -109,18 +110,13 @@ class Swarm:
         """Second derivative of the abstract state under forces on double integrators, by eq. EOM_DI."""
         return self.phi @ ((force - self.c * self.v) / self.m) + [0.0, 2.0 * self.q]
 
-    def in_row_space(self) -> Swarm:
+    def in_row_space(self) -> "Swarm":
         """The same swarm without the part of its velocities that the abstract state does not see."""
-        return Swarm(self.m, self.c, self.p, np.linalg.pinv(self.phi) @ self.phi @ self.v, self.double)
-
-
-def four_robots(*, double: bool, v: Array | None = None) -> Swarm:
-    """The paper's four robots where they start."""
-    return Swarm(MASS, DAMPING, POSITION, np.zeros(4) if v is None else v, np.full(4, double))
+        return replace(self, v=np.linalg.pinv(self.phi) @ self.phi @ self.v)
 
 
 def random_swarm(seed: int, *, double: bool) -> Swarm:
-    """Robots with masses and dampings of tab. PhysicalParameters in a random state."""
+    """Robots with masses and dampings of tab. PhysicalParameters in a random state, and uneven gains."""
     random = np.random.default_rng(seed)
     n = int(random.integers(3, 9))
     return Swarm(
@@ -129,4 +125,11 @@ def random_swarm(seed: int, *, double: bool) -> Swarm:
         random.uniform(-0.5, 0.5, n),
         random.uniform(-1.0, 1.0, n),
         np.full(n, double),
+        UNEVEN,
     )
+
+
+def checked(scenario: str, name: str) -> Condition:
+    """Return a condition of a theorem as the package checks it for one of the paper's runs."""
+    report = check_scenario(find_scenario(scenario))
+    return {c.name: c for theorem in report.theorems for c in theorem.conditions}[name]

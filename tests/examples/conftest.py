@@ -1,7 +1,5 @@
 """The programs in examples/ import their neighbours as scripts do: by the search path."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The rig's physics, and the swarm's nodes on it by way of stock ROS messages."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from math import cos, sin
@@ -69,23 +67,7 @@ def test_the_rig_loses_no_energy_without_friction(physics: Any, monkeypatch: pyt
     assert len(swing) > 10  # it moved
 
 
-def test_a_base_without_commands_comes_to_rest_and_keeps_its_place(physics: Any) -> None:
-    rig = physics.Rig()
-    for robot, command in ((1, 0.2), (3, 1.0)):
-        rig.drive(robot, command)
-    rig.advance(0.15)
-    places = [rig.bodies[robot].position for robot in (1, 3)]
-    assert places[0] > 0.13
-    rig.held, rig.angle = True, 0.1
-    rig.advance(2.0)
-    settled = [body.position for body in rig.bodies.values()]
-    rig.advance(3.0)
-    assert [body.position for body in rig.bodies.values()] == pytest.approx(settled, abs=1e-4)
-
-
-def test_a_folder_with_something_in_it_is_refused(
-    example: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_in_use_is_refused(example: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "kept").write_text("x", encoding="utf-8")
     assert example.main(["-o", str(tmp_path)]) == 2
     assert "is not empty; give another folder" in capsys.readouterr().err

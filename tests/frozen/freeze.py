@@ -1,7 +1,5 @@
 """Freeze anew what is frozen here, where it is meant to change: ``python -m tests.frozen.freeze digests``."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile
@@ -10,16 +8,8 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from tests.frozen import commands, digests, fleets
+from tests.frozen import commands, digests, pictures
 from tests.frozen.command import FOLDER
-
-
-def _digests(folder: Path) -> dict[str, Any]:
-    return {name: {**case, "summary": digests.summary(name, folder)} for name, case in digests.CASES.items()}
-
-
-def _fleets(_folder: Path) -> dict[str, Any]:
-    return {name: {**case, "found": fleets.digest(name)} for name, case in fleets.CASES.items()}
 
 
 def _commands(folder: Path) -> dict[str, Any]:
@@ -34,7 +24,12 @@ def _commands(folder: Path) -> dict[str, Any]:
     return {name: found[name] for name in commands.CASES}
 
 
-FROZEN: dict[str, Callable[[Path], dict[str, Any]]] = {"digests": _digests, "fleets": _fleets, "commands": _commands}
+FROZEN: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "digests": lambda folder: {n: {**case, "summary": digests.summary(n, folder)} for n, case in digests.CASES.items()},
+    "fleets": lambda _: {n: {**case, "found": digests.of_fleet(n)} for n, case in digests.FLEETS.items()},
+    "commands": _commands,
+    "pictures": lambda folder: {name: pictures.found(name, folder / name) for name in pictures.CASES},
+}
 
 
 def main(names: list[str]) -> None:

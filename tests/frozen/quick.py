@@ -1,7 +1,5 @@
 """Check some frozen results in seconds, without pytest: ``python -m tests.frozen.quick``."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

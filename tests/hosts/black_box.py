@@ -4,18 +4,13 @@ It does what is asked of every base: it stands when commands cease. Its file out
 whose power was cut begins again where it stood.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.drive import DoubleIntegratorDrive, Drive, SingleIntegratorDrive
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Parameter, Settings
 from swarmabs_core.realtime.drives import Body, DriveType, Measurement
-
-if TYPE_CHECKING:
-    from swarmabs_core.drive import Drive
 
 NAME = "black_box"
 HELD = 2
@@ -40,8 +35,6 @@ def notes(path: Path) -> list[Note]:
 
 
 class BlackBox:
-    """A body with a memory."""
-
     def __init__(self, settings: Settings, body: Body) -> None:
         path = Path(str(settings["file"]))
         known = notes(path)
@@ -75,9 +68,6 @@ class BlackBox:
 
 PART = DriveType(
     NAME,
-    (
-        Parameter("file", "", "file of the notes"),
-        Parameter("position", 0.0, "where the body is if it has none, m"),
-    ),
+    (Parameter("file", "", "file of the notes"), Parameter("position", 0.0, "where the body is if it has none, m")),
     BlackBox,
 )

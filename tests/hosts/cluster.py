@@ -6,18 +6,20 @@ also by a SIGKILL. Use it from the thread that goes on until the hosts are no lo
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import asdict
+from typing import Any
 
-from tests.hosts.impairment import Impairment
-from tests.hosts.namespaces import children_born_in
-from tests.hosts.switches import DIRECTIONS, KernelBridge, SoftwareSwitch, Switch
+import psutil
+from tests.hosts.namespaces import entered, first_process
+from tests.hosts.switch import DIRECTIONS, Impairment, Switch
 from tests.processes import ROOT, SEARCH_PATH, until
 
 LONGEST = 60.0
@@ -33,19 +35,18 @@ class Host:
         self._number = number
         self._networks = networks
         self._started: list[subprocess.Popen[Any]] = []
-        self._impaired: dict[tuple[int, str], Impairment] = {}
-        self._groups: dict[int, int] = {}
+        self._sockets: list[socket.socket] = []
+        self._impaired: dict[str, Impairment] = {}
+        self._group = 0
         self._holder: subprocess.Popen[str] | None = None
         self.pid = 0
-        """Of its first process; 0 while it is dead. `/proc/PID/net` shows the host's sockets."""
+        """Of its first process; 0 while it is dead."""
 
     @property
     def address(self) -> str:
-        """Its address in the first network."""
         return self.addresses[0]
 
-    def hardware_address(self, network: int = 0) -> str:
-        """Return its hardware address in a network."""
+    def _hardware_address(self, network: int = 0) -> str:
         return f"02:00:00:00:{network:02x}:{self._number + 1:02x}"
 
     @property
@@ -55,107 +56,96 @@ class Host:
     def revive(self) -> None:
         """Switch the host on. It comes with its old addresses and cables, and without any process."""
         assert self._holder is None, f"{self.name} is alive"
-        words = [sys.executable, "-m", "tests.hosts.init", str(os.getpid()), self.name]
-        environment = os.environ | SEARCH_PATH
-        holder = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, text=True)
-        assert holder.stdout is not None
-        pid = holder.stdout.readline()
-        if not pid:
-            with holder:
-                holder.kill()
-            raise AssertionError(f"{self.name} has not started; its message stands above")
-        self._holder, self.pid = holder, int(pid)
+        self._holder = first_process(self.name)
+        (child,) = psutil.Process(self._holder.pid).children()
+        self.pid = child.pid
         for network, switch in enumerate(self._networks):
             interface = f"eth{network}"
-            switch.attach(self._number, self.pid, interface, self.hardware_address(network))
+            switch.attach(self._number, self.pid, interface, self._hardware_address(network))
             self.ip("address", "add", f"{self.addresses[network]}/24", "dev", interface)
             until(lambda: "state UP" in self.ip("link", "show", interface), f"{self.name} has carrier")  # noqa: B023
-            if network in self._groups:
-                switch.group(self._number, self._groups[network])
-        for (network, direction), how in self._impaired.items():
-            self._networks[network].impair(self._number, direction, how)
+        self.group(self._group)
+        for direction, how in self._impaired.items():
+            self._networks[0].impair(self._number, direction, asdict(how))
 
     def kill(self) -> None:
         """Cut the power: all its processes are gone at once, without a word to anybody."""
         assert self._holder is not None, f"{self.name} is dead"
         os.kill(self.pid, signal.SIGKILL)
-        for process in self._started:
+        for process in (*self._started, self._holder):
             with process:  # its pipes are closed; what it has written is lost
                 process.kill()
+        for opened in self._sockets:
+            opened.close()
         self._started.clear()
-        with self._holder as holder:
-            holder.wait()
+        self._sockets.clear()
         self._holder, self.pid = None, 0
         for switch in self._networks:
             switch.detach(self._number)
 
-    def off(self) -> None:
-        """Kill the host if it is alive."""
-        if self.alive:
-            self.kill()
-
-    def impair(self, how: Impairment, *, network: int = 0, directions: Iterable[str] = DIRECTIONS) -> None:
-        """Impair what the host sends ("from"), or what it receives ("to"), from now on; also over its death."""
+    def impair(self, how: Impairment, *, directions: Iterable[str] = DIRECTIONS) -> None:
+        """Impair what it sends ("from"), or receives ("to"), in the first network from now on, also over its death."""
         for direction in directions:
-            self._impaired[network, direction] = how
+            self._impaired[direction] = how
             if self.alive:
-                self._networks[network].impair(self._number, direction, how)
+                self._networks[0].impair(self._number, direction, asdict(how))
 
-    def group(self, group: int, *, network: int = 0) -> None:
-        """Let the host reach only hosts of the same group."""
-        self._groups[network] = group
+    def group(self, group: int) -> None:
+        """Let the host reach only hosts of the same group in the first network."""
+        self._group = group
         if self.alive:
-            self._networks[network].group(self._number, group)
+            self._networks[0].group(self._number, group)
 
-    def know(self, other: Host, *, network: int = 0) -> None:
+    def know(self, other: Host) -> None:
         """Spare the host asking for another's hardware address: what it sends before the answer may be lost."""
-        known = (other.addresses[network], "lladdr", other.hardware_address(network), "dev", f"eth{network}")
+        known = (other.address, "lladdr", other._hardware_address(), "dev", "eth0")
         self.ip("neighbour", "replace", *known, "nud", "permanent")
 
+    def udp(self, port: int = 0, address: str | None = None) -> socket.socket:
+        """Return a socket of the host for this process, at its first address or another; it dies with the host."""
+        with entered(self.pid, "net"):
+            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append(opened)
+        opened.bind((self.address if address is None else address, port))
+        return opened
+
+    def listening(self) -> set[tuple[str, str]]:
+        """Return kind and address of all sockets that take what others send, whoever has opened them."""
+        lines = self.run(["ss", "-H", "-n", "-l", "-t", "-u", "-w", "-0"]).splitlines()
+        return {(fields[0], fields[4].rpartition(":")[0]) for fields in map(str.split, lines)}
+
+    def groups(self) -> dict[str, set[str]]:
+        """Return the IPv4 multicast groups that it has joined, by interface, but for the one of all hosts."""
+        found = {
+            entry["ifname"]: {group["address"] for group in entry["maddr"] if group.get("family") == "inet"}
+            for entry in json.loads(self.ip("-json", "maddress"))
+        }
+        return {name: rest for name, groups in found.items() if (rest := groups - {"224.0.0.1"})}
+
     def ip(self, *words: str) -> str:
-        """Run the command `ip` on the host; return what it prints."""
         return self.run(["ip", *words])
 
-    def start(
-        self, words: Sequence[object], *, cwd: Path = ROOT, env: Mapping[str, str] | None = None, **options: Any
-    ) -> subprocess.Popen[Any]:
-        """Start a process on the host. It is ended by its id, as any other, and dies with the host.
+    def start(self, words: Sequence[object], *, env: Mapping[str, str] = {}, **options: Any) -> subprocess.Popen[Any]:
+        """Start a process on the host, with variables besides those of the test and options of `subprocess.Popen`.
 
-        Parameters
-        ----------
-        words : sequence
-            The program and its arguments.
-        cwd : Path
-            Its working directory; the hosts share this machine's files but for /proc and /dev/shm.
-        env : mapping
-            Variables that it has besides those of the test.
-        **options
-            Of `subprocess.Popen`.
+        It is ended by its id, as any other, and dies with the host. The hosts share this machine's files but for /proc,
+        /run and /dev/shm.
         """
         assert self.alive, f"{self.name} is dead"
         entering = ["nsenter", f"--target={self.pid}", "--net", "--mount", "--uts", "--ipc", "--"]
         # A new mount namespace begins in the root folder.
-        entering += ["env", f"--chdir={cwd}", *map(str, words)]
+        entering += ["env", f"--chdir={ROOT}", *map(str, words)]
         options = {"stdin": subprocess.DEVNULL, "text": True, **options}
-        with children_born_in(self.pid):
-            process = subprocess.Popen(entering, env={**os.environ, **SEARCH_PATH, **(env or {})}, **options)
+        with entered(self.pid, "pid"):
+            process = subprocess.Popen(entering, env={**os.environ, **SEARCH_PATH, **env}, **options)
         self._started.append(process)
         return process
 
     def python(self, module: str, *arguments: object, **options: Any) -> subprocess.Popen[Any]:
-        """Start a module of the project or of its tests on the host."""
         return self.start([sys.executable, "-m", module, *arguments], **options)
 
     def run(self, words: Sequence[object], **options: Any) -> str:
-        """Run a program on the host to its end; return what it prints.
-
-        Raises
-        ------
-        AssertionError
-            If it fails.
-        """
-        process = self.start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
-        return finish(process)
+        return finish(self.start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options))
 
 
 def finish(process: subprocess.Popen[Any]) -> str:
@@ -176,51 +166,33 @@ def until_ready(process: subprocess.Popen[Any]) -> str:
     raise AssertionError(f"{process.args!r} is not ready: {before} {process.stderr and process.stderr.read()}")
 
 
-class Hosts(tuple[Host, ...]):
-    """All hosts of a test."""
+class Hosts(tuple[Host, ...]):  # noqa: SLOT001
+    """All hosts of a test, and the switches of their networks."""
 
-    __slots__ = ()
+    switches: Sequence[Switch]
 
-    def impair(self, how: Impairment, *, network: int = 0) -> None:
-        """Impair what all hosts send. Between two hosts a frame is impaired once."""
+    def impair(self, how: Impairment) -> None:
+        """Impair what all hosts send in the first network. Between two hosts a frame is impaired once."""
         for host in self:
-            host.impair(how, network=network, directions=("from",))
+            host.impair(how, directions=("from",))
 
-    def partition(self, *groups: Iterable[int], network: int = 0) -> None:
-        """Divide a network: only hosts of the same group reach each other; those not named are a further group."""
+    def partition(self, *groups: Iterable[int]) -> None:
+        """Divide the first network: only hosts of the same group reach each other; those not named are another."""
         group_of = {number: group for group, numbers in enumerate(groups, start=1) for number in numbers}
         for number, host in enumerate(self):
-            host.group(group_of.get(number, 0), network=network)
-
-    def heal(self, *, network: int = 0) -> None:
-        """Make a network whole again."""
-        self.partition(network=network)
+            host.group(group_of.get(number, 0))
 
 
 @contextmanager
-def hosts(
-    count: int, *, networks: int = 1, switch: Literal["software", "kernel"] = "software", seed: str = "hosts"
-) -> Iterator[Hosts]:
-    """Have hosts for the time of the block.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    networks : int
-        To how many networks each of them is connected.
-    switch : str
-        What connects them: the process `tests.hosts.software_switch`, or the kernel's bridge.
-    seed : str
-        Of what the network does to frames; the kernel's bridge has none.
-    """
+def hosts(count: int, *, networks: int = 1, seed: str = "hosts") -> Iterator[Hosts]:
+    """Have hosts for the time of the block, each connected to some networks that do to frames what the seed says."""
     with ExitStack() as stack:
-        switches: list[Switch] = []
-        for network in range(networks):
-            switches.append(KernelBridge() if switch == "kernel" else SoftwareSwitch(f"{seed} {network}"))
-            stack.callback(switches[-1].close)
+        switches = [Switch(f"{seed} {network}") for network in range(networks)]
+        for switch in switches:
+            stack.callback(switch.close)
         made = Hosts(Host(f"host{number}", number, switches) for number in range(count))
+        made.switches = switches
         for host in made:
-            stack.callback(host.off)
+            stack.callback(lambda host=host: host.kill() if host.alive else None)  # type: ignore[misc]
             host.revive()
         yield made

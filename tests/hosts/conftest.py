@@ -1,14 +1,11 @@
 """Tests of the test hosts themselves. They skip, and say why, where the kernel gives no hosts."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest
 from tests.hosts.namespaces import why_no_hosts
-from tests.hosts.switches import why_no_netem
 
-_why_no_hosts, _why_no_netem = cache(why_no_hosts), cache(why_no_netem)
+_why_no_hosts = cache(why_no_hosts)
 
 
 @pytest.fixture
@@ -17,10 +14,3 @@ def possible(nothing_survives: str) -> str:
     if reason := _why_no_hosts():
         pytest.skip(reason)
     return nothing_survives
-
-
-@pytest.fixture
-def netem(possible: str) -> None:
-    """Skip where the kernel cannot impair."""
-    if reason := _why_no_netem():
-        pytest.skip(reason)

@@ -1,7 +1,5 @@
 """A whole fleet on test hosts: deployed from a file, installed by its own scripts, started as its units say."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys
@@ -12,7 +10,7 @@ from typing import Any
 
 from tests.hosts import black_box
 from tests.hosts.black_box import Note
-from tests.hosts.cluster import Host
+from tests.hosts.cluster import Host, finish
 from tests.hosts.stations import Checkout, Station
 from tests.plugin_packages import install as install_package
 from tests.processes import ROOT, until
@@ -66,24 +64,8 @@ _KINDS = (
 class FleetOnHosts:
     """A fleet whose first host, the base, has the coordinators, and of which each other host is a robot.
 
-    Parameters
-    ----------
-    hosts : sequence of Host
-        The hosts, alive.
-    folder : Path
-        Where its disks and files are; an empty folder.
-    name, namespace : str
-        Of the fleet.
-    domain : int
-        Its ROS domain.
-    discovery : str
-        How its nodes find each other; with `server` there is one on the base.
-    quorum : int
-        Robots that must be there before the swarm moves.
-    first_id : int
-        Id of its first robot.
-    recorder : bool
-        Whether the base records.
+    Its disks and files are in a folder of its own. `quorum` robots must be there before the swarm moves; ids count
+    from `first_id`. A discovery server, and a recorder if there is one, are on the base.
     """
 
     def __init__(
@@ -102,15 +84,15 @@ class FleetOnHosts:
         folder.mkdir(exist_ok=True)
         packages = folder / "packages"
         install_package(packages, "drive", black_box.NAME, "", target="tests.hosts.black_box:PART")
-        self.checkout = Checkout.make(folder, str(packages))
+        self.checkout = Checkout(folder, str(packages))
         self.name = name
         self.ids = tuple(range(first_id, first_id + len(hosts) - 1))
         self._boxes = folder / "bodies"
         self._boxes.mkdir()
+        server = ", server: base" if discovery == "server" else ""
         names = ["base", *(f"robot-{number}" for number in self.ids)]
         listed = [f"  - {{name: {n}, address: {host.address}}}" for n, host in zip(names, hosts, strict=True)]
         self.file = folder / f"{name}.yaml"
-        server = ", server: base" if discovery == "server" else ""
         self.file.write_text(
             _FLEET.format(
                 name=name,
@@ -151,28 +133,19 @@ class FleetOnHosts:
 
     def install(self) -> None:
         """Install each bundle on its host by its own script, all at the same time."""
-        pipe = subprocess.PIPE
-        started = [
-            station.start(self.bundles / station.name / "install.sh", stdout=pipe, stderr=pipe)
-            for station in self.stations
-        ]
-        for process in started:
-            out, err = process.communicate(timeout=PATIENCE)
-            assert process.returncode == 0, err or out
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        for process in [each.start(self.bundles / each.name / "install.sh", **pipes) for each in self.stations]:
+            finish(process)
 
-    def start(self, *stations: Station) -> None:
-        """Start what is installed on some hosts, and wait until it is ready."""
+    def start(self, *some: Station) -> None:
+        """Start what is installed on some hosts, or on all, and wait until it is ready."""
+        stations = some or self.stations
         started = [station.start("systemctl", "start", "--", self.target) for station in stations]
         for station, process in zip(stations, started, strict=True):
             assert process.wait(PATIENCE) == 0, station.log()
 
     def notes(self, number: int) -> list[Note]:
-        """Return what a robot's body has noted."""
         return black_box.notes(self._boxes / str(number))
-
-    def bags(self) -> list[Path]:
-        """Return the bags that the base has recorded, in order of time."""
-        return sorted((self.base.state / f"swarmabs-{self.name}").glob(f"{self.name}-*"))
 
     def check_bodies(self) -> None:
         """Prove that no robot was asked for more than it may do, and that none has left its lane."""
@@ -183,22 +156,16 @@ class FleetOnHosts:
             for note in noted:
                 assert abs(note.position) <= LANE + 1e-9 and abs(note.command) <= limit, (robot.id, note)
 
-    def environment(self, name: str) -> dict[str, str]:
-        """Return the environment of the installed bundle on the base for a node or a tool."""
-        installed = self.base.etc / "swarmabs" / self.name
-        words = [shlex.split((installed / file).read_text()) for file in ("workspace.env", f"nodes/{name}.env")]
-        return dict(word.split("=", 1) for file in words for word in file)
-
     @contextmanager
-    def operator(self) -> Iterator[Operator]:
+    def operator(self) -> Iterator["Operator"]:
         """Have an operator on the base. There is one place for such tools: meanwhile no other can be started."""
         words = [sys.executable, ROOT / "tests" / "system" / "realtime_client.py", self.loaded.fleet.namespace]
-        environment = {**self.environment("operator"), "ROS_LOG_DIR": "/run"}
-        pipe = subprocess.PIPE
-        process = self.base.host.start(words, env=environment, stdin=pipe, stdout=pipe)
-        with process:
+        files = [self.base.etc / "swarmabs" / self.name / file for file in ("workspace.env", "nodes/operator.env")]
+        variables = [variable for file in files for variable in shlex.split(file.read_text())]
+        environment = {**dict(variable.split("=", 1) for variable in variables), "ROS_LOG_DIR": "/run"}
+        with self.base.host.start(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
             try:
-                yield Operator(self, process)
+                yield Operator(process)
             finally:
                 process.kill()
 
@@ -206,14 +173,9 @@ class FleetOnHosts:
 class Operator(Client):
     """Looks at a fleet and commands it, from its base."""
 
-    def __init__(self, fleet: FleetOnHosts, process: subprocess.Popen[str]) -> None:
-        super().__init__(process)
-        self._fleet = fleet
-
     def state(self, number: int) -> dict[str, Any]:
         """Return the newest state of a robot that was heard; empty without."""
-        newest = self.look()["newest"]
-        found: dict[str, Any] = newest.get(f"swarm/agent_state {number}", {})
+        found: dict[str, Any] = self.look()["newest"].get(f"swarm/agent_state {number}", {})
         return found
 
     def until_following(self, *numbers: int) -> None:
@@ -250,3 +212,9 @@ class Operator(Client):
     def reset(self) -> None:
         """Let the swarm move."""
         until(lambda: self.trigger("swarm/reset") == [True, ""], "the controller answers", PATIENCE)
+
+    def reset_until_calm(self, *numbers: int) -> None:
+        """Let the swarm move, until robots follow and the plane is level."""
+        self.reset()
+        self.until_following(*numbers)
+        self.until_calm()

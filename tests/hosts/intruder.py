@@ -1,20 +1,14 @@
-"""Somebody in the network of a fleet without encryption who sends the robots what he likes.
+"""Somebody in the network of a fleet without encryption who plays its observer and parent controller.
 
-Usage: python -m tests.hosts.intruder KIND SEED EPOCH_NS PERIOD_NS AGENT_ID...
+Usage: python -m tests.hosts.intruder EPOCH_NS PERIOD_NS
 
-With `flood` he forges anything for the steps around now: of every robot, and of all who command them; true-looking or
-nonsense. With `lead` he plays observer and parent controller, so well that robots believe him when the real ones are
-gone; he opens the latch of those that are stopped. He says "ready", and goes on until he is ended.
+Robots believe him when the real ones are gone; he opens the latch of those that are stopped. He says "ready", and goes
+on until he is ended.
 """
-
-from __future__ import annotations
 
 import sys
 import time
-from math import inf, nan
 from pathlib import Path
-from random import Random
-from typing import Any
 
 import rclpy
 from rclpy.node import Node
@@ -25,23 +19,11 @@ from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.ports import metatraffic_port
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import (
-    TOPIC_OF,
-    AbstractState,
-    AgentState,
-    AuxiliaryState,
-    DesiredAbstractState,
-    Kind,
-    Message,
-    Mode,
-    PlaneState,
-    Status,
-)
+from swarmabs_core.messages import TOPIC_OF, AbstractState, AuxiliaryState, DesiredAbstractState, Message, Mode
 from swarmabs_core.realtime.controller import RESET_SECONDS
 from swarmabs_ros.endpoints import advertise
 from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, dds_environment, network_profile_xml
 
-_PACE = 0.004
 MASSES = (0.4, 0.4)
 """Of the swarm that he makes up, kg: less than there is, so that it is believed."""
 
@@ -56,33 +38,8 @@ def environment(folder: Path, fleet: Fleet, address: str) -> dict[str, str]:
     return {**dds_environment(fleet.network.domain, str(profile)), "ROS_LOG_DIR": "/run"}
 
 
-def flood(draw: Random, now: int, step: int, mode: Mode, ids: list[int]) -> list[Message]:
-    """Return one message, of any kind and mode."""
-
-    def number() -> float:
-        return draw.choice((0.0, nan, inf, -1e300, draw.gauss(0.0, 0.1), draw.gauss(0.0, 1.0), draw.gauss(0.0, 10.0)))
-
-    def numbers(size: int) -> list[float]:
-        return [number() for _ in range(size)]
-
-    step = max(0, step + draw.randint(-8, 8) if draw.random() < 0.9 else draw.getrandbits(63))
-    what = draw.randrange(5)
-    if what == 0:
-        # A robot that always says the same looks the truest.
-        place = number() if draw.random() < 0.5 else draw.uniform(-0.5, 0.5)
-        identity = (draw.choice([*ids, 4711]), draw.choice(list(Kind)), draw.choice(list(Status)))
-        return [AgentState(now, step, max(0, step - 1), *identity, 0.4, 0.5, place, number(), number())]
-    if what == 1:
-        return [AbstractState(now, step, 2, *numbers(4))]
-    if what == 2:
-        return [AuxiliaryState(now, step, *numbers(8))]
-    if what == 3:
-        return [DesiredAbstractState(now, step, draw.choice(list(Mode)), *numbers(8))]
-    return [PlaneState(now, step, number(), number())]
-
-
-def lead(draw: Random, now: int, step: int, mode: Mode, ids: list[int]) -> list[Message]:
-    """Return the broadcasts of a step: of a swarm that is made up, and that shall be as far from the axis as can be."""
+def broadcasts(now: int, step: int, mode: Mode) -> list[Message]:
+    """Return those of a step: of a swarm that is made up, and that shall be as far from the axis as can be."""
     a, b = MASSES
     place = 0.1
     s0, s1, s2 = a * a + b * b, (a * a - b * b) * place, (a * a + b * b) * place * place
@@ -95,24 +52,22 @@ def lead(draw: Random, now: int, step: int, mode: Mode, ids: list[int]) -> list[
 
 
 def main() -> None:
-    kind, seed, epoch, period, *ids = sys.argv[1:]
-    make: Any = {"flood": flood, "lead": lead}[kind]
+    epoch, period = map(int, sys.argv[1:])
     rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
     node = Node("stranger", enable_rosout=False, start_parameter_services=False)
-    kinds = (AgentState, AbstractState, AuxiliaryState, DesiredAbstractState, PlaneState)
+    kinds = (AbstractState, AuxiliaryState, DesiredAbstractState)
     publishers = {message: advertise(node, TOPIC_OF[message], REALTIME) for message in kinds}
-    draw, last = Random(seed), -1
     reset_until = time.time_ns() + round(RESET_SECONDS * 1e9)
-    say("ready")
-    while True:
+
+    def intrude() -> None:
         now = time.time_ns()
-        step = (now - int(epoch)) // int(period)
-        if kind == "flood" or step > last:
-            last = step
-            mode = Mode.RESET if now < reset_until else Mode.RUN
-            for message in make(draw, now, step, mode, list(map(int, ids))):
-                publishers[type(message)].publish(encode(message))
-        time.sleep(_PACE)
+        mode = Mode.RESET if now < reset_until else Mode.RUN
+        for message in broadcasts(now, (now - epoch) // period, mode):
+            publishers[type(message)].publish(encode(message))
+
+    node.create_timer(period / 1e9, intrude)
+    say("ready")
+    rclpy.spin(node)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
 """What a test host has instead of systemd: it keeps the services of unit files running, and obeys `systemctl`.
 
 It knows what the units of a bundle use: Type=notify with start timeout and watchdog, ExecStartPre, environment files,
-StateDirectory, Restart=on-failure with its exception. It does not lock services in, and all of them run as root.
+StateDirectory, Restart=on-failure with its exception. All targets that are there are enabled. It does not lock services
+in, and all of them run as root.
 
 Usage: python -m tests.hosts.service_manager                    (serves, and starts what is enabled)
        python -m tests.hosts.service_manager systemctl WORDS... (asks the one that serves)
 """
-
-from __future__ import annotations
 
 import json
 import os
@@ -24,13 +23,10 @@ from tests.hosts.namespaces import say
 from tests.processes import MARK
 
 UNITS = Path("/etc/systemd/system")
-WANTED = UNITS / "multi-user.target.wants"
 STATES = Path("/var/lib")
 LOGS = Path("/etc/log")
 """Beside the units, so that logs outlive the host."""
 _SOCKET = "/run/service_manager"
-_VERSION = "systemd 252 (stand-in)"
-_PERSISTENT = {"PATH", MARK}
 
 
 def settings_of(unit: Path) -> dict[str, list[str]]:
@@ -49,14 +45,10 @@ class Service:
     def __init__(self, name: str) -> None:
         self._name = name
         self._settings = settings_of(UNITS / name)
-        self._wanted, self._settled = threading.Event(), threading.Event()
+        self._unwanted, self._settled = threading.Event(), threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
         self._thread = threading.Thread(target=self._keep, daemon=True)
         self.active = False
-
-    def launch(self) -> None:
-        """Start the service, without waiting."""
-        self._wanted.set()
         self._thread.start()
 
     def settled(self) -> bool:
@@ -69,21 +61,18 @@ class Service:
         """Whether it is running, or will be again."""
         return self._thread.is_alive()
 
+    def signal(self, number: int) -> None:
+        """Tell what runs to end, or kill it, as a crash does."""
+        if self._process is not None:
+            self._process.send_signal(number)
+
     def stop(self) -> None:
         """End the service."""
-        self._wanted.clear()
-        if self._process is not None:
-            self._process.terminate()
-            try:
-                self._process.wait(self._seconds("TimeoutStopSec"))
-            except subprocess.TimeoutExpired:
-                self._process.kill()
+        self._unwanted.set()
+        self.signal(signal.SIGTERM)
+        self._thread.join(self._seconds("TimeoutStopSec"))
+        self.signal(signal.SIGKILL)
         self._thread.join()
-
-    def kill(self) -> None:
-        """Kill what runs, as a crash does."""
-        if self._process is not None:
-            self._process.kill()
 
     def _seconds(self, name: str) -> float:
         return float(self._settings[name][-1])
@@ -91,19 +80,19 @@ class Service:
     def _keep(self) -> None:
         assert self._settings["Restart"] == ["on-failure"] and self._settings["Type"] == ["notify"]
         last = {0, -signal.SIGTERM, *map(int, self._settings["RestartPreventExitStatus"])}
-        while self._wanted.is_set():
+        code = None
+        while not self._unwanted.is_set() and code not in last:
             with (LOGS / f"{self._name}.log").open("ab", buffering=0) as log:
                 code = self._run(log)
                 log.write(f"ended with {code}\n".encode())
             self.active = False
             self._settled.set()
-            if code in last:
-                break
-            time.sleep(self._seconds("RestartSec"))
+            if code not in last:
+                self._unwanted.wait(self._seconds("RestartSec"))
 
     def _run(self, log: object) -> int:
         """Run the service once; return its exit code."""
-        environment = {name: os.environ[name] for name in _PERSISTENT if name in os.environ}
+        environment = {name: os.environ[name] for name in ("PATH", MARK) if name in os.environ}
         environment |= {"HOME": "/run", "TMPDIR": "/run", "LANG": "C.UTF-8"}
         for file in self._settings["EnvironmentFile"]:
             lines = shlex.split(Path(file).read_text(encoding="utf-8"))
@@ -147,52 +136,33 @@ class Manager:
 
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
-
-    def boot(self) -> None:
-        """Start what is enabled, without waiting."""
-        for target in sorted(WANTED.glob("*.target")):
+        for target in sorted(UNITS.glob("*.target")):
             self._launch(_parts(target.name))
 
     def obey(self, words: list[str]) -> tuple[int, str]:
         """Do what a command line of `systemctl` says; return its exit code and what it prints."""
-        options = {word for word in words if word.startswith("-")}
         verb, *units = [word for word in words if not word.startswith("-")]
-        if verb == "daemon-reload":
-            return 0, ""
+        names = [name for unit in units for name in _parts(unit)]
+        known = {name: self._services[name] for name in names if name in self._services}
         if verb == "is-active":
-            active = all(self._is_active(unit) for unit in units)
+            active = bool(names) and len(known) == len(names) and all(each.active for each in known.values())
             return (0, "active") if active else (3, "inactive")
         if verb == "kill":
-            for unit in units:
-                self._services[unit].kill()
-            return 0, ""
-        if verb in {"enable", "disable"}:
-            for unit in units:
-                (WANTED / unit).unlink(missing_ok=True)
-                if verb == "enable":
-                    WANTED.mkdir(exist_ok=True)
-                    (WANTED / unit).symlink_to(UNITS / unit)
-            verb = {"enable": "start", "disable": "stop"}[verb] if "--now" in options else ""
+            for service in known.values():
+                service.signal(signal.SIGKILL)
         if verb in {"stop", "restart"}:
-            for name in [name for unit in units for name in _parts(unit)]:
-                if name in self._services:
-                    self._services.pop(name).stop()
+            for service in known.values():
+                service.stop()
         if verb in {"start", "restart"}:
-            names = [name for unit in units for name in _parts(unit)]
             self._launch(names)
             settled = [self._services[name].settled() for name in names]
             return (0, "") if all(settled) else (1, "a service has failed")
-        return (0, "") if verb in {"", "stop"} else (1, f"no such verb: {verb}")
-
-    def _is_active(self, unit: str) -> bool:
-        names = _parts(unit)
-        return bool(names) and all(name in self._services and self._services[name].active for name in names)
+        return (0, "") if verb in {"kill", "stop", "enable", "daemon-reload"} else (1, f"no such verb: {verb}")
 
     def _launch(self, names: list[str]) -> None:
         for name in names:
             if name not in self._services or not self._services[name].kept:
                 self._services[name] = Service(name)
-                self._services[name].launch()
 
 
 def _parts(unit: str) -> list[str]:
@@ -207,11 +177,10 @@ def serve() -> None:
     """Keep services until the host ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for whoever has made the hosts
     LOGS.mkdir(exist_ok=True)
-    manager = Manager()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as door:
         door.bind(_SOCKET)
         door.listen()
-        manager.boot()
+        manager = Manager()
         say("ready")
         while True:
             visitor, _ = door.accept()
@@ -221,9 +190,6 @@ def serve() -> None:
 
 def ask(words: list[str]) -> int:
     """Be `systemctl`."""
-    if words == ["--version"]:
-        say(_VERSION)
-        return 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as door:
         door.connect(_SOCKET)
         with door.makefile("rw") as stream:

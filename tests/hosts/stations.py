@@ -1,13 +1,10 @@
 """Test hosts with what a robot's computer has: a disk that outlives power cuts, services, a checkout."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,30 +20,22 @@ _OWN = ("HOME", "TMPDIR", "ROS_LOG_DIR")
 _BOOT_WITHIN = 60.0
 
 
-@dataclass(frozen=True, slots=True)
 class Checkout:
-    """What stands for a prepared checkout: `scripts/swarm` and `.venv/bin/python` that start these sources."""
+    """What stands for a prepared checkout: `scripts/swarm` and `.venv/bin/python` that start these sources.
 
-    folder: Path
-    programs: Path
+    Further Python packages may be in a `search_path`.
+    """
 
-    @classmethod
-    def make(cls, folder: Path, search_path: str = "") -> Checkout:
-        """Make one; `search_path` is where further Python packages are."""
+    def __init__(self, folder: Path, search_path: str = "") -> None:
         own = os.pathsep.join(filter(None, [str(ROOT), search_path, os.environ.get("PYTHONPATH")]))
-        made = cls(folder / "checkout", folder / "programs")
-        environment = {**os.environ, "PYTHONPATH": own, "PATH": f"{made.programs}:{os.environ['PATH']}"}
+        self.folder, self.programs = folder / "checkout", folder / "programs"
+        self.swarm = self.folder / "scripts" / "swarm"
+        environment = {**os.environ, "PYTHONPATH": own, "PATH": f"{self.programs}:{os.environ['PATH']}"}
         lines = [f"export {name}={shlex.quote(value)}" for name, value in sorted(environment.items()) if name != "_"]
         python = shlex.quote(sys.executable)
-        _program(made.folder / ".venv" / "bin" / "python", f'exec {python} "$@"')
-        _program(made.folder / "scripts" / "swarm", *lines, f'exec {python} -m swarmabs_cli "$@"')
-        _program(made.programs / "systemctl", *lines, f'exec {python} -m {_MANAGER} systemctl "$@"')
-        return made
-
-    @property
-    def swarm(self) -> str:
-        """The command line of swarmabs."""
-        return str(self.folder / "scripts" / "swarm")
+        _program(self.folder / ".venv" / "bin" / "python", f'exec {python} "$@"')
+        _program(self.swarm, *lines, f'exec {python} -m swarmabs_cli "$@"')
+        _program(self.programs / "systemctl", *lines, f'exec {python} -m {_MANAGER} systemctl "$@"')
 
 
 def _program(path: Path, *lines: str) -> None:
@@ -74,24 +63,17 @@ class Station:
         users.append(f"{ACCOUNT}:x:990:990::/nonexistent:/usr/sbin/nologin")
         (self.etc / "passwd").write_text("".join(f"{line}\n" for line in users))
         if host.alive:
-            self._boot()
+            self.power_on()
 
     def power_on(self) -> None:
         """Switch it on: its services start, without waiting for them."""
-        self.host.revive()
-        self._boot()
-
-    def cut_power(self) -> None:
-        self.host.kill()
-
-    def _boot(self) -> None:
+        if not self.host.alive:
+            self.host.revive()
         for own, place in ((self.etc, "/etc"), (self.state, "/var/lib")):
             self.host.run(["mount", "--bind", own, place])
-        manager = self.host.python(_MANAGER, stdout=subprocess.PIPE)
-        until_ready(manager)
+        until_ready(self.host.python(_MANAGER, stdout=subprocess.PIPE))
 
     def run(self, *words: object, **options: Any) -> str:
-        """Run a program to its end; return what it prints."""
         return finish(self.start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options))
 
     def start(self, *words: object, **options: Any) -> subprocess.Popen[Any]:
@@ -105,13 +87,10 @@ class Station:
         out, err = process.communicate(timeout=_BOOT_WITHIN)
         return subprocess.CompletedProcess(words, process.returncode, out, err)
 
-    def active(self, unit: str) -> bool:
-        """Tell whether a service, or all of a target, is active."""
-        return self.start("systemctl", "is-active", "--quiet", unit).wait() == 0
-
     def until_active(self, unit: str) -> None:
-        until(lambda: self.active(unit), f"{unit} is active on {self.name}; its log: {self.log()}", _BOOT_WITHIN)
+        """Wait until a service, or all of a target, is active."""
+        asking = ("systemctl", "is-active", "--quiet", unit)
+        until(lambda: self.start(*asking).wait() == 0, f"{unit} is active on {self.name}; {self.log()}", _BOOT_WITHIN)
 
     def log(self) -> str:
-        """Return what its services have written."""
         return "\n".join(f"{path.name}:\n{path.read_text()}" for path in sorted((self.etc / "log").glob("*.log")))

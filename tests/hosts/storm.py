@@ -1,21 +1,32 @@
-"""A seeded storm over a fleet: power cuts, crashes, partitions, bad networks; and what must hold when it is over."""
+"""A seeded storm over a fleet: power cuts, crashes, partitions, bad networks; and what must hold when it is over.
 
-from __future__ import annotations
+Usage: python -m tests.hosts.storm [--robots N] [--rounds N] [--seed SEED] [--stay]
 
+That is for people, as root: a fleet on hosts of this machine is deployed, installed and started, and then the storm
+passes over it. With --stay the fleet goes on until Ctrl-C, and lines say how to look at it and to touch it.
+"""
+
+import argparse
+import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 
 from tests.hosts.black_box import Note
-from tests.hosts.cluster import Hosts
-from tests.hosts.fleet_hosts import CALM, CALM_FOR, PATIENCE, PERIOD, FleetOnHosts, Operator
-from tests.hosts.impairment import PERFECT, Impairment
+from tests.hosts.cluster import Hosts, hosts
+from tests.hosts.fleet_hosts import CALM, CALM_FOR, PATIENCE, PERIOD, FleetOnHosts
+from tests.hosts.namespaces import say
+from tests.hosts.switch import PERFECT, Impairment
+from tests.processes import until
 
 AGE = 0.1
 """realtime.broadcast_age_limit, s."""
 BOUND = round((AGE + 2.0 * PERIOD) * 1e9)
-"""Time, ns, after the last broadcast at which every robot has given the command to stop (docs/safety.md)."""
+"""Time, ns, after the last broadcast by which every robot has commanded its stop (docs/explanation/safety.md)."""
 _FALLEN = 1.0
 """Angle, rad, from which on somebody has to lift the plane."""
 
@@ -27,19 +38,7 @@ def stands(note: Note) -> bool:
 
 @dataclass(slots=True)
 class Storm:
-    """Disturbs a fleet in rounds.
-
-    Parameters
-    ----------
-    machines : Hosts
-        Its hosts, the base first; there may be more.
-    fleet : FleetOnHosts
-        The fleet, running.
-    seed : str
-        Of all that happens.
-    tell : callable
-        Is told what happens.
-    """
+    """Disturbs a running fleet in rounds, as a seed says, and tells what happens; the first machine is the base."""
 
     machines: Hosts
     fleet: FleetOnHosts
@@ -67,14 +66,15 @@ class Storm:
         base.until_active(self.fleet.target)
         with self.fleet.operator() as operator:
             operator.reset()
-            deadline = time.monotonic() + 3.0 * PATIENCE
-            while not self._in_order(operator):
-                assert time.monotonic() < deadline, f"no order: {operator.look()['newest']}"
+
+            def in_order() -> bool:
                 if abs(operator.calm(CALM)[1]) > _FALLEN:
                     self.tell("somebody lifts the plane")
                     base.run("systemctl", "restart", f"swarmabs-{self.fleet.name}-plane_sim.service")
                     operator.reset()
-                time.sleep(0.2)
+                return operator.calm(CALM)[0] >= CALM_FOR and all(map(operator.follows, self.fleet.ids))
+
+            until(in_order, f"order; {operator.look()['newest']}", 3.0 * PATIENCE)
         self.tell("all robots follow, and the plane is level")
 
     def check(self) -> None:
@@ -97,7 +97,7 @@ class Storm:
             station.power_on()
         else:
             self.tell(f"{station.name} loses its power")
-            station.cut_power()
+            station.host.kill()
 
     def _crash(self, draw: Random) -> None:
         station = draw.choice(self.fleet.stations)
@@ -111,7 +111,7 @@ class Storm:
         if draw.random() < 0.3:
             self.tell("the network is whole")
             self._together = set(self.fleet.ids)
-            self.machines.heal()
+            self.machines.partition()
             return
         numbers = list(range(len(self.fleet.stations)))
         draw.shuffle(numbers)
@@ -124,7 +124,7 @@ class Storm:
 
     def _spoil(self, draw: Random) -> None:
         delay = draw.uniform(0.001, 0.03)
-        how = Impairment(delay, draw.uniform(0.0, delay), draw.uniform(0.0, 0.2), draw.uniform(0.0, 0.1), 0.05)
+        how = Impairment(delay, draw.uniform(0.0, delay), draw.uniform(0.0, 0.2), draw.uniform(0.0, 0.1))
         self.tell(f"the network is bad: {how}")
         self.machines.impair(how)
 
@@ -142,11 +142,41 @@ class Storm:
         before = time.time_ns()
         self._cut_off += [(number, begin, before) for number, begin in self._since.items()]
         self._since.clear()
-        self.machines.heal()
+        self.machines.partition()
         self.machines.impair(draw.choice((PERFECT, Impairment(0.015, 0.005, 0.02))))
         for station in self.fleet.stations:
             if not station.host.alive:
                 station.power_on()
 
-    def _in_order(self, operator: Operator) -> bool:
-        return operator.calm(CALM)[0] >= CALM_FOR and all(map(operator.follows, self.fleet.ids))
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.hosts.storm", description="A storm over a fleet on hosts")
+    parser.add_argument("--robots", type=int, default=4, help="robots, each on a host of its own (2 to 20)")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds of the storm; 0: none")
+    parser.add_argument("--seed", default="1", help="of all that happens")
+    parser.add_argument("--stay", action="store_true", help="let the fleet go on until Ctrl-C")
+    options = parser.parse_args()
+    with (
+        suppress(KeyboardInterrupt),
+        TemporaryDirectory(prefix="swarmabs-hosts-") as folder,
+        hosts(1 + options.robots, seed=options.seed) as machines,
+    ):
+        fleet = FleetOnHosts(machines, Path(folder) / "fleet", quorum=max(2, options.robots - 1))
+        fleet.install()
+        fleet.start()
+        storm = Storm(machines, fleet, options.seed, say)
+        storm.settle()
+        for number in range(options.rounds):
+            storm.round(number)
+            say(f"round {number + 1}: no robot has left its lane or its limits, or moved on old data")
+        if options.stay:
+            base = f"nsenter --target={machines[0].pid} --net --mount --uts --ipc --pid env HOME=/run TMPDIR=/run"
+            say(f"On the base, from another terminal, as root:\n  {base} {fleet.checkout.swarm} status {fleet.file}")
+            for station in fleet.stations:
+                host = station.host
+                say(f"{station.name}: process {host.pid}, {host.address}, logs in {station.etc / 'log'}")
+            signal.pause()
+
+
+if __name__ == "__main__":
+    main()

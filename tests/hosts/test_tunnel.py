@@ -1,70 +1,100 @@
-"""DDS through a tunnel: nothing of it is seen on the wire, and nobody without a key takes part."""
+"""DDS through a tunnel: nothing of it is seen on the wire, and nobody without a key takes part.
 
-from __future__ import annotations
+WireGuard's userspace implementation needs no module of the kernel; a socket takes its configuration
+(https://www.wireguard.com/xplatform/).
+"""
 
-from functools import cache
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from tests.hosts.capture import captured
-from tests.hosts.cluster import Hosts, hosts
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from tests.hosts.cluster import Host, hosts
 from tests.hosts.datagrams import Receiver
-from tests.hosts.dds import dds_on
-from tests.hosts.sockets import Bound, bound_sockets
-from tests.hosts.test_dds import fence, talking
-from tests.hosts.wireguard import PORT, Keys, start_tunnel, why_no_tunnel
+from tests.hosts.test_dds import DOMAIN, talking
+from tests.hosts.test_fence import rules_of_the_page
+from tests.processes import until
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible", "tunnels")]
+from swarmabs_config.ports import metatraffic_port
+from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, network_profile_xml
 
-_why_no_tunnel = cache(why_no_tunnel)
-INNER = ("10.84.0.1", "10.84.0.2")
+# `go install golang.zx2c4.com/wireguard@latest` calls it wireguard.
+PROGRAM = next(filter(None, [os.environ.get("WIREGUARD_GO"), *map(shutil.which, ("wireguard-go", "wireguard"))]), None)
+WITHOUT = "no wireguard-go on the search path or in WIREGUARD_GO: go install golang.zx2c4.com/wireguard@latest"
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.timeout(100),
+    pytest.mark.usefixtures("possible"),
+    pytest.mark.skipif(PROGRAM is None, reason=WITHOUT),
+    pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="this kernel has no TUN devices"),
+]
+
+INNER = ("10.84.0.1", "10.84.0.2", "10.84.0.3")
+PORT = 51820
+_SOCKET = "/run/wireguard/wg0.sock"
+_CONFIGURE = """
+import socket, sys
+with socket.socket(socket.AF_UNIX) as device:
+    device.connect(sys.argv[1])
+    device.sendall(sys.stdin.buffer.read())
+    sys.stdout.buffer.write(device.recv(4096))
+"""
 
 
-@pytest.fixture
-def tunnels() -> None:
-    if reason := _why_no_tunnel():
-        pytest.skip(reason)
+def join(host: Host, inner: str, own: X25519PrivateKey, peers: Mapping[str, tuple[X25519PrivateKey, Host]]) -> None:
+    """Give a host the interface wg0 with an address and a key; others have theirs, by their addresses there."""
+    host.start([PROGRAM, "--foreground", "wg0"], env={"LOG_LEVEL": "error"})
+    until(lambda: host.start(["test", "-S", _SOCKET]).wait() == 0, f"{host.name} has a tunnel device")
+    lines = ["set=1", f"private_key={own.private_bytes_raw().hex()}", f"listen_port={PORT}"]
+    for address, (key, other) in peers.items():
+        public = key.public_key().public_bytes_raw().hex()
+        lines += [f"public_key={public}", f"endpoint={other.address}:{PORT}", f"allowed_ip={address}/32"]
+    configure = host.start([sys.executable, "-c", _CONFIGURE, _SOCKET], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert configure.communicate("\n".join(lines) + "\n\n")[0] == "errno=0\n\n"
+    host.ip("address", "add", f"{inner}/24", "dev", "wg0")
+    host.ip("link", "set", "wg0", "up", "mtu", "1420")
 
 
-def join(members: Hosts, *keys: Keys) -> None:
-    """Connect the first two hosts by a tunnel."""
-    for one, other in ((0, 1), (1, 0)):
-        start_tunnel(members[one], INNER[one], keys[one], {INNER[other]: (keys[other], members[other].address)})
+def join_both(one: Host, other: Host) -> X25519PrivateKey:
+    """Connect two hosts by a tunnel; return the key of the first."""
+    keys = [X25519PrivateKey.generate(), X25519PrivateKey.generate()]
+    join(one, INNER[0], keys[0], {INNER[1]: (keys[1], other)})
+    join(other, INNER[1], keys[1], {INNER[0]: (keys[0], one)})
+    return keys[0]
 
 
 def test_dds_is_in_the_tunnel_only(tmp_path: Path) -> None:
     with hosts(2) as pair:
-        join(pair, Keys.new(), Keys.new())
-        environments = [dds_on(tmp_path, address, INNER) for address in INNER]
-        with (
-            captured(pair[0], "eth0") as outside,
-            captured(pair[0], "wg0") as inside,
-            talking(pair, environments),
-        ):
-            for host, address in zip(pair, INNER, strict=True):
-                found = {bound for bound in bound_sockets(host.pid) if bound.table != "packet"}
-                wire = {Bound("udp", "0.0.0.0", PORT), Bound("udp6", "::", PORT)}
-                assert wire < found and {bound.address for bound in found - wire} == {address}
-    assert inside["dds"] > 20
-    assert outside["frames"] > 20 and outside["dds"] == 0
+        join_both(*pair)
+        inner = dict(zip(pair, INNER, strict=False))
+        peers = Discovery(peers=tuple((address, metatraffic_port(DOMAIN, 0)) for address in inner.values()))
+        with talking(pair, tmp_path, lambda host: network_profile_xml(inner[host], peers, FIRST_FREE)):
+            for host in pair:
+                assert host.listening() == {("udp", address) for address in (inner[host], "0.0.0.0", "[::]")}
+        assert pair.switches[0].dds_messages() == 0
 
 
-def test_only_the_right_key_and_a_fence_keep_strangers_out(tmp_path: Path) -> None:
-    with hosts(3) as all_hosts:
-        robot, friend, stranger = all_hosts
-        keys = [Keys.new(), Keys.new()]
-        join(all_hosts, *keys)
+def test_only_the_right_key_and_a_fence_keep_strangers_out() -> None:
+    with hosts(3) as (robot, friend, stranger):
+        key = join_both(robot, friend)
         receiver = Receiver(robot, INNER[0])
-        receiver.hear(friend, 0, 50)
+
+        def heard(first: int) -> set[int]:
+            """Let both send; return whose numbers have come."""
+            receiver.hear(stranger, first)
+            receiver.hear(friend, first + 100)
+            return {number // 100 * 100 for number, _ in receiver.heard(friend)}
+
         stranger.ip("route", "add", INNER[0], "via", robot.address)
-        receiver.hear(stranger, 100, 50)
-        for words in fence("wg0", INNER[0]):
-            robot.run(words)
-        receiver.hear(stranger, 200, 50)
+        assert heard(0) == {0, 100}
+        robot.run(["sh", "-c", rules_of_the_page("wg0", INNER[0])])
+        assert heard(200) == {300}
         # With a key that the robot does not know, the stranger's tunnel never comes to be.
         stranger.ip("route", "delete", INNER[0])
-        start_tunnel(stranger, "10.84.0.3", Keys.new(), {INNER[0]: (keys[0], robot.address)})
-        receiver.hear(stranger, 300, 50)
-        receiver.hear(friend, 400, 50)
-        heard = [number // 100 for number, _ in receiver.heard(friend)]
-    assert heard == [0] * 50 + [1] * 50 + [4] * 50
+        join(stranger, INNER[2], X25519PrivateKey.generate(), {INNER[0]: (key, robot)})
+        assert heard(400) == {500}

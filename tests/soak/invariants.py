@@ -1,24 +1,29 @@
-"""What holds in every step of a run, whatever is injected; checked from the messages alone."""
+"""What holds in every step of a run, whatever is injected; checked from the messages alone, of each run of a soak."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from math import isfinite
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
+from swarmabs_analysis.verify import BagToVerify
+from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
+from swarmabs_config.scenario import Scenario
+from swarmabs_core.errors import RunError
 from swarmabs_core.faults import RobotFault, RobotFaults, true_state
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Kind, PlaneState, Status, SwarmEvent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from swarmabs_bag.recording import RecordedStep
-    from swarmabs_config.scenario import Scenario
+from swarmabs_run.simulation import Simulation
 
 RECOVERED_BELOW = 0.01
 """Error of the angle, rad, below which a swarm counts as recovered."""
 RECOVERY_BOUND = 8.0
 """Time, s, after the last fault within which a swarm has recovered for good."""
+MOST_VIOLATIONS = 20
+"""More of them say nothing new about a run."""
+
+Steps = Callable[[], Iterator[RecordedStep]]
 
 
 class Violation(NamedTuple):
@@ -51,15 +56,9 @@ class StaysInLane(Invariant):
         self._outside: set[int] = set()
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        """Compare who crosses the plane's end with who is said to."""
         messages = [record.message for record in step.records]
-        said = {
-            message.agent_id
-            for message in messages
-            if isinstance(message, SwarmEvent)
-            and message.kind == EventKind.LIMIT_HIT
-            and "plane's end" in message.detail
-        }
+        events = [m for m in messages if isinstance(m, SwarmEvent) and m.kind == EventKind.LIMIT_HIT]
+        said = {event.agent_id for event in events if "plane's end" in event.detail}
         for message in messages:
             if not isinstance(message, AgentState):
                 continue
@@ -85,7 +84,6 @@ class NothingStale(Invariant):
         self._coming: dict[int, dict[int, int]] = {}
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        """Compare the step of the broadcasts on which each command rests with what has reached the robot."""
         for record in step.records:
             state = record.message
             if not isinstance(state, AgentState):
@@ -124,7 +122,6 @@ class WithinLimits(Invariant):
         self._largest = {Kind.SINGLE_INTEGRATOR: velocity, Kind.DOUBLE_INTEGRATOR: force}
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        """Look at all numbers and all commands."""
         for record in step.records:
             message = record.message
             if not all(isfinite(value) for value in message if isinstance(value, float)):
@@ -138,29 +135,24 @@ class Recovers(Invariant):
 
     def __init__(self, scenario: Scenario) -> None:
         self._reference = configure.reference(scenario)
-        self._period_ns = scenario.step_ns
+        self._period = scenario.step_ns / 1e9
         self._last_fault = last_fault(scenario)
-        self._since: int | None = None
-        self._recovery: float | None = None
+        self._away: int | None = None
+        self._end = 0
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        """Note since when the error is small."""
         for record in step.records:
             if isinstance(record.message, PlaneState):
-                error = self._reference(step.step * self._period_ns / 1e9) - record.message.angle
+                self._end = step.step
+                error = self._reference(step.step * self._period) - record.message.angle
                 if not abs(error) < RECOVERED_BELOW:
-                    self._since = None
-                elif self._since is None:
-                    self._since = step.step
+                    self._away = step.step
         yield from ()
 
     def finish(self) -> Iterator[Violation]:
-        """Yield how long the recovery took, if it took too long."""
-        if self._since is not None:
-            self._recovery = max(0, self._since - self._last_fault) * self._period_ns / 1e9
-        if self._recovery is None or self._recovery > RECOVERY_BOUND:
-            since = "at the end" if self._recovery is None else f"until {self._recovery:g} s after the last fault"
-            text = f"the error is not below {RECOVERED_BELOW} rad {since}"
+        took = -1.0 if self._away is None else (self._away - self._last_fault) * self._period
+        if self._away == self._end or took > RECOVERY_BOUND:
+            text = f"the error is not below {RECOVERED_BELOW} rad until {took:g} s after the last fault"
             yield Violation("recovery", self._last_fault, None, text)
 
 
@@ -176,6 +168,44 @@ def last_fault(scenario: Scenario) -> int:
     return max(steps, default=0)
 
 
-def lockstep_invariants(scenario: Scenario) -> tuple[Invariant, ...]:
-    """Return what holds in a run in lockstep."""
-    return StaysInLane(scenario), NothingStale(scenario), WithinLimits(scenario), Recovers(scenario)
+def lockstep_violations(scenario: Scenario, steps: Steps | None = None) -> list[Violation]:
+    """Run a scenario in lockstep and return what does not hold; its bag is verified too."""
+    steps = steps or (lambda: Simulation(scenario).steps())
+    with TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        recording = Recording(scenario, bag, driver="simulate")
+        found = violations(scenario, steps(), recording.add)
+        if found:
+            recording.abort("an invariant does not hold")
+            return found
+        digest = str(recording.close()["digest"])
+        verdict, again = BagToVerify(bag).verify(), Digest()
+    for step in steps():
+        again.update(step)
+    if (difference := verdict.difference) is not None:
+        found.append(Violation("verification", difference.step, difference.agent, str(difference)))
+    elif not verdict.ok or verdict.digest != digest:
+        found.append(Violation("verification", None, None, f"{verdict.problem}, digest {verdict.digest}, not {digest}"))
+    if again.hexdigest() != digest:
+        found.append(Violation("repetition", None, None, f"a second run has {again.hexdigest()}, and not {digest}"))
+    return found
+
+
+def violations(
+    scenario: Scenario, steps: Iterator[RecordedStep], record: Callable[[RecordedStep], None] = lambda _: None
+) -> list[Violation]:
+    """Watch a run, and return what does not hold in it."""
+    found: list[Violation] = []
+    invariants = (StaysInLane(scenario), NothingStale(scenario), WithinLimits(scenario), Recovers(scenario))
+    try:
+        for step in steps:
+            record(step)
+            for invariant in invariants:
+                found.extend(invariant.check(step))
+            if len(found) > MOST_VIOLATIONS:
+                return found
+    except RunError as error:
+        return [*found, Violation("run", None, None, str(error))]
+    for invariant in invariants:
+        found.extend(invariant.finish())
+    return found

@@ -1,7 +1,5 @@
 """Scenarios with faults, as hypothesis draws them; a swarm can recover from all of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,8 +9,6 @@ from hypothesis import strategies as st
 from swarmabs_bag.metadata import dump_yaml
 from swarmabs_config.scenario import Scenario, parse_scenario
 
-FEWEST, MOST = 4, 10
-"""Numbers of robots."""
 _INERTIA = 0.0288  # kg m^2 of the robots at the start, as of the paper's four
 _SHORT = 0.42  # m; robots come to its ends now and then
 _CONTROLLERS: tuple[dict[str, Any], ...] = (
@@ -40,7 +36,7 @@ def sometimes(value: Mapping[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
 @st.composite
 def scenarios(draw: Draw, duration: float = 30.0, faults_until: float = 18.0) -> Scenario:
     """Draw a scenario that lasts so long (s), and whose last fault is over by then (s)."""
-    count = draw(st.integers(FEWEST, MOST))
+    count = draw(st.integers(4, 10))
     controller = draw(st.sampled_from(_CONTROLLERS))
     amplitude = draw(st.sampled_from((0.0, 0.1))) if controller["type"] == "arise" else 0.0
     noise = {"sensor": {"noise": [1e-5, 1e-4]}}

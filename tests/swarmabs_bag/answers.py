@@ -1,66 +1,52 @@
 """What an answer to a damaged bag may look like, and what other readers say of it."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import TypeVar
 
-import numpy as np
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Schema
 from rosbags.rosbag2 import Reader
-from tests.swarmabs_bag.damage import split
 
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.records import HEAD_SIZE, Record, encoded, inner_records, parse, uncompress
 from swarmabs_cli import main
-from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import SwarmabsError
 
-Content = tuple[str, dict[str, bytes | None]]
-"""Digest of all messages in file order, and the attachments."""
-
-Kept = Counter[tuple[str, int, int, bytes]]
-"""Messages: topic, log and publish time, bytes."""
+T = TypeVar("T")
 
 
 class WrongAnswerError(Exception):
     """Something read a damaged bag and gave an answer that should not be."""
 
 
-def content(path: Path, *, damaged: bool = False) -> Content:
+def content(path: Path, *, damaged: bool = False) -> tuple[str, dict[str, bytes | None]]:
+    """Return the digest of all messages in file order, and the attachments."""
     bag = open_bag(path, damaged=damaged)
     digest = hashlib.sha256()
     for channel, message in bag.stored_messages():
         digest.update(f"{channel.name} {message.log_time} {len(message.payload)} ".encode() + message.payload)
     attachments = {entry.name: bag.attachment(entry.name) for entry in bag.index.attachments}
-    bag.rosbag2_metadata()
     bag.aborted()
     return digest.hexdigest(), attachments
 
 
-def kept(bag: BagReader) -> Kept:
+def kept(bag: BagReader) -> Counter[tuple[str, int, int, bytes]]:
+    """Return the messages: topic, log and publish time, bytes."""
     return Counter((c.name, m.log_time, m.publish_time, m.payload) for c, m in bag.stored_messages())
 
 
-def same(one: RunArrays, other: RunArrays) -> bool:
-    """Say whether two runs have the same states of robots and plane."""
-    return all(
-        np.array_equal(getattr(one.agents, name), getattr(other.agents, name), equal_nan=True)
-        for name in ("ids", "status", "position", "command")
-    ) and np.array_equal(one.angle, other.angle, equal_nan=True)
-
-
-def check_line(error: SwarmabsError) -> None:
-    """Make sure that an error is one short line that cannot steer a terminal."""
-    if not str(error).isprintable() or len(str(error)) > 1000:
-        raise WrongAnswerError(f"an error of {len(str(error))} characters: {str(error)[:300]!r}")
+def tried(read: Callable[[], T]) -> T | SwarmabsError:
+    """Return what is read, or the error: one short line that cannot steer a terminal."""
+    try:
+        return read()
+    except SwarmabsError as error:
+        if not str(error).isprintable() or len(str(error)) > 1000:
+            raise WrongAnswerError(f"an error of {len(str(error))} characters: {str(error)[:300]!r}") from error
+        return error
 
 
 def command(*arguments: str | Path) -> tuple[int, str]:
@@ -73,16 +59,17 @@ def command(*arguments: str | Path) -> tuple[int, str]:
     with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings():
         warnings.simplefilter("always")
         code = main([str(argument) for argument in arguments])
-    shown = f"swarm {' '.join(str(argument) for argument in arguments)} exits {code} and says"
-    errors = [line for line in err.getvalue().split("\n") if line.startswith("error: ")]
-    others = [line for line in err.getvalue().split("\n") if line and line not in errors]
-    if code not in {0, 1, 2} or (code and not out.getvalue() and (len(errors) != 1 or others)):
-        raise WrongAnswerError(f"{shown} {err.getvalue()[:500]!r}")
-    if any("Warning" in line or "Traceback" in line for line in others) or len(errors) > 1 or (errors and not code):
-        raise WrongAnswerError(f"{shown} {err.getvalue()[:500]!r}")
-    for line in (*errors, *others, *out.getvalue().split("\n")):
-        if not line.isprintable() or (line in errors and len(line) > 1000):
-            raise WrongAnswerError(f"{shown} a line of {len(line)} characters: {line[:300]!r}")
+    said = [line for line in err.getvalue().split("\n") if line]
+    errors = [line for line in said if line.startswith("error: ")]
+    if (
+        code not in {0, 1, 2}
+        or len(errors) > (code != 0)
+        or (code and not out.getvalue() and len(errors) != len(said))
+        or any("Warning" in line or "Traceback" in line for line in said)
+        or any(len(line) > 1000 for line in errors)
+        or not all(line.isprintable() for line in (*said, *out.getvalue().split("\n")))
+    ):
+        raise WrongAnswerError(f"swarm {arguments} exits {code} and says {err.getvalue()[:500]!r}")
     return code, out.getvalue()
 
 
@@ -98,20 +85,6 @@ def check_with_mcap(files: list[Path]) -> Counter[bytes]:
     return found
 
 
-def extended(file: Path) -> bool:
-    """Tell whether a schema or channel in a chunk has fields of a later version of MCAP.
-
-    The format allows it, but the mcap library (1.6) reads on behind the fields that it knows.
-    """
-    records = [found for found in split(file.read_bytes()) if found.opcode == Opcode.CHUNK]
-    for data in map(uncompress, records):
-        for opcode, begin, end in inner_records(data, 0):
-            kind = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(opcode)
-            if kind and len(encoded(parse(kind, Record(0, opcode, data[begin:end])))) != HEAD_SIZE + end - begin:
-                return True
-    return False
-
-
 def check_with_rosbags(folder: Path) -> Counter[bytes]:
     """Return the payloads of a bag as rosbags reads them."""
     with Reader(folder) as reader:
@@ -121,6 +94,10 @@ def check_with_rosbags(folder: Path) -> Counter[bytes]:
     return found
 
 
-def files_below(folder: Path) -> Iterator[Path]:
-    """Yield everything below a folder, links and pipes too."""
-    yield from sorted(folder.rglob("*"))
+def read_everywhere(folder: Path) -> list[bytes]:
+    """Check that every reader opens a bag and finds the same in it; return its payloads in file order."""
+    bag = open_bag(folder)
+    bag.check()
+    found = [payload for _, _, payload in bag.messages()]
+    assert check_with_mcap(sorted(folder.glob("*.mcap"))) == check_with_rosbags(folder) == Counter(found)
+    return found

@@ -1,7 +1,6 @@
-"""A small run and bags of it, with attachments."""
+"""A small run and bags of it, with attachments: each kind is made once, and copied by who changes it."""
 
-from __future__ import annotations
-
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -9,12 +8,14 @@ from typing import Any, TypeAlias
 import pytest
 from tests.swarmabs_bag import sample_run
 
+from swarmabs_bag.run_folder import Split
 from swarmabs_core.messages import Message
 
 Run: TypeAlias = Sequence[Message]
 WriteBag: TypeAlias = Callable[..., Path]
 
 STEPS = 40
+STEPS_PER_FILE = 10
 
 SCENARIO = b"""schema: 1
 name: sample
@@ -50,3 +51,22 @@ def write_bag(run: Run) -> WriteBag:
 def bag(tmp_path_factory: pytest.TempPathFactory, write_bag: WriteBag) -> Path:
     """Return the folder of a complete bag of the run, in several chunks; not to be changed."""
     return write_bag(tmp_path_factory.mktemp("complete") / "bag")
+
+
+@pytest.fixture(scope="session")
+def split_bag(tmp_path_factory: pytest.TempPathFactory, write_bag: WriteBag) -> Path:
+    """Return the folder of a complete bag of the run in five files; not to be changed."""
+    split = Split(nanoseconds=STEPS_PER_FILE * sample_run.PERIOD)
+    return write_bag(tmp_path_factory.mktemp("split") / "bag", chunk_bytes=2000, split=split)
+
+
+@pytest.fixture
+def copy(bag: Path, tmp_path: Path) -> Path:
+    """Return a bag's folder that may be damaged."""
+    return Path(shutil.copytree(bag, tmp_path / "bag"))
+
+
+@pytest.fixture
+def split(split_bag: Path, tmp_path: Path) -> Path:
+    """Return the folder of a bag in five files that may be damaged."""
+    return Path(shutil.copytree(split_bag, tmp_path / "split"))

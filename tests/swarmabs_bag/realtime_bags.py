@@ -1,14 +1,12 @@
 """Bags of virtual fleets, written as the recorder writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tests.swarmabs_core.realtime.bags import Stored, world
-from tests.virtual_fleet import EPOCH
+from tests.transport.fleet import EPOCH
 
 from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.recorder.recording import RealtimeRecording
@@ -24,20 +22,9 @@ Change = Callable[[Stored], Iterable[Message]]
 def realtime_bag(
     folder: Path, name: str = "quiet", *, since_1970: bool = False, change: Change | None = None, **differs: Any
 ) -> Path:
-    """Write the bag of a world.
+    """Write the bag of a world; `differs` is what is different about its `RealtimeWorld`.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-    name : str
-        Name of the world.
-    since_1970 : bool
-        Whether steps count since 1970, as in a fleet whose file gives no epoch.
-    change : callable, optional
-        Changes what is recorded.
-    differs
-        What is different about its `RealtimeWorld`.
+    Steps may count since 1970, as in a fleet whose file gives no epoch, and what is recorded may be changed.
     """
     recorded = world(name)
     clock = configure.schedule(recorded.scenario, EPOCH)

@@ -1,41 +1,22 @@
-from __future__ import annotations
-
-import hashlib
-import struct
 from functools import cache
+from math import isfinite
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
 
-from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.figures import RealtimeFigures, RunFigures
+from swarmabs_bag.realtime import MEMORY, RealtimeCollector, conflict
 from swarmabs_bag.recording import RecordedStep, RunCollector
 from swarmabs_config import configure
+from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
-from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import (
-    AbstractState,
-    AgentState,
-    AuxiliaryState,
-    DesiredAbstractState,
-    EventKind,
-    Message,
-    PlaneState,
-    Status,
-    SwarmEvent,
-)
+from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.record import Record
-
-TOPIC_NAMES = {
-    PlaneState: "plane/state",
-    AgentState: "swarm/agent_state",
-    AbstractState: "swarm/abstract_state",
-    AuxiliaryState: "swarm/auxiliary_state",
-    DesiredAbstractState: "swarm/desired_abstract_state",
-}
 
 
 @cache
@@ -48,32 +29,21 @@ def short_run() -> Run:
 
 
 def collector(run: Run, **settings: int) -> RunCollector:
-    schedule = (
-        Change(2, 1, ChangeKind.LEAVE),
-        Change(3, 2, ChangeKind.JOIN),
-        Change(4, 3, ChangeKind.KILL),
-    )
+    schedule = (Change(2, 1, ChangeKind.LEAVE), Change(3, 2, ChangeKind.JOIN), Change(4, 3, ChangeKind.KILL))
     return RunCollector((1, 2, 3, 4), schedule, len(run.steps) - 1, **settings)
 
 
-def messages(run: Run) -> list[Message]:
+def messages(run: Run) -> list[msg.Message]:
     """Return all messages by step, the events of a step first."""
     found = [record.message for step in run.steps for record in step.records]
-    return sorted(found, key=lambda message: (message.step, not isinstance(message, SwarmEvent)))
-
-
-def test_run_in_order_is_itself() -> None:
-    run = short_run()
-    book = collector(run)
-    assert [step for message in messages(run) for step in book.add(Record.of(message))] == run.steps
-    assert book.finished
+    return sorted(found, key=lambda message: (message.step, not isinstance(message, msg.SwarmEvent)))
 
 
 @settings(max_examples=60)
 @given(st.randoms(use_true_random=False), st.integers(1, 3))
 def test_any_order_and_any_repeats_give_the_same_steps(random: Random, copies: int) -> None:
     run, book = short_run(), collector(short_run())
-    arriving = [message for message in messages(run) if not isinstance(message, SwarmEvent)] * copies
+    arriving = [message for message in messages(run) if not isinstance(message, msg.SwarmEvent)] * copies
     random.shuffle(arriving)
     # Events come first here: an event of a step that is complete already is recorded by itself.
     found = [step for message in [*run.events(), *arriving] for step in book.add(Record.of(message))]
@@ -82,131 +52,93 @@ def test_any_order_and_any_repeats_give_the_same_steps(random: Random, copies: i
     assert book.missing() == ()
 
 
-def test_missing_names_robots_and_topics() -> None:
+def test_missing_names_robots_and_topics_and_strangers_are_refused() -> None:
     run = short_run()
     book = collector(run)
-    first = messages(run)[:7]
-    for message in first[1:4]:
+    for message in messages(run)[1:4]:
         assert book.add(Record.of(message)) == []
-    assert book.step == 0
-    assert book.missing_agents() == (1,)
-    assert book.missing() == (
-        "agent 1",
-        "swarm/abstract_state",
-        "swarm/auxiliary_state",
-        "swarm/desired_abstract_state",
-    )
+    assert (book.step, book.missing_agents()) == (0, (1,))
+    missing = ("swarm/abstract_state", "swarm/auxiliary_state", "swarm/desired_abstract_state")
+    assert book.missing() == ("agent 1", *missing)
+    with pytest.raises(NegativeTimeError, match=r"plane/state: .* step 0 has a time stamp of -1 ns"):
+        collector(run).add(Record.of(run.one(msg.PlaneState, 0)._replace(stamp=-1)))
+    with pytest.raises(UnknownAgentError, match="robot 9 is not a member"):
+        collector(run).add(Record.of(agent_state(9)))
 
 
 def test_conflicting_repeat_is_refused() -> None:
     run = short_run()
-    book = collector(run)
+    book, forgetful = collector(run), collector(run, memory=2)
     for message in messages(run):
         book.add(Record.of(message))
-    for message in (run.states(5)[0], run.one(PlaneState, 5)):
+        forgetful.add(Record.of(message))
+    for message in (run.states(5)[0], run.one(msg.PlaneState, 5)):
         assert book.add(Record.of(message)) == []
+    plane = run.one(msg.PlaneState, 5)._replace(angle=0.2)
     with pytest.raises(ConflictError, match=r"swarm/agent_state of agent 2: two different messages of step 5"):
         book.add(Record.of(run.states(5)[0]._replace(position=0.2)))
     with pytest.raises(ConflictError, match=r"plane/state: two different messages of step 5"):
-        book.add(Record.of(run.one(PlaneState, 5)._replace(angle=0.2)))
-
-
-def test_repeats_beyond_the_memory_are_not_compared() -> None:
-    run = short_run()
-    book = collector(run, memory=2)
-    for message in messages(run):
-        book.add(Record.of(message))
-    assert book.step == 7
-    assert book.add(Record.of(run.one(PlaneState, 4)._replace(angle=0.2))) == []
+        book.add(Record.of(plane))
+    assert forgetful.step == 7
+    assert forgetful.add(Record.of(run.one(msg.PlaneState, 4)._replace(angle=0.2))) == []
     with pytest.raises(ConflictError):
-        book.add(Record.of(run.one(PlaneState, 5)._replace(angle=0.2)))
+        forgetful.add(Record.of(plane))
 
 
-def test_strangers_are_refused() -> None:
+def test_states_of_robots_that_are_out_are_not_recorded_and_late_events_once() -> None:
     run = short_run()
-    with pytest.raises(NegativeTimeError, match=r"plane/state: .* step 0 has a time stamp of -1 ns"):
-        collector(run).add(Record.of(run.one(PlaneState, 0)._replace(stamp=-1)))
-    with pytest.raises(UnknownAgentError, match="robot 9 is not a member"):
-        collector(short_run()).add(Record.of(agent_state(9)))
-
-
-def test_states_of_robots_that_are_out_are_not_recorded() -> None:
-    run = short_run()
-    book = collector(run)
+    book, event = collector(run), msg.SwarmEvent(10_000_000, 1, 0, msg.EventKind.LIMIT_HIT, 7.0, "late")
     assert book.add(Record.of(agent_state(2, 0))) == []  # joins at step 3
     assert book.add(Record.of(agent_state(1, 3))) == []  # has left at step 2
     found = [step for message in messages(run) for step in book.add(Record.of(message))]
     assert found == run.steps
-
-
-def test_late_event_is_recorded_once() -> None:
-    run = short_run()
     book = collector(run)
     for message in messages(run)[:40]:
         book.add(Record.of(message))
     assert book.step > 2
-    event = SwarmEvent(10_000_000, 1, 0, EventKind.LIMIT_HIT, 7.0, "late")
     (late,) = book.add(Record.of(event))
     assert (late.step, [record.message for record in late.records]) == (1, [event])
+    assert [time for _, time, _ in late.stored()] == [event.stamp]
     assert book.add(Record.of(event)) == []
+    late = RecordedStep(3, tuple(r for r in run.steps[3].records if isinstance(r.message, msg.SwarmEvent)))
+    assert late.records and digest([*run.steps, late]) == digest(run.steps)
 
 
 def test_several_events_of_a_step_are_all_kept() -> None:
     run = short_run()
-    book = collector(run)
-    added = [SwarmEvent(0, 0, 4, EventKind.LIMIT_HIT, value, "") for value in (2.0, 1.0, 2.0)]
+    added = [msg.SwarmEvent(0, 0, 4, msg.EventKind.LIMIT_HIT, value, "") for value in (2.0, 1.0, 2.0)]
     first = [message for message in messages(run) if message.step == 0]
+    book = collector(run)
     (step,) = [found for message in [*added, *first] for found in book.add(Record.of(message))]
-    kept = [record.message for record in step.records if isinstance(record.message, SwarmEvent)]
+    kept = [record.message for record in step.records if isinstance(record.message, msg.SwarmEvent)]
     assert sorted(kept, key=lambda event: event.value) == [added[1], added[0]]
 
 
-def test_observers_word_ends_the_wait_for_a_robot() -> None:
-    book = RunCollector((1, 2), (), 5)
+def test_the_wait_for_a_robot_ends_when_it_leaves_or_the_observer_says_that_it_is_dead() -> None:
     run = Run(builtin("pd_si_4", "duration=0.01"))
-    coordinators = [r.message for r in run.steps[0].records if not isinstance(r.message, AgentState)]
+    coordinators = [r.message for r in run.steps[0].records if not isinstance(r.message, msg.AgentState)]
+    book = RunCollector((1, 2), (), 5)
+    assert book.add(Record.of(agent_state(1, 6))) == [], "after the last step"
     for message in (agent_state(1), *coordinators):
         assert book.add(Record.of(message)) == []
-    dead = SwarmEvent(0, 0, 2, EventKind.DEAD, 0.0, "no answer")
-    (step,) = book.add(Record.of(dead))
+    (step,) = book.add(Record.of(msg.SwarmEvent(0, 0, 2, msg.EventKind.DEAD, 0.0, "no answer")))
     assert [record.agent_id for record in step.records] == [1, 0, 0, 0, 0, 2]
     assert book.missing_agents() == (1,)
-
-
-def test_unplanned_leave_ends_the_wait_for_a_robot() -> None:
     book = RunCollector((1, 2), (), 5)
-    run = Run(builtin("pd_si_4", "duration=0.01"))
-    coordinators = [r.message for r in run.steps[0].records if not isinstance(r.message, AgentState)]
-    for message in (agent_state(1), agent_state(2, status=Status.LEFT), *coordinators):
+    for message in (agent_state(1), agent_state(2, status=msg.Status.LEFT), *coordinators):
         book.add(Record.of(message))
     assert (book.step, book.missing_agents()) == (1, (1,))
 
 
-def test_steps_after_the_last_are_ignored() -> None:
-    book = RunCollector((1, 2), (), 5)
-    assert book.add(Record.of(agent_state(1, 6))) == []
-
-
-def test_digest_against_its_definition() -> None:
-    """SHA-256 over topic, 0x00, uint32 length, payload, sorted by (step, topic, robot), events left out."""
-    run = short_run()
-    records = []
-    for message in messages(run):
-        if isinstance(message, SwarmEvent):
-            continue
-        robot = message.agent_id if isinstance(message, AgentState) else 0
-        records.append((message.step, TOPIC_NAMES[type(message)], robot, encode(message)))
-    text = b"".join(
-        name.encode() + b"\x00" + struct.pack("<I", len(payload)) + payload for _, name, _, payload in sorted(records)
-    )
-    assert run.digest() == hashlib.sha256(text).hexdigest()
-
-
-def test_digest_does_not_depend_on_events_that_come_late() -> None:
-    run = short_run()
-    late = RecordedStep(3, tuple(r for r in run.steps[3].records if isinstance(r.message, SwarmEvent)))
-    assert late.records
-    assert digest([*run.steps, late]) == digest(run.steps)
+@pytest.mark.parametrize(
+    ("action", "detail"), [(msg.Action.REFERENCE, "reference"), (msg.Action.DISTURBANCE, "disturbance")]
+)
+def test_a_setting_that_is_ordered_must_be_announced(action: msg.Action, detail: str) -> None:
+    first = short_run().steps[0].records
+    book = RunCollector((1, 3, 4), (), 5, steered=True)
+    assert book.steer(msg.Steering(0, 0, 1, action, 0, 0.1))[1] == []
+    events = [Record.of(msg.SwarmEvent(0, 0, 0, msg.EventKind.STEERING, 0.1, text)) for text in ("else", detail)]
+    assert [len(book.add(record)) for record in (*first, *events)] == [0] * (len(first) + 1) + [1]
 
 
 def test_metrics_against_numpy() -> None:
@@ -215,18 +147,16 @@ def test_metrics_against_numpy() -> None:
     metrics = RunFigures(law.reference)
     for step in run.steps:
         metrics.add(step)
-
     time = 0.01 * np.arange(601)
-    error = 0.7 * np.sin(0.0471238898038469 * time) - run.column(PlaneState, "angle")
+    error = 0.7 * np.sin(0.0471238898038469 * time) - run.column(msg.PlaneState, "angle")
     unsettled = np.flatnonzero(np.abs(error) >= 0.01)
     summary = metrics.figures()
     assert summary["settled_at"] == pytest.approx(time[unsettled[-1] + 1])
     assert summary["final_error"] == pytest.approx(error[-1], rel=1e-9)
     assert summary["rms_error"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
-    assert summary["max_abs_position"] == np.abs(run.column(AgentState, "position")).max()
+    assert summary["max_abs_position"] == np.abs(run.column(msg.AgentState, "position")).max()
     assert summary["messages"] == sum(len(step.records) for step in run.steps)
-    assert metrics.latest is not None
-    assert metrics.latest == (600, run.of(PlaneState)[-1].angle, summary["final_error"])
+    assert metrics.latest == (600, run.of(msg.PlaneState)[-1].angle, summary["final_error"])
 
 
 @pytest.mark.parametrize(
@@ -237,37 +167,153 @@ def test_metrics_against_numpy() -> None:
         ([0.1, 0.0, 0.1, -0.009, 0.0], 0.03),
         ([0.1, 0.0, 0.01], None),
         ([0.1, 0.0, float("nan")], None),
+        ([float("nan")], None),
+        ([], None),
     ],
 )
-def test_settled_is_the_first_time_after_which_the_error_stays_small(
-    angles: list[float], settled_at: float | None
-) -> None:
+def test_settled_is_when_the_error_begins_to_stay_small(angles: list[float], settled_at: float | None) -> None:
     metrics = RunFigures(lambda _: 0.0)
     template = short_run().steps[0].records[-1]
     for step, angle in enumerate(angles):
-        record = template._replace(message=PlaneState(step * 10_000_000, step, angle, 0.0))
+        record = template._replace(message=msg.PlaneState(step * 10_000_000, step, angle, 0.0))
         metrics.add(RecordedStep(step, (record,)))
-    assert metrics.figures()["settled_at"] == settled_at
+    found = metrics.figures()
+    assert (found["settled_at"], found["messages"], found["max_abs_position"]) == (settled_at, len(angles), None)
+    known = bool(angles) and all(map(isfinite, angles))
+    assert (found["final_error"] is not None, found["rms_error"] is not None) == (known, known)
 
 
-def test_figures_that_are_not_finite_are_null() -> None:
-    metrics = RunFigures(lambda _: 0.0)
-    template = short_run().steps[0].records[-1]
-    metrics.add(RecordedStep(0, (template._replace(message=PlaneState(0, 0, float("nan"), 0.0)),)))
-    assert metrics.figures() == {
-        "settled_at": None,
-        "final_error": None,
-        "rms_error": None,
-        "max_abs_position": None,
-        "messages": 1,
-    }
+# In real time
 
 
-def test_metrics_of_nothing_are_null() -> None:
-    assert RunFigures(lambda _: 0.0).figures() == {
-        "settled_at": None,
-        "final_error": None,
-        "rms_error": None,
-        "max_abs_position": None,
-        "messages": 0,
-    }
+PERIOD = 10_000_000
+CLOCK = Schedule(PERIOD, 10**18)
+PLANE = msg.PlaneState(CLOCK.begin(5), 5, 0.1, 0.0)
+ROBOT = msg.AgentState(CLOCK.begin(5), 5, 3, 2, 1, 1, 0.5, 0.0, 0.1, 0.0, 0.0)
+ASKED = msg.DesiredAbstractState(CLOCK.begin(5), 5, msg.Mode.RUN, *(0.0,) * 8)
+EVENT = msg.SwarmEvent(CLOCK.begin(5), 5, 2, msg.EventKind.HELD, 0.0, "why")
+BASIS = msg.Basis(CLOCK.begin(5), 5, 4, 1, msg.Source.CONTROLLER, (), (), ())
+
+
+class Kept(RealtimeCollector):
+    """A collector of two robots that takes messages."""
+
+    def __init__(self) -> None:
+        super().__init__((1, 2), CLOCK)
+
+    def take(self, message: msg.Message, now: int) -> tuple[msg.Message, ...]:
+        return tuple(record.message for record in self.add(Record.of(message), now))
+
+
+@pytest.mark.parametrize(
+    ("message", "another"),
+    [
+        (PLANE, None),
+        (ROBOT, ROBOT._replace(agent_id=1)),
+        (ASKED, ASKED._replace(mode=msg.Mode.STOP)),
+        (EVENT, EVENT._replace(detail="else")),
+        (BASIS, BASIS._replace(source=msg.Source.PLANE)),
+    ],
+)
+def test_the_first_copy_and_other_messages_are_recorded(message: msg.Message, another: msg.Message | None) -> None:
+    kept = Kept()
+    assert kept.take(message, CLOCK.begin(9)) == (message,)
+    assert kept.take(message, CLOCK.begin(9)) == kept.take(message, CLOCK.begin(90)) == ()
+    assert another is None or kept.take(another, CLOCK.begin(9)) == (another,)
+    assert (kept.repeated, kept.different, kept.refused) == (2, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("message", "other"),
+    [
+        (PLANE, PLANE._replace(angle=0.2)),
+        (ROBOT, ROBOT._replace(command=1.0)),
+        (ASKED, ASKED._replace(torque=1.0)),
+        (BASIS, BASIS._replace(begun=2)),
+    ],
+)
+def test_another_message_in_its_place_is_counted_and_told_once(message: msg.Message, other: msg.Message) -> None:
+    kept, now = Kept(), CLOCK.begin(6)
+    kept.take(message, now)
+    (event,) = kept.take(other, now)
+    assert isinstance(event, msg.SwarmEvent)
+    assert conflict(event) == msg.TOPIC_OF[type(message)].name
+    assert event[:4] == (now, 5, getattr(message, "agent_id", 0), msg.EventKind.REFUSED)
+    assert kept.take(other, now) == ()
+    assert (kept.repeated, kept.different) == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (ROBOT._replace(agent_id=9), "robot 9 is not a member"),
+        (EVENT._replace(agent_id=9), "robot 9 is not a member"),
+        (PLANE._replace(step=5 + MEMORY + 2), "a step far from now"),
+        (PLANE._replace(step=msg.NEVER), "a step far from now"),
+        (msg.RecordingProgress(0, 5, 5), "not a topic that is recorded"),
+    ],
+)
+def test_what_is_of_another_swarm_or_time_is_refused(message: msg.Message, reason: str) -> None:
+    kept = Kept()
+    (event,) = kept.take(message, CLOCK.begin(6))
+    assert isinstance(event, msg.SwarmEvent)
+    assert (event.kind, conflict(event)) == (msg.EventKind.REFUSED, None)
+    assert reason in event.detail
+    assert kept.take(message, CLOCK.begin(6)) == ()
+    assert kept.refused == 2
+
+
+def test_memory_is_bounded_whatever_the_clock_does() -> None:
+    kept = Kept()
+    for step in (*range(5 * MEMORY), 10**6, 10**9, 10**9 + 1, 3):
+        kept.take(PLANE._replace(step=step), CLOCK.begin(step))
+        assert kept.remembered <= MEMORY + 1
+
+
+def figures(*told: msg.Message) -> RealtimeFigures:
+    found = RealtimeFigures(lambda time: 0.1 * time, CLOCK)
+    for message in told:
+        found.add(Record.of(message))
+    return found
+
+
+def test_the_error_counts_in_the_time_of_the_law() -> None:
+    told: list[msg.Message] = [PLANE._replace(step=step, angle=0.5) for step in range(20)]
+    assert figures(*told).summary()["final_error"] is None
+    told += [BASIS._replace(step=step, begun=begun) for step, begun in ((7, 7), (9, 7), (12, 12), (14, 12))]
+    errors = [0.0 - 0.5, 0.002 - 0.5, 0.0 - 0.5, 0.002 - 0.5]
+    summary = figures(*told).summary()
+    assert summary["final_error"] == pytest.approx(errors[-1])
+    assert summary["rms_error"] == pytest.approx((sum(e * e for e in errors) / 4) ** 0.5)
+    assert summary["messages"] == 24
+
+
+def test_the_first_state_of_a_fallen_plane_is_named() -> None:
+    found = figures(*(PLANE._replace(step=step, angle=-1.4999) for step in range(100)))
+    assert not found.fallen
+    for step, angle in ((311, 1.49), (312, -1.5), (313, -1.5)):
+        found.add(Record.of(PLANE._replace(step=step, angle=angle)))
+    assert found.fallen.startswith("t = 3.12 s, step 312: the plane's angle is -1.5 rad and a run ends at 1.5 rad: ")
+    assert "plane.end_stop" in found.fallen
+
+
+def test_the_angle_is_told_without_an_error_once_the_controller_does_not_answer_any_more() -> None:
+    basis, plane = BASIS._replace(step=7, begun=7), PLANE._replace(step=7, angle=-0.5)
+    found = figures(basis, plane)
+    assert found.latest == figures(plane, basis).latest == (7, -0.5, 0.5), "whichever of them comes first"
+    found.add(Record.of(PLANE._replace(step=17, angle=-0.5)))
+    assert found.latest == (7, -0.5, 0.5)
+    found.add(Record.of(PLANE._replace(step=18, angle=1.5)))
+    assert found.latest == (18, 1.5, None)
+
+
+def test_losses_ages_and_stops() -> None:
+    robots = [ROBOT._replace(step=step, broadcast_step=3) for step in (5, 6, 9)]
+    robots += [ROBOT._replace(step=step + 100, agent_id=1, broadcast_step=msg.NEVER) for step in (5, 6, 9)]
+    planes = [PLANE._replace(step=step) for step in (2, 4)]
+    said: dict[str, Any] = figures(*robots, *planes, EVENT._replace(kind=msg.EventKind.SAFE_STOP)).realtime()
+    assert said["losses"]["swarm/agent_state"] == {"received": 6, "missing": 4}
+    assert said["losses"]["plane/state"] == {"received": 2, "missing": 1}
+    assert said["losses"]["swarm/abstract_state"] == {"received": 0, "missing": 0}
+    assert said["broadcast_ages"] == {"2": 1, "3": 1, "6": 1}
+    assert said["safe_stops"] == 1

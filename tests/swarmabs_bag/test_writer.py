@@ -1,33 +1,36 @@
 """How a bag comes to be: chunks, closing, aborting, refusals, and what each leaves on the disk."""
 
-from __future__ import annotations
-
+import errno
+import io
 import os
-from collections.abc import Callable, Iterator
-from contextlib import suppress
-from itertools import islice
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
 from mcap.exceptions import EndOfFile
-from mcap.reader import make_reader
-from mcap.records import Attachment, Message as StoredMessage
+from mcap.records import Message as StoredMessage
 from mcap.stream_reader import StreamReader
+from tests.swarmabs_bag.answers import read_everywhere
+from tests.swarmabs_bag.conftest import STEPS_PER_FILE, WriteBag
+from tests.swarmabs_bag.sample_run import PERIOD, bag_writer, payloads, write_all
 
-from swarmabs_bag.errors import BagFolderError, DamagedBagError, UnknownTypeError
+from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError, UnknownTypeError
+from swarmabs_bag.output import RecordFile, Reserve
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run_folder import Split
+from swarmabs_bag.writer import CHUNK_BYTES, CHUNK_SECONDS, BagWriter
 from swarmabs_config.graph import Qos
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, Message, PlaneState, Topic
-
-TOPICS = (*MAIN_TOPICS, EVENTS)
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, TOPIC_OF, Message, PlaneState, Topic
 
 
 class Clock:
-    def __init__(self) -> None:
-        self.now = 100.0
+    now = 100.0
 
     def __call__(self) -> float:
         return self.now
@@ -38,11 +41,11 @@ def plane(step: int) -> tuple[Topic, int, bytes]:
 
 
 def on_disk(file: Path) -> list[int]:
-    """Return the log times of all messages that a process finds that reads the file from its start now."""
+    """Return the steps of all messages that a process finds that reads the file from its start now."""
     found: list[int] = []
     with file.open("rb") as stream, suppress(EndOfFile):
         records = StreamReader(stream, validate_crcs=True).records
-        found.extend(record.log_time for record in records if isinstance(record, StoredMessage))
+        found.extend(record.log_time // 10_000_000 for record in records if isinstance(record, StoredMessage))
     return found
 
 
@@ -53,108 +56,107 @@ def clock() -> Clock:
 
 @pytest.fixture
 def writer(tmp_path: Path, clock: Clock) -> Iterator[BagWriter]:
-    attachments = {"scenario.yaml": b"name: x\n"}
-    writer = BagWriter(tmp_path / "bag", topics=TOPICS, attachments=attachments, monotonic=clock)
+    writer = bag_writer(tmp_path / "bag", {"scenario.yaml": b"name: x\n"}, monotonic=clock)
     yield writer
     writer.abort()
 
 
-def test_attachments_of_the_start_are_on_disk_at_once(writer: BagWriter) -> None:
-    with writer.path.open("rb") as stream:
-        _, attached = islice(StreamReader(stream).records, 2)
-    assert isinstance(attached, Attachment)
-    assert (attached.name, attached.data) == ("scenario.yaml", b"name: x\n")
-    assert not (writer.folder / "metadata.yaml").exists()
-
-
-def test_chunk_reaches_the_disk_when_it_is_old_enough(writer: BagWriter, clock: Clock) -> None:
+def test_chunk_reaches_the_disk_when_it_is_old_or_large_enough(writer: BagWriter, clock: Clock, tmp_path: Path) -> None:
+    assert open_bag(writer.folder, damaged=True).attachment("scenario.yaml") == b"name: x\n", "at once"
+    clock.now += 50.0
+    writer.poll()
     writer.write(*plane(0))
-    clock.now += 0.799
+    clock.now += CHUNK_SECONDS - 0.001
     writer.write(*plane(1))
     writer.poll()
     assert on_disk(writer.path) == []
     clock.now += 0.002
     writer.poll()
-    assert on_disk(writer.path) == [0, 10_000_000]
-
-
-def test_write_closes_an_old_chunk_without_poll(writer: BagWriter, clock: Clock) -> None:
-    writer.write(*plane(0))
+    assert on_disk(writer.path) == [0, 1]
+    writer.write(*plane(2))
     clock.now += 1.0
-    writer.write(*plane(1))
-    assert on_disk(writer.path) == [0, 10_000_000]
-
-
-def test_age_of_a_chunk_counts_from_its_first_message(writer: BagWriter, clock: Clock) -> None:
-    clock.now += 50.0
-    writer.poll()
-    writer.write(*plane(0))
-    writer.poll()
-    assert on_disk(writer.path) == []
-
-
-def test_chunk_reaches_the_disk_when_it_is_large_enough(tmp_path: Path, clock: Clock) -> None:
-    with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}, chunk_bytes=20_000, monotonic=clock) as writer:
+    assert on_disk(writer.path) == [0, 1]
+    writer.write(*plane(3))
+    assert on_disk(writer.path) == [0, 1, 2, 3]
+    assert CHUNK_SECONDS < 1.0 and CHUNK_BYTES == 2**20, "the contract"
+    with bag_writer(tmp_path / "large", chunk_bytes=20_000, monotonic=clock) as large:
         step = 0
-        while not on_disk(writer.path):
-            writer.write(*plane(step))
+        while not on_disk(large.path):
+            large.write(*plane(step))
             step += 1
-    assert on_disk(writer.path) == [number * 10_000_000 for number in range(step)]
+    assert on_disk(large.path) == list(range(step))
 
 
-def test_how_chunks_are_cut_changes_no_message(
-    tmp_path: Path, write_bag: Callable[..., Path], run: list[Message]
+def test_whatever_the_moment_a_killed_writer_loses_no_more_than_its_chunk(tmp_path: Path, run: list[Message]) -> None:
+    """What the file holds at any moment is what a process leaves that is killed then."""
+    written = payloads(run)
+    writer = bag_writer(tmp_path / "bag", chunk_bytes=2000)
+    lost = []
+    for number, message in enumerate(run, start=1):
+        writer.write(TOPIC_OF[type(message)], message.stamp, encode(message))
+        if number % 7 == 0:
+            found = [payload for _, _, payload in open_bag(writer.folder, damaged=True).messages()]
+            assert found == written[: len(found)]
+            lost.append(number - len(found))
+    writer.close()
+    assert 0 < max(lost) * 52 < 2000 + 7 * 92
+
+
+def test_how_chunks_are_cut_changes_no_message_and_the_same_run_gives_the_same_file(
+    tmp_path: Path, write_bag: WriteBag, run: list[Message], bag: Path
 ) -> None:
-    contents = []
-    for chunk_bytes in (1, 3000, 10**6):
-        reader = open_bag(write_bag(tmp_path / str(chunk_bytes), chunk_bytes=chunk_bytes))
-        contents.append(list(reader.messages()))
-        reader.check()
-    assert contents[0] == contents[1] == contents[2]
-    assert len(contents[0]) == len(run)
+    for chunk_bytes in (1, 4000, 10**6):
+        found = write_bag(tmp_path / str(chunk_bytes), chunk_bytes=chunk_bytes)
+        assert read_everywhere(found) == payloads(run)
+    assert (tmp_path / "4000" / "bag_0.mcap").read_bytes() == (bag / "bag_0.mcap").read_bytes()
 
 
-def test_same_run_gives_the_same_file(tmp_path: Path, write_bag: Callable[..., Path]) -> None:
-    first, second = (write_bag(tmp_path / name) / "bag_0.mcap" for name in "ab")
-    assert first.read_bytes() == second.read_bytes()
-
-
-def test_topic_keeps_its_order_and_not_that_of_time(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}) as writer:
+def test_an_empty_bag_is_a_bag_and_messages_keep_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its library need not have been built."""
+    monkeypatch.setattr("swarmabs_bag.writer.version", Mock(side_effect=PackageNotFoundError))
+    (tmp_path / "bag").mkdir()
+    with bag_writer(tmp_path / "bag", {"scenario.yaml": b""}):
+        pass
+    assert read_everywhere(tmp_path / "bag") == []
+    reader = open_bag(tmp_path / "bag")
+    assert reader.index.header.library == "swarmabs"
+    assert [channel.topic for channel in reader.channels] == [*MAIN_TOPICS, EVENTS]
+    assert reader.attachment("scenario.yaml") == b""
+    with bag_writer(tmp_path / "unordered") as writer:
         for step in (5, 2, 9):
             writer.write(*plane(step))
-    reader = open_bag(tmp_path)
+    reader = open_bag(tmp_path / "unordered")
     assert [time for _, time, _ in reader.messages()] == [50_000_000, 20_000_000, 90_000_000]
     assert (reader.start, reader.end) == (20_000_000, 90_000_000)
 
 
-def test_bag_without_messages_is_a_bag(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={"scenario.yaml": b""}):
-        pass
-    reader = open_bag(tmp_path / "bag")
-    reader.check()
-    assert list(reader.messages()) == []
-    assert [channel.topic for channel in reader.channels] == list(TOPICS)
-    assert reader.attachment("scenario.yaml") == b""
-    with (tmp_path / "bag/bag_0.mcap").open("rb") as stream:
-        assert list(make_reader(stream).iter_messages()) == []
-
-
-def test_qos_can_be_another_than_that_of_lockstep(tmp_path: Path) -> None:
-    qos = {PLANE_STATE: Qos("best_effort", 3)}
-    with BagWriter(tmp_path / "bag", topics=[PLANE_STATE], attachments={}, qos=qos):
-        pass
-    (channel,) = open_bag(tmp_path).channels
+def test_qos_and_types_can_be_others_than_those_of_lockstep(tmp_path: Path) -> None:
+    joints = Topic("plane/joint_states", PlaneState, "sensor_msgs/msg/JointState")
+    payload = b"\x00\x01\x00\x00" + bytes(range(256))
+    with BagWriter(tmp_path / "bag", topics=[joints], attachments={}, qos={joints: Qos("best_effort", 3)}) as writer:
+        writer.write(joints, 7, payload, 5)
+    ((channel, message),) = open_bag(tmp_path).stored_messages()
+    assert (channel.name, channel.ros_type, channel.topic) == ("/plane/joint_states", joints.ros_type, None)
+    assert (message.log_time, message.publish_time, message.payload) == (7, 5, payload)
     (profile,) = yaml.safe_load(channel.qos_profiles)
     assert (profile["reliability"], profile["depth"]) == ("best_effort", 3)
 
 
-def test_close_attaches_and_ends_everything(writer: BagWriter) -> None:
+def test_close_attaches_and_ends_everything_and_refusals_harm_nothing(writer: BagWriter) -> None:
+    with pytest.raises(ValueError, match="plane/state: log time -1 ns is negative"):
+        writer.write(PLANE_STATE, -1, b"")
+    with pytest.raises(KeyError):
+        writer.write(Topic("other", PlaneState, "std_msgs/msg/Header"), 0, b"")
     writer.write(*plane(0))
+    with pytest.raises(DamagedBagError, match="is incomplete"):
+        open_bag(writer.folder)
     writer.close({"run.log": b"done"})
     reader = open_bag(writer.folder)
-    assert tuple(entry.name for entry in reader.index.attachments) == ("scenario.yaml", "run.log")
-    assert reader.aborted() is None
+    assert [(entry.name, entry.log_time) for entry in reader.index.attachments] == [
+        ("scenario.yaml", 0),
+        ("run.log", 0),
+    ]
+    assert (reader.aborted(), reader.message_count) == (None, 1)
     for again in (writer.close, writer.poll, lambda: writer.write(*plane(1))):
         with pytest.raises(ValueError, match=r"bag_0\.mcap is closed"):
             again()
@@ -162,110 +164,267 @@ def test_close_attaches_and_ends_everything(writer: BagWriter) -> None:
     reader.check()
 
 
-def test_exception_in_the_block_aborts_and_the_bag_says_why(tmp_path: Path) -> None:
-    def record() -> None:
-        with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}) as writer:
-            writer.write(*plane(0))
-            raise RuntimeError("agent 7 has not answered")
-
-    with pytest.raises(RuntimeError, match="agent 7"):
-        record()
-    reader = open_bag(tmp_path)
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [(RuntimeError("agent 7 is silent"), "agent 7 is silent"), (KeyboardInterrupt(), "KeyboardInterrupt")],
+)
+def test_exception_in_the_block_aborts(error: BaseException, said: str, tmp_path: Path, writer: BagWriter) -> None:
+    with pytest.raises(type(error)), bag_writer(tmp_path / "raised") as raised:  # noqa: PT012 - the block is what fails
+        raised.write(*plane(0))
+        raise error
+    reader = open_bag(raised.folder)
     reader.check()
-    assert reader.aborted() == "agent 7 has not answered"
-    assert reader.message_count == 1
-
-
-def test_interrupt_without_a_text_is_named_by_its_kind(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}):
-        raise KeyboardInterrupt
-    assert open_bag(tmp_path).aborted() == "KeyboardInterrupt"
-
-
-def test_abort_attaches_the_log(writer: BagWriter) -> None:
-    writer.write(*plane(0))
+    assert (reader.aborted(), reader.message_count) == (said, 1)
+    writer.write(*plane(3))
     writer.abort(reason="stalled", attachments={"run.log": b"agent 3: silence"})
-    assert open_bag(writer.folder).attachment("run.log") == b"agent 3: silence"
+    found = open_bag(writer.folder)
+    assert (found.attachment("run.log"), found.aborted()) == (b"agent 3: silence", "stalled")
+    assert found.index.attachments[-1].log_time == 30_000_000
 
 
-def test_negative_time_is_refused_and_harms_nothing(writer: BagWriter) -> None:
-    with pytest.raises(ValueError, match="plane/state: log time -1 ns is negative"):
-        writer.write(PLANE_STATE, -1, b"")
-    writer.write(*plane(0))
-    writer.close()
-    reader = open_bag(writer.folder)
-    reader.check()
-    assert reader.message_count == 1
-
-
-def test_topic_that_was_not_named_is_a_bug(writer: BagWriter) -> None:
-    with pytest.raises(KeyError):
-        writer.write(Topic("other", PlaneState, "std_msgs/msg/Header"), 0, b"")
-    writer.close()
-
-
-def test_folder_that_is_not_empty_is_refused_untouched(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_used_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "old.txt").write_text("keep me", encoding="utf-8")
     with pytest.raises(BagFolderError, match="is not empty"):
-        BagWriter(tmp_path, topics=TOPICS, attachments={})
-    assert [path.name for path in tmp_path.iterdir()] == ["old.txt"]
-
-
-def test_folder_that_is_empty_is_used(tmp_path: Path) -> None:
-    (tmp_path / "bag").mkdir()
-    with BagWriter(tmp_path / "bag", topics=TOPICS, attachments={}):
-        pass
-    assert open_bag(tmp_path / "bag").problem is None
-
-
-def test_folder_under_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
+        bag_writer(tmp_path)
     with pytest.raises(BagFolderError, match="Not a directory; name another folder"):
-        BagWriter(tmp_path / "file/bag", topics=TOPICS, attachments={})
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_folder_without_permission_is_refused(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(BagFolderError, match="Permission denied"):
-            BagWriter(tmp_path / "bag", topics=TOPICS, attachments={})
-    finally:
-        tmp_path.chmod(0o700)
-
-
-def test_type_that_is_not_installed_leaves_nothing_behind(tmp_path: Path) -> None:
+        bag_writer(tmp_path / "old.txt" / "bag")
     unknown = Topic("plane/wind", PlaneState, "weather_msgs/msg/Wind")
     with pytest.raises(UnknownTypeError, match="package weather_msgs"):
         BagWriter(tmp_path / "deep/bag", topics=[unknown], attachments={}, qos={unknown: Qos("reliable", 1)})
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["old.txt"]
 
 
-def test_bag_of_standard_messages(tmp_path: Path) -> None:
-    joints = Topic("plane/joint_states", PlaneState, "sensor_msgs/msg/JointState")
-    with BagWriter(tmp_path / "bag", topics=[joints], attachments={}, qos={joints: Qos("reliable", 1)}) as writer:
-        writer.write(joints, 0, b"\x00\x01\x00\x00" + bytes(24))
-    ((channel, message),) = open_bag(tmp_path).stored_messages()
-    assert (channel.name, channel.ros_type, channel.topic) == ("/plane/joint_states", joints.ros_type, None)
-    assert message.payload == b"\x00\x01\x00\x00" + bytes(24)
+# A disk that fills up or fails: one clear error, and a bag that opens everywhere with all that was there before
 
 
-def test_file_that_is_still_written_is_told_from_a_complete_one(writer: BagWriter, clock: Clock) -> None:
-    writer.write(*plane(0))
-    clock.now += 2
-    writer.poll()
-    with pytest.raises(DamagedBagError, match=r"is incomplete: .*1 message"):
-        open_bag(writer.folder)
-    assert [time for _, time, _ in open_bag(writer.folder, damaged=True).messages()] == [0]
-    writer.close()
-    open_bag(writer.folder).check()
+RESERVE = 2**18
+SCENARIO = b"name: x\n"
 
 
-def test_payload_reaches_the_file_byte_by_byte(tmp_path: Path) -> None:
-    payload = bytes(range(256)) * 4
-    with BagWriter(tmp_path / "bag", topics=[PLANE_STATE], attachments={"blob": payload}) as writer:
-        writer.write(PLANE_STATE, 7, payload)
-    reader = open_bag(tmp_path)
-    assert [(time, data) for _, time, data in reader.messages()] == [(7, payload)]
-    assert reader.attachment("blob") == payload
+class Disk:
+    """A disk on which there is so much space left; what does not fit is written in part, as real disks do.
+
+    When the writer gives up its reserve, there are `kept_back` bytes more; `cuts` and `syncs` tell whether files can be
+    cut off and synchronised.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.free, self.kept_back, self.code = 2**40, RESERVE, errno.ENOSPC
+        self.cuts = self.syncs = True
+        monkeypatch.setattr("swarmabs_bag.writer.RecordFile", self._file)
+        monkeypatch.setattr("swarmabs_bag.writer.Reserve", self._reserve)
+
+    def _file(self, path: Path) -> RecordFile:
+        made = RecordFile(path)
+        made.raw = RawFile(made.raw, self)
+        return made
+
+    def _reserve(self, folder: Path) -> Reserve:
+        made = Reserve(folder)
+        release = made.release
+
+        def give_back() -> None:
+            release()
+            self.free += self.kept_back
+
+        made.release = give_back
+        return made
+
+
+class RawFile:
+    """A file on a disk."""
+
+    def __init__(self, raw: io.FileIO, disk: Disk) -> None:
+        self.raw, self.disk = raw, disk
+        self.seek, self.close = raw.seek, raw.close
+
+    def write(self, data: memoryview) -> int:
+        if self.disk.free <= 0:
+            raise OSError(self.disk.code, os.strerror(self.disk.code))
+        done = self.raw.write(data[: self.disk.free])
+        self.disk.free -= done
+        return done
+
+    def truncate(self, size: int) -> int:
+        if self.disk.cuts:
+            self.disk.free += max(0, self.raw.seek(0, os.SEEK_END) - size)
+        return self.raw.truncate(size)
+
+    def fileno(self) -> int:
+        if not self.disk.syncs:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return self.raw.fileno()
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch)
+
+
+def writer_on(disk: Disk, folder: Path, free: int = 10**6) -> BagWriter:
+    """Return a writer with so much space left after opening."""
+    writer = bag_writer(folder, {"scenario.yaml": SCENARIO}, chunk_bytes=12_000)
+    disk.free = free
+    return writer
+
+
+def write_to_the_end(writer: BagWriter, run: list[Message]) -> None:
+    with writer:
+        write_all(writer, run)
+
+
+def refuse(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def beginning_kept(folder: Path, run: list[Message]) -> int:
+    """Check that every reader opens the bag and finds the beginning of the run in it; return how much."""
+    found = read_everywhere(folder)
+    assert found == payloads(run[: len(found)])
+    assert open_bag(folder).attachment("scenario.yaml") == SCENARIO
+    assert sorted(path.name for path in folder.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+    return len(found)
+
+
+@pytest.mark.parametrize(
+    ("free", "code", "problem"),
+    [
+        *((free, errno.ENOSPC, "No space left on device; free space") for free in (0, 1, 2000, 4000, 12000)),
+        (5000, errno.EDQUOT, "Disk quota exceeded; free some of your quota"),
+        (5000, errno.EIO, "Input/output error; the disk reports a defect"),
+        (5000, errno.EROFS, "Read-only file system; check that disk"),
+    ],
+)
+def test_full_disk_leaves_a_bag_that_opens_everywhere(
+    free: int, code: int, problem: str, tmp_path: Path, run: list[Message], disk: Disk
+) -> None:
+    disk.code = code
+    with pytest.raises(BagWriteError, match=rf"^cannot write .*bag_0\.mcap: {problem}[^\n]*$"):
+        write_to_the_end(writer_on(disk, tmp_path / "bag", free), run)
+    assert (beginning_kept(tmp_path / "bag", run) > 0) == (free >= 4000)
+    assert os.strerror(code) in (open_bag(tmp_path / "bag").aborted() or "")
+
+
+def test_error_is_remembered_until_abort(tmp_path: Path, run: list[Message], disk: Disk) -> None:
+    writer = writer_on(disk, tmp_path / "bag", 50)
+    with pytest.raises(BagWriteError) as first:
+        write_all(writer, run)
+    # Killed now, the writer leaves nothing behind its last whole record.
+    assert writer.path.stat().st_size == open_bag(writer.path, damaged=True).index.data_end
+    for again in (writer.poll, writer.close, lambda: write_all(writer, run)):
+        with pytest.raises(BagWriteError) as later:
+            again()
+        assert later.value is first.value
+    for reason in ("first", "second"):
+        writer.abort(reason)
+    assert (open_bag(tmp_path / "bag").message_count, open_bag(tmp_path / "bag").aborted()) == (0, "first")
+
+
+def test_a_lost_end_of_the_file_costs_its_last_chunks(tmp_path: Path, run: list[Message], disk: Disk) -> None:
+    kept = []
+    for reserve in (RESERVE, 0):
+        disk.kept_back = reserve
+        with pytest.raises(BagWriteError):
+            write_to_the_end(writer_on(disk, tmp_path / str(reserve), 9000), run * 3)
+        kept.append(beginning_kept(tmp_path / str(reserve), run * 3))
+    with_reserve, without = kept
+    assert with_reserve > without
+    disk.cuts = False
+    with pytest.raises(BagWriteError):
+        write_to_the_end(writer_on(disk, tmp_path / "bag", 9000), run * 3)
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag_0.mcap"]
+    reader = open_bag(tmp_path / "bag", damaged=True)
+    assert reader.size == reader.index.data_end
+    found = [payload for _, _, payload in reader.messages()]
+    assert found == payloads(run[: len(found)])
+
+
+@pytest.mark.parametrize("free", [0, 3000, 5000, 9000])
+def test_disk_full_at_closing_keeps_what_fits(free: int, tmp_path: Path, run: list[Message], disk: Disk) -> None:
+    writer = writer_on(disk, tmp_path / "bag")
+    write_all(writer, run)
+    disk.free = free
+    with pytest.raises(BagWriteError, match="No space left"):
+        writer.close({"run.log": os.urandom(10_000)})
+    assert beginning_kept(tmp_path / "bag", run) == len(run) or free < 5000
+
+
+def test_failed_sync_at_closing_and_missing_metadata_are_errors_and_the_bag_still_opens(
+    tmp_path: Path, run: list[Message], disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk.syncs = False
+    with pytest.raises(BagWriteError, match="Input/output error"):
+        write_to_the_end(writer_on(disk, tmp_path / "sync"), run)
+    with pytest.raises(BagWriteError, match="No space left"):
+        write_to_the_end(writer_on(disk, tmp_path / "full", 5000), run)
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["bag_0.mcap"], "only what is on the disk is listed"
+    disk.syncs = True
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(BagWriteError, match="No space left"):
+        write_to_the_end(writer_on(disk, tmp_path / "bag"), run)
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag_0.mcap"]
+    for name in ("sync", "bag"):
+        open_bag(tmp_path / name).check()
+        assert open_bag(tmp_path / name).message_count == len(run)
+
+
+def test_space_is_reserved_and_may_not_fit(tmp_path: Path, run: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def count(_: int, __: int, size: int) -> None:
+        asked.append(size)
+        refuse()
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "posix_fallocate", count)
+        with pytest.raises(BagWriteError, match="No space left"):
+            bag_writer(tmp_path / "new/bag")
+    assert (list(tmp_path.iterdir()), asked) == ([], [RESERVE])
+    writer = bag_writer(tmp_path / "new/bag", {"scenario.yaml": SCENARIO}, chunk_bytes=1)
+    monkeypatch.setattr(os, "posix_fallocate", count)
+    with pytest.raises(BagWriteError, match="No space left"):
+        write_to_the_end(writer, run * 2)
+    assert asked == [RESERVE, RESERVE + 2**16]
+    assert beginning_kept(tmp_path / "new/bag", run * 2) == 1
+
+
+@contextmanager
+def limited(what: int, most: int) -> Iterator[None]:
+    """Let this process have no more of a resource."""
+    soft, hard = resource.getrlimit(what)
+    resource.setrlimit(what, (most, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(what, (soft, hard))
+
+
+def test_limit_on_the_size_of_files_is_met_like_a_full_disk(tmp_path: Path, run: list[Message]) -> None:
+    most = RESERVE + 2**16
+    writer = bag_writer(tmp_path / "bag", {"scenario.yaml": SCENARIO}, chunk_bytes=12_000)
+    with (
+        limited(resource.RLIMIT_FSIZE, most),
+        pytest.raises(BagWriteError, match="File too large; raise the limit on file sizes"),
+    ):
+        write_to_the_end(writer, run * 40)
+    assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size <= most
+    assert beginning_kept(tmp_path / "bag", run * 40) > 1000
+
+
+def test_without_a_free_descriptor_no_file_is_begun(tmp_path: Path, run: list[Message]) -> None:
+    split = Split(nanoseconds=STEPS_PER_FILE * PERIOD)
+    writer = bag_writer(tmp_path / "bag", {"scenario.yaml": SCENARIO}, chunk_bytes=2000, split=split)
+    taken: list[int] = []
+    with limited(resource.RLIMIT_NOFILE, max(int(entry.name) for entry in Path("/proc/self/fd").iterdir()) + 2):
+        with suppress(OSError):
+            while True:
+                taken.append(os.open("/dev/null", os.O_RDONLY))
+        with pytest.raises(BagWriteError, match=r"bag_0\.mcap: Too many open files; raise the limit"):
+            bag_writer(tmp_path / "new")
+        with pytest.raises(BagWriteError, match=r"bag_1\.mcap: Too many open files; raise the limit"):
+            write_to_the_end(writer, run)
+    for descriptor in taken:
+        os.close(descriptor)
+    assert not (tmp_path / "new").exists()
+    assert beginning_kept(tmp_path / "bag", run) > 60
+    assert "Too many open files" in (open_bag(tmp_path / "bag").aborted() or "")

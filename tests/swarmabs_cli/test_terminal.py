@@ -1,7 +1,5 @@
 """What a run shows on terminals of all kinds, and elsewhere."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty
@@ -13,20 +11,55 @@ import termios
 from pathlib import Path
 
 import pytest
+from tests.frozen.command import swarm
 
-SWARM = [sys.executable, "-m", "swarmabs_cli"]
-SIMULATE = [*SWARM, "simulate", "--duration", "100", "--no-bag", "-o", "out"]
 SETTINGS = {"TERM": "xterm-256color", "LANG": "C.UTF-8", "PYTHONUTF8": "1"}
 CLEARED = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE", "COLORTERM")
 COLOUR = re.compile(r"\x1b\[[0-9;]*\b3[0-7]m")
 
 
-def shown(folder: Path, command: list[str] = SIMULATE, columns: int = 90, **settings: str) -> str:
-    """Return what a command writes to a terminal of this width."""
-    environment = {name: text for name, text in os.environ.items() if name not in CLEARED} | SETTINGS | settings
+def shown(monkeypatch: pytest.MonkeyPatch, columns: int | None, **settings: str) -> str:
+    """Return what a simulation writes to standard error, on a terminal of this width or into a pipe."""
+    for name in CLEARED:
+        monkeypatch.delenv(name, raising=False)
+    for name, text in {**SETTINGS, "LINES": "30", **settings}.items():
+        monkeypatch.setenv(name, text)
+    done = swarm(("simulate", "--duration", "5", "--no-bag", "-o", "out"), Path.cwd(), columns=columns)
+    assert done.code == 0 and "digest" in done.out
+    return done.err
+
+
+@pytest.mark.parametrize("settings", [{}, {"NO_COLOR": "1"}])
+def test_a_terminal_gets_a_panel_that_is_taken_away(monkeypatch: pytest.MonkeyPatch, settings: dict[str, str]) -> None:
+    text = shown(monkeypatch, 90, **settings)
+    assert "╭─ pd_het_4: step " in text and "■" in text
+    assert bool(COLOUR.search(text)) == (not settings)
+    assert text.count("\x1b[?25l") == text.count("\x1b[?25h") == 1  # the cursor is there again
+    assert text.rstrip().endswith("\x1b[2K")
+
+
+def test_a_narrow_terminal_gets_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = shown(monkeypatch, 40)
+    assert "pd_het_4: step " in text and "╭" not in text
+    lines = [re.sub(r"\x1b\[[?0-9;]*[A-Za-z]", "", line) for line in re.split(r"[\r\n]+", text)]
+    assert max(len(line) for line in lines if "step " in line) <= 40
+
+
+@pytest.mark.parametrize(("columns", "kind"), [(90, "dumb"), (None, "xterm-256color")])
+def test_a_dumb_terminal_and_a_pipe_get_lines(monkeypatch: pytest.MonkeyPatch, columns: int | None, kind: str) -> None:
+    text = shown(monkeypatch, columns, TERM=kind)
+    assert "pd_het_4: step " in text
+    assert "\x1b" not in text and "╭" not in text
+
+
+@pytest.mark.system
+@pytest.mark.timeout(120)
+def test_a_real_terminal_shows_a_run_of_many_processes(tmp_path: Path, nothing_survives: str) -> None:
+    environment = {name: text for name, text in os.environ.items() if name not in CLEARED} | SETTINGS
     ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
-    with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=theirs) as process:
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 90, 0, 0))
+    words = [sys.executable, "-m", "swarmabs_cli", "run", "--duration", "30", "-o", "out"]
+    with subprocess.Popen(words, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=theirs) as process:
         os.close(theirs)
         parts = []
         try:
@@ -38,53 +71,6 @@ def shown(folder: Path, command: list[str] = SIMULATE, columns: int = 90, **sett
             os.close(ours)
         output = process.communicate(timeout=60)[0]
     assert process.returncode == 0 and b"digest" in output
-    return b"".join(parts).decode()
-
-
-@pytest.mark.timeout(120)
-def test_a_terminal_gets_a_panel_that_is_taken_away(tmp_path: Path) -> None:
-    text = shown(tmp_path)
-    assert "╭─ pd_het_4: step " in text and "steps/s" in text and "■" in text
-    assert COLOUR.search(text)
-    assert text.count("\x1b[?25l") == text.count("\x1b[?25h") == 1  # the cursor is there again
-    assert text.rstrip().endswith("\x1b[2K")
-
-
-@pytest.mark.system
-@pytest.mark.timeout(120)
-def test_so_does_a_run_of_many_processes(tmp_path: Path, nothing_survives: str) -> None:
-    text = shown(tmp_path, [*SWARM, "run", "--duration", "30", "-o", "out"])
+    text = b"".join(parts).decode()
     assert re.search(r"starting, \d of 8 processes ready", text)
     assert "╭─ pd_het_4: step " in text and "4 active" in text and "■" in text
-
-
-@pytest.mark.timeout(120)
-def test_without_colours(tmp_path: Path) -> None:
-    text = shown(tmp_path, NO_COLOR="1")
-    assert "╭─ pd_het_4" in text
-    assert not COLOUR.search(text)
-
-
-@pytest.mark.timeout(120)
-def test_a_narrow_terminal_gets_one_line(tmp_path: Path) -> None:
-    text = shown(tmp_path, columns=40)
-    assert "pd_het_4: step " in text and "╭" not in text
-    lines = [re.sub(r"\x1b\[[?0-9;]*[A-Za-z]", "", line) for line in re.split(r"[\r\n]+", text)]
-    assert max(len(line) for line in lines if "step " in line) <= 40
-
-
-@pytest.mark.timeout(120)
-def test_a_dumb_terminal_gets_lines(tmp_path: Path) -> None:
-    text = shown(tmp_path, TERM="dumb")
-    assert "pd_het_4: step " in text
-    assert "\x1b" not in text and "╭" not in text
-
-
-@pytest.mark.timeout(120)
-def test_a_pipe_gets_lines(tmp_path: Path) -> None:
-    environment = os.environ | SETTINGS
-    ran = subprocess.run(
-        SIMULATE, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=True
-    )
-    assert "pd_het_4: step " in ran.stderr
-    assert "\x1b" not in ran.stderr and "╭" not in ran.stderr

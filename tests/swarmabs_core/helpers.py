@@ -1,47 +1,28 @@
 """What several test modules use: built-in scenarios, runs taken apart, derivatives by Cauchy's integral."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swarmabs_bag.recording import Digest
-from swarmabs_config.scenario import load_scenario
-from swarmabs_core.messages import (
-    AbstractState,
-    AgentState,
-    AuxiliaryState,
-    DesiredAbstractState,
-    Kind,
-    Message,
-    Mode,
-    Status,
-    SwarmEvent,
-)
+from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_core import messages as msg
 from swarmabs_run.simulation import Simulation
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import NDArray
-
-    from swarmabs_bag.recording import RecordedStep
-    from swarmabs_config.scenario import Scenario
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 SCENARIOS = Path(__file__).parents[2] / "src" / "swarmabs_bringup" / "scenarios"
 FOUR_ROBOT_SCENARIOS = ("pd_si_4", "pd_di_4", "pd_het_4", "arise_si_4", "arise_di_4", "arise_het_4")
 PERIOD_NS = 10_000_000
 
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=msg.Message)
 
 
 def builtin(name: str, *overrides: str) -> Scenario:
-    """Load a built-in scenario with overrides as of ``--set``."""
     return load_scenario(SCENARIOS / f"{name}.yaml", overrides)
 
 
@@ -54,22 +35,22 @@ class Run:
     def of(self, kind: type[M]) -> list[M]:
         return [r.message for step in self.steps for r in step.records if isinstance(r.message, kind)]
 
-    def column(self, kind: type[Message], field: str) -> Array:
+    def column(self, kind: type[msg.Message], field: str) -> Array:
         return np.array([getattr(message, field) for message in self.of(kind)])
 
-    def agent(self, agent_id: int) -> dict[int, AgentState]:
+    def agent(self, agent_id: int) -> dict[int, msg.AgentState]:
         """Return a robot's states by step."""
-        return {state.step: state for state in self.of(AgentState) if state.agent_id == agent_id}
+        return {state.step: state for state in self.of(msg.AgentState) if state.agent_id == agent_id}
 
-    def states(self, step: int) -> list[AgentState]:
-        return [r.message for r in self.steps[step].records if isinstance(r.message, AgentState)]
+    def states(self, step: int) -> list[msg.AgentState]:
+        return [r.message for r in self.steps[step].records if isinstance(r.message, msg.AgentState)]
 
     def one(self, kind: type[M], step: int) -> M:
         (message,) = [r.message for r in self.steps[step].records if isinstance(r.message, kind)]
         return message
 
-    def events(self) -> list[SwarmEvent]:
-        return self.of(SwarmEvent)
+    def events(self) -> list[msg.SwarmEvent]:
+        return self.of(msg.SwarmEvent)
 
     def digest(self) -> str:
         return digest(self.steps)
@@ -82,32 +63,22 @@ def digest(steps: Iterable[RecordedStep]) -> str:
     return total.hexdigest()
 
 
-def agent_state(
-    agent_id: int,
-    step: int = 0,
-    *,
-    kind: int = Kind.SINGLE_INTEGRATOR,
-    status: int = Status.ACTIVE,
-    mass: float = 0.5,
-    damping: float = 0.0,
-    position: float | None = None,
-    velocity: float = 0.0,
-) -> AgentState:
-    """Return a robot's state; by default robots stand on alternating sides of the axis."""
-    if position is None:
-        position = 0.1 if agent_id % 2 else -0.1
-    return AgentState(step * PERIOD_NS, step, step, agent_id, kind, status, mass, damping, position, velocity, 0.0)
+def agent_state(agent_id: int, step: int = 0, **changes: Any) -> msg.AgentState:
+    """Return a robot's state; by default robots of 0.5 kg rest on alternating sides of the axis."""
+    position = 0.1 if agent_id % 2 else -0.1
+    head = (step * PERIOD_NS, step, step, agent_id, msg.Kind.SINGLE_INTEGRATOR, msg.Status.ACTIVE)
+    return msg.AgentState(*head, 0.5, 0.0, position, 0.0, 0.0)._replace(**changes)
 
 
 def broadcasts(
-    step: int = 0, *, torque: float = 0.1, s3: float = 0.01, mode: int = Mode.RUN, desired: float = 0.2
-) -> tuple[AbstractState, AuxiliaryState, DesiredAbstractState]:
+    step: int = 0, *, torque: float = 0.1, s3: float = 0.01, mode: int = msg.Mode.RUN, desired: float = 0.2
+) -> tuple[msg.AbstractState, msg.AuxiliaryState, msg.DesiredAbstractState]:
     """Return a complete set of plausible broadcasts of one step."""
     stamp = step * PERIOD_NS
     return (
-        AbstractState(stamp, step, 4, torque, 0.03, 0.01, 0.002),
-        AuxiliaryState(stamp, step, 0.9, 0.02, 0.012, s3, 2.0, 0.01, 0.03, 0.001),
-        DesiredAbstractState(stamp, step, mode, desired, 0.026, 0.02, 0.001, 0.03, 0.002, 0.04, 0.003),
+        msg.AbstractState(stamp, step, 4, torque, 0.03, 0.01, 0.002),
+        msg.AuxiliaryState(stamp, step, 0.9, 0.02, 0.012, s3, 2.0, 0.01, 0.03, 0.001),
+        msg.DesiredAbstractState(stamp, step, mode, desired, 0.026, 0.02, 0.001, 0.03, 0.002, 0.04, 0.003),
     )
 
 

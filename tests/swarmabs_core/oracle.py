@@ -5,23 +5,18 @@ Single integrators have their velocity at once, the command filter sees tau_raw 
 tanh(e2/smoothing).
 """
 
-from __future__ import annotations
-
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from swarmabs_config.scenario import Scenario
 
-    from numpy.typing import NDArray
-
-    from swarmabs_config.scenario import Scenario
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
+Law = Callable[[float, float, float, Array], tuple[float, Array]]
+"""Time, angle, rate and the law's own state (mu1, mu2) in; tau_raw and the rate of the state out."""
 FILTER_BANDWIDTH = 50.0
 
 
@@ -34,71 +29,49 @@ class Solution(NamedTuple):
     inertia: Array
 
 
-class _Pd:
-    """tau_raw = k1 th + k2 w; it has no state of its own."""
+def _arise(c: dict[str, Any], scenario: Scenario) -> Law:
+    """ARISE on the sine trajectory."""
+    slopes = np.array([scenario.plane.friction[i] for i in (1, 2, 4)])
+    gamma, start, ks1 = np.array(c["gamma"]), np.array(c["adaptive_initial"]), c["ks"] + 1
+    a, f = c["trajectory"]["amplitude"], c["trajectory"]["angular_frequency"]
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._gains = scenario.controller.model_dump(by_alias=True)["gains"]
+    def errors(t: float, th: float, w: float) -> tuple[float, Array, Array, Array]:
+        """Return e2, Y_d, Y_d' and Y_d''."""
+        th_d, w_d, dw, ddw, dddw = (a * f**n * np.sin(f * t + n * np.pi / 2) for n in range(5))
+        y = np.tanh(slopes * w_d)
+        s = np.cosh(np.clip(slopes * w_d, -300, 300)) ** -2
+        dy, ddy = slopes * dw * s, slopes * ddw * s - 2 * (slopes * dw) ** 2 * s * y
+        columns = ((dw, y, w_d), (ddw, dy, dw), (dddw, ddy, ddw))
+        regressor = (np.array([first, q[0] - q[1], q[2], last]) for first, q, last in columns)
+        return w_d - w + c["alpha1"] * (th_d - th), *regressor
 
-    def __call__(self, t: float, th: float, w: float, mu: Array) -> tuple[float, Array]:
-        return self._gains[0] * th + self._gains[1] * w, np.zeros(5)
+    e2_0, _, dy_0, _ = errors(0.0, scenario.plane.angle, scenario.plane.angular_velocity)
 
+    def law(t: float, th: float, w: float, mu: Array) -> tuple[float, Array]:
+        e2, y, dy, ddy = errors(t, th, w)
+        estimate = start + gamma * (dy * e2 - dy_0 * e2_0 - mu[1:])
+        dmu1 = ks1 * c["alpha2"] * e2 + c["beta"] * np.tanh(e2 / c["smoothing"])
+        tau = -(y @ estimate + ks1 * (e2 - e2_0) + mu[0]) / np.cos(th)
+        return tau, np.concatenate([[dmu1], (ddy - c["alpha2"] * dy) * e2])
 
-class _Arise:
-    """ARISE on the sine trajectory; mu = (mu1, mu2) is integrated with the loop."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        given = scenario.controller.model_dump(by_alias=True)
-        c = SimpleNamespace(**{**given, "trajectory": SimpleNamespace(**given["trajectory"])})
-        self._c = c
-        self._slopes = np.array([scenario.plane.friction[i] for i in (1, 2, 4)])
-        self._gamma, self._lam0 = np.array(c.gamma), np.array(c.adaptive_initial)
-        _, dy, _ = self._regressor(0.0)
-        e2 = self._e2(0.0, scenario.plane.angle, scenario.plane.angular_velocity)
-        self._e2_0, self._dye2_0 = e2, dy * e2
-
-    def _th_d(self, t: float, n: int) -> float:
-        """n-th derivative of the sine."""
-        a, f = self._c.trajectory.amplitude, self._c.trajectory.angular_frequency
-        return float(a * f**n * np.sin(f * t + n * np.pi / 2))
-
-    def _e2(self, t: float, th: float, w: float) -> float:
-        return self._th_d(t, 1) - w + self._c.alpha1 * (self._th_d(t, 0) - th)
-
-    def _regressor(self, t: float) -> tuple[Array, Array, Array]:
-        w, dw, ddw, dddw = (self._th_d(t, n) for n in (1, 2, 3, 4))
-        g = self._slopes
-        x = np.clip(g * w, -300, 300)
-        y, s = np.tanh(x), np.cosh(x) ** -2
-        dy = g * dw * s
-        ddy = g * ddw * s - 2 * (g * dw) ** 2 * s * y
-
-        def combine(first: float, q: Array, last: float) -> Array:
-            return np.array([first, q[0] - q[1], q[2], last])
-
-        return combine(dw, y, w), combine(ddw, dy, dw), combine(dddw, ddy, ddw)
-
-    def __call__(self, t: float, th: float, w: float, mu: Array) -> tuple[float, Array]:
-        c = self._c
-        y, dy, ddy = self._regressor(t)
-        e2 = self._e2(t, th, w)
-        lam = self._lam0 + self._gamma * (dy * e2 - self._dye2_0 - mu[1:])
-        tau = -(y @ lam + (c.ks + 1) * (e2 - self._e2_0) + mu[0]) / np.cos(th)
-        dmu1 = (c.ks + 1) * c.alpha2 * e2 + c.beta * np.tanh(e2 / c.smoothing)
-        return tau, np.concatenate([[dmu1], (ddy - c.alpha2 * dy) * e2])
+    return law
 
 
-def _closed_loop(
-    scenario: Scenario,
-) -> tuple[Callable[[float, Array], Array], Array, Callable[[Array], tuple[Array, Array]]]:
-    """Return the right-hand side, the initial state and a function from states to (torque, inertia)."""
-    plane, gains, curve = scenario.plane, scenario.swarm.gains, scenario.manifold
+def _law(scenario: Scenario) -> Law:
+    settings = scenario.controller.model_dump(by_alias=True)
+    if scenario.controller.type == "arise":
+        return _arise(settings, scenario)
+    k1, k2 = settings["gains"]
+    return lambda _, th, w, mu: (k1 * th + k2 * w, 0.0 * mu)
+
+
+def solve(scenario: Scenario, *, rtol: float = 1e-8, atol: float = 1e-10) -> Solution:
+    """Solve the closed loop of a scenario with a `pd` or `arise` controller and without faults or limits."""
+    plane, gains, curve, law = scenario.plane, scenario.swarm.gains, scenario.manifold, _law(scenario)
     g, (g1, g2, g3, g4, g5, g6) = plane.gravity, plane.friction
-    m = np.array([a.mass for a in scenario.agents])
-    c = np.array([a.damping for a in scenario.agents])
+    m, c, p0, v0 = np.array([(a.mass, a.damping, a.position, a.velocity) for a in scenario.agents]).T
     di = np.array([a.kind == "double_integrator" for a in scenario.agents])
     count, k, kp, kd, ksd = len(m), np.array(gains.k), np.array(gains.kp), np.array(gains.kd), gains.ksd
-    law = {"pd": _Pd, "arise": _Arise}[scenario.controller.type](scenario)
     mc = np.where(di, m * (c + ksd), 0.0)
 
     def rhs(t: float, x: Array) -> Array:
@@ -128,23 +101,11 @@ def _closed_loop(
         dw = (-np.cos(th) * a[0] - da[1] * w - friction - disturbance) / (plane.inertia + a[1])
         return np.concatenate([[w, dw, dtau, ddtau], dmu, v, ((u - c * v) / m)[di]])
 
-    def load(states: Array) -> tuple[Array, Array]:
-        p = states[9 : 9 + count]
-        return g * m @ p, m @ p**2
-
-    p0 = np.array([a.position for a in scenario.agents])
-    v0 = np.array([a.velocity for a in scenario.agents])[di]
     raw = law(0.0, plane.angle, plane.angular_velocity, np.zeros(5))[0]
     tau0 = np.clip(raw, -curve.torque_max, curve.torque_max)
-    start = np.concatenate([[plane.angle, plane.angular_velocity, tau0, 0.0], np.zeros(5), p0, v0])
-    return rhs, start, load
-
-
-def solve(scenario: Scenario, *, rtol: float = 1e-8, atol: float = 1e-10) -> Solution:
-    """Solve the closed loop of a scenario with a `pd` or `arise` controller and without faults or limits."""
-    rhs, start, load = _closed_loop(scenario)
+    start = np.concatenate([[plane.angle, plane.angular_velocity, tau0, 0.0], np.zeros(5), p0, v0[di]])
     time = np.arange(scenario.steps + 1) * scenario.period
     found = solve_ivp(rhs, (0.0, time[-1]), start, "LSODA", t_eval=time, rtol=rtol, atol=atol, max_step=0.5)
     assert found.success, found.message
-    torque, inertia = load(found.y)
-    return Solution(time, found.y[0], torque, inertia)
+    p = found.y[9 : 9 + count]
+    return Solution(time, found.y[0], g * m @ p, m @ p**2)

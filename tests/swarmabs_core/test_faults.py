@@ -1,6 +1,9 @@
-from __future__ import annotations
+from fractions import Fraction
+from hashlib import blake2b
 
 import pytest
+from hypothesis import given, strategies as st
+from scipy import stats
 from tests.swarmabs_core.helpers import agent_state
 
 from swarmabs_core.errors import InputError
@@ -13,99 +16,124 @@ from swarmabs_core.faults import (
     LieFault,
     LossFault,
     ReorderingFault,
+    RobotFaults,
     true_state,
 )
+from swarmabs_core.parameters import SettingError
+from swarmabs_core.sensing import Sensor, standard_normal
 
 
-def lost(probability: float, seed: int, step: int, agent_id: int) -> bool:
-    return LossFault(probability=probability).loses(f"{seed}:{step}:{agent_id}")
-
-
-def held_back(probability: float, steps: int, seed: int, step: int, agent_id: int) -> int:
-    return ReorderingFault(probability=probability, steps=steps).late(f"{seed}:{step}:{agent_id}")
+def draws(steps: int = 20) -> list[str]:
+    return [RobotFaults((), 1, 3).draw(step) for step in range(steps)]
 
 
 def test_draws_are_frozen() -> None:
-    """A recorded run with losses can be run again by every later version."""
-    assert [step for step in range(40) if lost(0.2, 1, step, 3)] == [1, 2, 15, 17, 24, 26]
-
-
-@pytest.mark.parametrize("probability", [0.05, 0.2, 0.5, 0.9])
-def test_frequency(probability: float) -> None:
-    count = sum(lost(probability, 7, step, agent) for step in range(2000) for agent in range(1, 6))
-    deviation = (probability * (1.0 - probability) / 10_000) ** 0.5
-    assert abs(count / 10_000 - probability) < 4.0 * deviation
-
-
-def test_never_and_always() -> None:
-    assert not any(lost(0.0, 1, step, 1) for step in range(1000))
-    assert all(lost(1.0, 1, step, 1) for step in range(1000))
-
-
-def test_more_probable_losses_contain_the_less_probable() -> None:
-    seldom, often = ({s for s in range(500) if lost(p, 1, s, 2)} for p in (0.1, 0.3))
-    assert seldom < often
-
-
-def test_robots_steps_and_seeds_draw_independently() -> None:
-    def draws(seed: int, agent: int) -> list[bool]:
-        return [lost(0.5, seed, step, agent) for step in range(200)]
-
-    for other in (draws(1, 2), draws(2, 1)):
-        agreement = sum(a == b for a, b in zip(draws(1, 1), other, strict=True))
-        assert 60 < agreement < 140
-    # Seed, step and robot are told apart where their digits meet.
-    assert [lost(0.5, 1, 11, a) for a in range(64)] != [lost(0.5, 11, 1, a) for a in range(64)]
-
-
-def test_draws_of_other_faults_are_frozen_too() -> None:
-    late = [(step, held_back(0.3, 4, 1, step, 3)) for step in range(20)]
-    assert [(step, by) for step, by in late if by] == [(3, 4), (5, 1), (7, 1), (8, 2), (13, 4), (15, 4), (17, 2)]
+    """A recorded run with faults can be run again by every later version."""
+    assert draws(2) == ["1:0:3", "1:1:3"]
     twice = DuplicationFault(probability=0.3)
-    assert [step for step in range(20) if twice.doubles(f"1:{step}:3:state")] == [0, 4, 6, 10, 12, 14, 15, 17, 18, 19]
+    lossy, late = LossFault(probability=0.2), ReorderingFault(probability=0.3, steps=4)
+    assert [step for step, draw in enumerate(draws(40)) if lossy.loses(draw)] == [1, 2, 15, 17, 24, 26]
+    assert [late.late(draw) for draw in draws()] == [0, 0, 0, 4, 0, 1, 0, 1, 2, 0, 0, 0, 0, 4, 0, 4, 0, 2, 0, 0]
+    doubled = [step for step, draw in enumerate(draws()) if twice.doubles(f"{draw}:state")]
+    assert doubled == [0, 4, 6, 10, 12, 14, 15, 17, 18, 19]
 
 
-def test_how_late_broadcasts_come_is_uniform() -> None:
-    drawn = [held_back(0.5, 4, 7, step, agent) for step in range(2000) for agent in range(1, 6)]
-    late = sum(map(bool, drawn))
-    assert abs(late - 5000) < 200
-    for steps in (1, 2, 3, 4):
-        assert abs(drawn.count(steps) - late / 4) < 4.0 * (late * 3 / 16) ** 0.5
+def test_faults_that_are_sure_and_those_without_an_effect() -> None:
+    for sure in (False, True):
+        assert {LossFault(probability=float(sure)).loses(draw) for draw in draws(1000)} == {sure}
+    assert {DelayFault(steps=2).late(draw) for draw in draws()} == {2}
+    delay, loss = DelayFault(steps=2), LossFault(probability=1.0)
+    assert (delay.loses(""), delay.doubles(""), delay.clock_offset(), loss.late("")) == (False, False, 0, 0)
+    assert ClockOffsetFault(offset=-1.5e-9).clock_offset() == -2
+    state = agent_state(3)
+    assert loss.falsified(state) is state
+    lie, some = LieFault(agent=3, mass_factor=2.0), LossFault(probability=0.5, agents=(2, 4))
+    assert [agent for agent in range(1, 6) if lie.hits(agent)] == [3]
+    assert [agent for agent in range(1, 6) if some.hits(agent)] == [2, 4]
+    assert LossFault(probability=0.5).hits(9)
 
 
-FAULTS = [
-    InjectedFault(LossFault(probability=0.25)),
-    InjectedFault(DelayFault(steps=2), 10),
-    InjectedFault(ReorderingFault(probability=0.1, steps=3), 0, 20),
-    InjectedFault(ClockOffsetFault(offset=-1e-9), 3, 4),
-    InjectedFault(LieFault(position_offset=0.1, position_factor=-0.3333333333333333, mass_factor=1e-3), 3, 4),
-]
+def test_faults_of_a_robot_act_and_are_announced_while_they_last() -> None:
+    loss, lie = LossFault(probability=0.25), LieFault(agent=3, position_offset=0.1, mass_factor=2.0)
+    robot = RobotFaults((InjectedFault(loss, 2, 4), InjectedFault(lie, 3)), 1, 3)
+    assert [robot.acting(step) for step in range(5)] == [[], [], [loss], [loss, lie], [lie]]
+    told = {step: [text for _, text in robot.announced(step, first=False)] for step in range(5)}
+    assert [len(texts) for texts in told.values()] == [0, 0, 1, 2, 1]
+    assert told[4] == [f"over: {told[2][0]}"]
+    assert [text for _, text in robot.announced(3, first=True)] == [*told[2], *told[3]]
+    double = RobotFaults((InjectedFault(DuplicationFault(probability=1.0), 2, 3),), 1, 3)
+    assert [double.double(step, "state") for step in range(4)] == [False, False, True, False]
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"position_factor": 0.0}, "position_factor.*cannot be undone"),
+        ({"position_factor": 1.0}, "tells the truth"),
+        ({"at": 2.0, "until": 2.0, "mass_factor": 2.0}, "ends at 2.0 s, before it begins"),
+    ],
+)
+def test_lies_that_say_nothing_are_refused(settings: dict[str, float], text: str) -> None:
+    with pytest.raises(SettingError, match=text):
+        LieFault(agent=3, **settings)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        InjectedFault(LossFault(probability=0.25)),
+        InjectedFault(DelayFault(steps=2), 10),
+        InjectedFault(ReorderingFault(probability=0.1, steps=3), 0, 20),
+        InjectedFault(ClockOffsetFault(offset=-1e-9), 3, 4),
+        InjectedFault(LieFault(position_offset=0.1, position_factor=-0.3333333333333333, mass_factor=1e-3), 3, 4),
+    ],
+)
 def test_a_fault_as_a_parameter(fault: InjectedFault) -> None:
     assert InjectedFault.parse(str(fault)) == fault
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "loss", "loss 0 -1", "loss 0 -1 a", "loss 0 -1 nan", "loss -2 5 0.1", "loss 0 -1 0.1 0.2", "kill 0 -1 1"],
-)
-def test_what_is_no_fault_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is not of the form"):
-        InjectedFault.parse(text)
-
-
-@pytest.mark.parametrize("text", ["3 loss 0 -1 0.1", "lie 0 -1 0 1 2", "3 lie 0 -1 0 0 1", "x lie 0 -1 0 1 2", ""])
-def test_what_is_no_lie_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is not of the form"):
-        Falsification.parse(text)
+def test_what_is_no_fault_is_refused() -> None:
+    faults = ("", "loss", "loss 0 -1", "loss 0 -1 a", "loss 0 -1 nan", "loss -2 5 0.1", "loss 0 -1 0.1 0.2")
+    lies = ("3 loss 0 -1 0.1", "lie 0 -1 0 1 2", "3 lie 0 -1 0 0 1", "x lie 0 -1 0 1 2", "")
+    for form, texts in ((InjectedFault, (*faults, "kill 0 -1 1")), (Falsification, lies)):
+        for text in texts:
+            with pytest.raises(InputError, match="is not of the form"):
+                form.parse(text)
 
 
 def test_a_lie_is_undone_for_its_robot_while_it_lasts() -> None:
     lie = Falsification.parse("3 lie 10 20 0.05 2.0 0.5")
     assert Falsification.parse(str(lie)) == lie
     said = agent_state(3, 10, mass=0.25, position=0.25)
-    assert true_state(said, [lie])[6:9] == (0.5, 0.0, pytest.approx(0.1, abs=1e-15))
+    true = true_state(said, [lie])
+    assert true[6:9] == (0.5, 0.0, pytest.approx(0.1, abs=1e-15))
+    assert lie.injected.fault.falsified(true) == said
     for other in (agent_state(3, 9), agent_state(3, 20), agent_state(2, 10)):
         assert true_state(other, [lie]) is other
+
+
+@pytest.mark.parametrize("text", ["1:0:plane:value", "7:803:17:rate", "2:5:3:value"])
+def test_draw_is_the_quantile_of_a_hash(text: str) -> None:
+    """As docs/reference/imperfections.md says, with SciPy's quantile: uniform bits make normal draws."""
+    bits = int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "big") >> 12
+    assert standard_normal(text) == pytest.approx(stats.norm.ppf((bits + 0.5) / 2**52), rel=1e-12)
+
+
+def test_noise_of_value_and_rate_are_draws_of_their_own_and_come_before_rounding() -> None:
+    noise = 0.01 * standard_normal("1:5:plane:value"), 0.3 * standard_normal("1:5:plane:rate")
+    assert Sensor(noise=(0.01, 0.3)).measure(1.0, -2.0, "1:5:plane") == (1.0 + noise[0], -2.0 + noise[1])
+    noisy, _ = Sensor(noise=(0.3, 0.0)).measure(0.0, 0.0, "1:5:plane")
+    rounded, _ = Sensor((0.3, 0.0), (0.1, 0.0)).measure(0.0, 0.0, "1:5:plane")
+    assert rounded == pytest.approx(0.1 * round(noisy / 0.1), abs=1e-15) != pytest.approx(noisy, abs=1e-3)
+    assert Sensor().measure(0.1, -0.2, "") == (0.1, -0.2)
+    sensors = Sensor(), Sensor(noise=(0.0, 0.1)), Sensor(resolution=(0.1, 0.0))
+    assert [sensor.perfect for sensor in sensors] == [True, False, False]
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 10.0))
+def test_resolution_rounds_to_the_nearest_multiple(value: float, step: float) -> None:
+    found, rate = Sensor(resolution=(step, 0.0)).measure(value, value, "")
+    multiple = Fraction(step) * round(Fraction(value) / Fraction(step))
+    assert found == pytest.approx(float(multiple), rel=1e-15, abs=1e-15 * step)
+    assert rate == value
+    assert Sensor(resolution=(0.0, step)).measure(value, value, "") == (value, found)

@@ -1,13 +1,10 @@
-from __future__ import annotations
-
 import pytest
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import UNPLANNED, Change, ChangeKind, Membership
+from swarmabs_core.membership import UNPLANNED, Change, ChangeKind, Membership, with_ends
 from swarmabs_core.messages import EventKind
 
-JOIN, LEAVE, KILL, FREEZE = ChangeKind.JOIN, ChangeKind.LEAVE, ChangeKind.KILL, ChangeKind.FREEZE
-REMOVE = ChangeKind.REMOVE
+JOIN, LEAVE, KILL, FREEZE, REMOVE = map(ChangeKind, ("join", "leave", "kill", "freeze", "remove"))
 
 
 def member(*schedule: Change) -> Membership:
@@ -17,100 +14,72 @@ def member(*schedule: Change) -> Membership:
 @pytest.mark.parametrize(
     ("change", "publishes", "first", "event"),
     [
-        (Change(5, 2, JOIN), [5, 6, 99], 5, (2, EventKind.JOINED, "")),
-        (Change(5, 2, LEAVE), [0, 4, 5], 6, (2, EventKind.LEFT, "leave")),
-        (Change(5, 2, KILL), [0, 4, 5], 6, (2, EventKind.DEAD, "kill")),
-        (Change(5, 2, FREEZE), [0, 4, 5], 6, (2, EventKind.DEAD, "freeze")),
-        (Change(5, 2, REMOVE), [0, 4, 5], 6, (2, EventKind.LEFT, "remove")),
+        (Change(5, 2, JOIN), [5, 6, 99], 5, (EventKind.JOINED, "")),
+        (Change(5, 2, LEAVE), [0, 4, 5], 6, (EventKind.LEFT, "leave")),
+        (Change(5, 2, KILL), [0, 4, 5], 6, (EventKind.DEAD, "kill")),
+        (Change(5, 2, FREEZE), [0, 4, 5], 6, (EventKind.DEAD, "freeze")),
+        (Change(5, 2, REMOVE), [0, 4, 5], 6, (EventKind.LEFT, "remove")),
+        (Change(0, 2, KILL), [0], 1, (EventKind.DEAD, "kill")),
+        (Change(0, 2, JOIN), [0, 4, 5, 6, 99], 0, None),
+        (Change(UNPLANNED, 2, JOIN), [], 0, None),
     ],
 )
-def test_scheduled_change(change: Change, publishes: list[int], first: int, event: tuple[int, EventKind, str]) -> None:
+def test_scheduled_change(
+    change: Change, publishes: list[int], first: int, event: tuple[EventKind, str] | None
+) -> None:
     membership = member(change)
     steps = [0, 4, 5, 6, 99]
     assert [step for step in steps if membership.publishes(2, step)] == publishes
     for step in steps:
         assert membership.publishing(step) == ((1, 2, 3) if step in publishes else (1, 3))
-    assert {step: membership.changes(step) for step in range(20) if membership.changes(step)} == {first: [event]}
+    told = {step: membership.changes(step) for step in range(20) if membership.changes(step)}
+    assert told == ({first: [(2, *event)]} if event else {})
     assert membership.span(2).stays is (change.kind in {KILL, FREEZE})
 
 
-def test_robot_that_joins_and_leaves() -> None:
-    membership = member(Change(4, 2, LEAVE), Change(2, 2, JOIN))
-    assert [step for step in range(8) if membership.publishes(2, step)] == [2, 3, 4]
-
-
-def test_robot_that_nobody_has_planned_to_join() -> None:
-    membership = member(Change(UNPLANNED, 2, JOIN))
-    assert [membership.publishing(step) for step in (0, 5, 10**9)] == [(1, 3)] * 3
-    assert not any(membership.changes(step) for step in range(20))
-
-
-def test_join_at_step_0_is_no_change() -> None:
-    membership = member(Change(0, 2, JOIN))
-    assert membership.publishing(0) == (1, 2, 3)
-    assert membership.changes(0) == []
-
-
-def test_end_at_step_0_holds_from_step_1() -> None:
-    membership = member(Change(0, 2, KILL))
-    assert [membership.publishing(step) for step in (0, 1)] == [(1, 2, 3), (1, 3)]
-
-
-def test_changes_of_a_step_are_told_by_robot() -> None:
-    membership = member(Change(5, 3, KILL), Change(6, 2, JOIN), Change(5, 1, LEAVE))
+def test_changes_of_a_step_are_told_by_robot_and_a_robot_may_join_and_leave() -> None:
+    membership = member(Change(5, 3, KILL), Change(6, 2, JOIN), Change(5, 1, LEAVE), Change(8, 2, LEAVE))
     assert [change[0] for change in membership.changes(6)] == [1, 2, 3]
+    assert [step for step in range(12) if membership.publishes(2, step)] == [6, 7, 8]
+    planned = (Change(9, 1, KILL), Change(2, 2, JOIN), Change(8, 2, LEAVE))
+    assert with_ends(planned, [Change(5, 2, KILL)]) == (Change(2, 2, JOIN), Change(5, 2, KILL), Change(9, 1, KILL))
 
 
-def test_unplanned_end() -> None:
-    membership = member()
+def test_the_earliest_end_of_a_robot_stands() -> None:
+    membership = member(Change(9, 2, LEAVE))
     assert membership.publishing(7) == (1, 2, 3)
     membership.end(2, 6, stays=True, reason="stalled")
-    assert membership.publishing(7) == (1, 3)
+    assert membership.publishing(7) == (1, 3), "also where it has been asked before"
     assert membership.changes(7) == [(2, EventKind.DEAD, "stalled")]
+    membership.end(2, 6, stays=False, reason="late")
+    membership.plan(Change(8, 2, LEAVE))
+    assert membership.changes(7) == [(2, EventKind.DEAD, "stalled")]
+    membership.plan(Change(5, 1, JOIN))
+    assert membership.publishing(4) == (2, 3)
 
 
-def test_an_earlier_end_stands() -> None:
-    membership = member(Change(5, 2, LEAVE))
-    membership.end(2, 8, stays=True, reason="stalled")
-    assert membership.changes(6) == [(2, EventKind.LEFT, "leave")]
-    membership.end(2, 3, stays=True, reason="stalled")
-    assert membership.changes(4) == [(2, EventKind.DEAD, "stalled")]
-    assert membership.span(2).stays
-
-
-@pytest.mark.parametrize(("kind", "stays"), [(EventKind.DEAD, True), (EventKind.LEFT, False)])
-def test_announced_end(kind: EventKind, stays: bool) -> None:  # noqa: FBT001 - a table's column
+@pytest.mark.parametrize(
+    ("kind", "agent_id", "end"),
+    [
+        (EventKind.DEAD, 2, (6, True)),
+        (EventKind.LEFT, 2, (6, False)),
+        (EventKind.SAFE_STOP, 2, (None, False)),
+        (EventKind.JOINED, 2, (None, False)),
+        (EventKind.DEAD, 9, (None, False)),
+    ],
+)
+def test_only_announced_ends_of_members_hold(kind: EventKind, agent_id: int, end: tuple[int | None, bool]) -> None:
     membership = member()
-    membership.apply(kind, 2, 7, "stalled")
-    assert [membership.publishes(2, step) for step in (6, 7)] == [True, False]
-    assert membership.span(2).stays is stays
+    membership.apply(kind, agent_id, 7, "stalled")
+    assert (membership.span(2).last, membership.span(2).stays) == end
+    assert (9 in membership, 2 in membership, membership.publishes(9, 0)) == (False, True, False)
 
 
-def test_other_events_and_strangers_change_nothing() -> None:
-    membership = member()
-    for kind, agent_id in ((EventKind.SAFE_STOP, 2), (EventKind.JOINED, 2), (EventKind.DEAD, 9)):
-        membership.apply(kind, agent_id, 7, "")
-    assert membership.publishing(8) == (1, 2, 3)
-    assert 9 not in membership
-    assert 2 in membership
-    assert not membership.publishes(9, 0)
-
-
-@pytest.mark.parametrize("change", [Change(500, 3, KILL), Change(0, 65535, JOIN)])
-def test_text_of_a_change_is_read_back(change: Change) -> None:
-    assert Change.parse(str(change)) == change
-
-
-def test_text_of_a_change() -> None:
+def test_a_change_in_writing() -> None:
     assert Change.parse("  kill 3   500 ") == Change(500, 3, KILL)
-
-
-@pytest.mark.parametrize("text", ["", "kill 3", "kill 3 500 1", "kill three 500", "kill 3 5.0", "explode 3 500"])
-def test_text_that_is_no_change(text: str) -> None:
-    with pytest.raises(InputError, match=r"not of the form 'KIND AGENT STEP' with KIND one of join, leave, kill"):
-        Change.parse(text)
-
-
-def test_change_of_a_stranger() -> None:
+    assert Change.parse(str(Change(0, 65535, JOIN))) == Change(0, 65535, JOIN)
+    for text in ("", "kill 3", "kill 3 500 1", "kill three 500", "kill 3 5.0", "explode 3 500"):
+        with pytest.raises(InputError, match=r"not of the form 'KIND AGENT STEP' with KIND one of join, leave, kill"):
+            Change.parse(text)
     with pytest.raises(InputError, match=r"'kill 9 5': there is no robot 9"):
         member(Change(5, 9, KILL))

@@ -1,39 +1,39 @@
 """What installed packages bring: found when it is asked for, refused with its package's name when it is unfit."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import pytest
-from tests.plugin_packages import BANG_BANG, install
+from tests.plugin_packages import BANG_BANG, SCALED, install
+from tests.swarmabs_core.helpers import digest
 
-from swarmabs_config.scenario import json_schema, parse_scenario
+from swarmabs_config.scenario import Scenario, json_schema, parse_scenario
+from swarmabs_core import law_registry, swarm_law
 from swarmabs_core.controllers import CONTROLLERS, PD, ControllerType, ParentContext, ParentController, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.plant import Friction
+from swarmabs_core.realtime import drive_registry, drives
 from swarmabs_core.registry import PluginError, Registry
 from swarmabs_core.swarm_law import LAWS
-from swarmabs_run.simulation import simulate
+from swarmabs_run.simulation import simulate, simulated_steps
+from swarmabs_run.vector_simulation import vectorisable
 
+Laws = Registry[ParentContext, ParentController]
 CONTEXT = ParentContext(0.01, 0.5, Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0), Manifold(0.0125, 0.025, 5.0))
 PART = "from swarmabs_core.controllers import ControllerType\nfrom swarmabs_core.parameters import Parameter\n"
 
 
 @pytest.fixture
-def registry() -> Registry[ParentContext, ParentController]:
-    group = "swarmabs.parent_controllers"
+def registry() -> Laws:
     built_in = tuple(CONTROLLERS.built_in.values())
+    group = "swarmabs.parent_controllers"
     return Registry("parent controller", group, ControllerType, built_in, ("torque", "reference"))
 
 
-def test_what_a_package_brings_is_found_beside_the_built_in(
-    packages: Path, registry: Registry[ParentContext, ParentController]
-) -> None:
+def test_what_a_package_brings_is_found_beside_the_built_in(packages: Path, registry: Laws) -> None:
     install(packages, "controller", "bang_bang", BANG_BANG)
     assert list(registry) == [*CONTROLLERS.built_in, "bang_bang"]
     assert len(registry) == len(CONTROLLERS.built_in) + 1
@@ -49,30 +49,28 @@ def test_what_a_package_brings_is_found_beside_the_built_in(
 
 
 def test_installed_packages_are_not_looked_at_for_what_is_built_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(**_: Any) -> None:
-        pytest.fail("the installed packages were searched")
-
-    monkeypatch.setattr(importlib.metadata, "entry_points", refuse)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: pytest.fail("they were searched"))
     scenario = parse_scenario(
         "{schema: 1, duration: 0.1, controller: {type: lqr}, swarm: {generate: {single_integrator: 2}}}",
         overrides=["controller.type=arise", "controller.gamma.0=5", "swarm.law.type=paper"],
     )
     assert len(simulate(scenario).step) == 11
-    assert CONTROLLERS.package(scenario.controller.type) is None
-    assert LAWS.package(scenario.swarm.law.type) is None
+    assert CONTROLLERS.package(scenario.controller.type) is LAWS.package(scenario.swarm.law.type) is None
     with pytest.raises(pytest.fail.Exception):
         json_schema()
 
 
-def test_an_unknown_name_is_answered_with_all_names_and_loads_nothing(
-    packages: Path, registry: Registry[ParentContext, ParentController]
-) -> None:
+def test_an_unknown_name_is_answered_with_all_names_and_loads_nothing(packages: Path, registry: Laws) -> None:
     install(packages, "controller", "broken", "raise RuntimeError", package="broken-one")
     with pytest.raises(InputError, match=r"no parent controller 'pid'; there are arise, broken, lqr, pd"):
         registry.find("pid")
     assert "pid" not in registry
     assert "broken" in registry
     assert "broken_one" not in sys.modules
+    source = f"{PART}PART = ControllerType('idle', (), lambda settings, context: 7)"
+    install(packages, "controller", "idle", source)
+    with pytest.raises(PluginError, match=r"'idle' makes an object of type int, which has no method torque"):
+        registry.make("idle", {}, CONTEXT)
 
 
 UNFIT: dict[str, tuple[str, str]] = {
@@ -86,22 +84,6 @@ UNFIT: dict[str, tuple[str, str]] = {
     "wrong name": (f"{PART}PART = ControllerType('other', (), print)", r"is named 'other'; entry point and object"),
     "no make": (f"{PART}PART = ControllerType('unfit', (), None)", r"has no function make"),
     "no table": (f"{PART}PART = ControllerType('unfit', ('gain',), print)", r"settings that are not a tuple of Param"),
-    "twice": (
-        f"{PART}PART = ControllerType('unfit', (Parameter('a', 1.0, 'x'), Parameter('a', 2.0, 'x')), print)",
-        r"has a setting 'a', a name which is malformed or taken",
-    ),
-    "type": (
-        f"{PART}PART = ControllerType('unfit', (Parameter('type', 'x', 'x'),), print)",
-        r"has a setting 'type', a name which is malformed or taken",
-    ),
-    "number and mapping": (
-        f"{PART}PART = ControllerType('unfit', (Parameter('a', 1.0, 'x'), Parameter('a.b', 2.0, 'x')), print)",
-        r"has a setting 'a\.b', a name which is malformed or taken",
-    ),
-    "no name": (
-        f"{PART}PART = ControllerType('unfit', (Parameter('Gain 1', 1.0, 'x'),), print)",
-        r"has a setting 'Gain 1', a name which is malformed or taken",
-    ),
     "list": (
         f"{PART}PART = ControllerType('unfit', (Parameter('a', [1.0], 'x'),), print)",
         r"has a setting 'a' whose default is a list",
@@ -110,13 +92,23 @@ UNFIT: dict[str, tuple[str, str]] = {
         f"{PART}PART = ControllerType('unfit', (Parameter('a', -1.0, 'x', minimum=0.0),), print)",
         r"has a default that its own bounds exclude: parameter a: -1.0 is not allowed; give at least 0",
     ),
+    **{
+        name: (
+            f"{PART}PART = ControllerType('unfit', ({settings},), print)",
+            rf"has a setting '{name}', a name which is malformed or taken",
+        )
+        for name, settings in {
+            "a": "Parameter('a', 1.0, 'x'), Parameter('a', 2.0, 'x')",
+            "type": "Parameter('type', 'x', 'x')",
+            r"a\.b": "Parameter('a', 1.0, 'x'), Parameter('a.b', 2.0, 'x')",
+            "Gain 1": "Parameter('Gain 1', 1.0, 'x')",
+        }.items()
+    },
 }
 
 
 @pytest.mark.parametrize("case", UNFIT)
-def test_an_unfit_package_is_named(
-    packages: Path, registry: Registry[ParentContext, ParentController], case: str
-) -> None:
+def test_an_unfit_package_is_named(packages: Path, registry: Laws, case: str) -> None:
     source, text = UNFIT[case]
     install(packages, "controller", "unfit", source, package="unfit-one")
     with pytest.raises(PluginError, match=text) as caught:
@@ -126,35 +118,48 @@ def test_an_unfit_package_is_named(
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_made_must_do_its_duty(packages: Path, registry: Registry[ParentContext, ParentController]) -> None:
-    source = f"{PART}PART = ControllerType('idle', (), lambda settings, context: 7)"
-    install(packages, "controller", "idle", source)
-    with pytest.raises(PluginError, match=r"'idle' makes an object of type int, which has no method torque"):
-        registry.make("idle", {}, CONTEXT)
-
-
-def test_two_packages_with_one_name_are_both_named(
-    packages: Path, registry: Registry[ParentContext, ParentController]
-) -> None:
+def test_two_packages_with_one_name_and_one_with_a_built_in_name_are_refused(packages: Path, registry: Laws) -> None:
     for package in ("first-one", "second-one"):
         install(packages, "controller", "bang_bang", BANG_BANG, package=package)
-    with pytest.raises(
-        PluginError, match=r"brought by package first-one 1\.5 and package second-one 1\.5; uninstall all but one"
-    ):
+    said = r"brought by package first-one 1\.5 and package second-one 1\.5; uninstall all but one"
+    with pytest.raises(PluginError, match=said):
         registry.find("bang_bang")
-
-
-def test_the_built_in_cannot_be_replaced(packages: Path, registry: Registry[ParentContext, ParentController]) -> None:
     install(packages, "controller", "pd", f"{PART}PART = ControllerType('pd', (), print)", package="usurper")
     assert isinstance(registry.make("pd", {}, CONTEXT), StateFeedback)
-    for ask in (list, lambda found: found.find("pid")):
-        attempt: Callable[[Registry[ParentContext, ParentController]], object] = ask
+    for ask in (registry.__iter__, lambda: registry.find("pid")):
         with pytest.raises(PluginError, match=r"package usurper 1\.5 brings a parent controller 'pd', a name which is"):
-            attempt(registry)
+            list(ask())
 
 
-def test_every_built_in_part_keeps_the_rules_of_a_plugin() -> None:
-    from swarmabs_core.registry import _problem  # noqa: PLC0415
+KINDS = {
+    "SI": "{single_integrator: 4}",
+    "DI": "{double_integrator: 4}",
+    "mixed": "{single_integrator: 2, double_integrator: 2}",
+    "many": "{single_integrator: 4, double_integrator: 4}",
+}
+HALVED = {"k": "[5, 4]", "kp": "[8, 6]", "kd": "[3, 2]"}
+"""Gains whose doubles are exact."""
+DOUBLED = {"k": "[10, 8]", "kp": "[16, 12]", "kd": "[6, 4]"}
 
-    parts: dict[str, Any] = {**CONTROLLERS.built_in, **LAWS.built_in}
-    assert {name: _problem(name, part) for name, part in parts.items()} == dict.fromkeys(parts, "")
+
+def scenario(kind: str, law: str, gains: dict[str, str]) -> Scenario:
+    given = ", ".join(f"{name}: {value}" for name, value in gains.items())
+    swarm = f"{{law: {law}, gains: {{{given}}}, generate: {KINDS[kind]}}}"
+    return parse_scenario(f"{{schema: 1, duration: 0.2, swarm: {swarm}}}")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_law_that_doubles_the_gains_does_what_doubled_gains_do(packages: Path, kind: str) -> None:
+    install(packages, "law", "scaled", SCALED)
+    laws = {"{type: paper}": DOUBLED, "{type: scaled, factor: 2}": HALVED, "{type: scaled}": HALVED}
+    plain, doubled, halved = (digest(simulated_steps(scenario(kind, law, gains))) for law, gains in laws.items())
+    assert plain == doubled != halved
+    assert not vectorisable(scenario("many", "{type: scaled}", {})), "one that is not known on arrays"
+    assert vectorisable(scenario("many", "{type: paper}", {}))
+
+
+@pytest.mark.parametrize(("former", "module"), [(law_registry, swarm_law), (drive_registry, drives)])
+def test_packages_find_the_parts_where_they_have_imported_them_from(former: ModuleType, module: ModuleType) -> None:
+    assert {name: getattr(former, name) for name in former.__all__} == {
+        name: getattr(module, name) for name in former.__all__
+    }

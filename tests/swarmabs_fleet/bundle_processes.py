@@ -1,7 +1,5 @@
 """The nodes of a bundle as processes, started as their units start them."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -9,36 +7,28 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from tests.swarmabs_fleet.fleets import deployed
 
-
-def command_of(unit: Path) -> list[str]:
-    """Return what a unit starts, with the interpreter of the tests."""
-    found = re.search(r"^ExecStart=(\S+) (.*)$", unit.read_text(), re.MULTILINE)
-    assert found and found[1] == "/nowhere/swarmabs/.venv/bin/python"
-    return [sys.executable, *shlex.split(found[2])]
+from swarmabs_config.fleet.loader import LoadedFleet
 
 
-def environment_of(unit: Path) -> dict[str, str]:
-    """Return what a unit adds to the environment of the workspace, in which the tests run."""
-    files = re.findall(r"^EnvironmentFile=(\S+)$", unit.read_text(), re.MULTILINE)
-    lines = [
-        line for file in files if not file.endswith("workspace.env") for line in Path(file).read_text().splitlines()
-    ]
-    return dict(line.split("=", 1) for line in lines)
+def variables(file: Path) -> dict[str, str]:
+    """Return the environment that a file of a bundle says."""
+    return dict(line.split("=", 1) for line in file.read_text().splitlines())
 
 
-def write_below(bundle: Path, folder: Path) -> None:
-    """Let the nodes of a bundle write below a folder what they would write below /var/lib."""
+def installed(loaded: LoadedFleet, folder: Path) -> Path:
+    """Deploy a fleet of one host whose prefix is `etc` in a folder, below which its nodes write, not below /var/lib."""
+    (folder / "etc").mkdir()
+    bundle = (deployed(loaded, folder / "out") / "base").rename(folder / "etc" / "one")
     for file in (bundle / "nodes").glob("*.yaml"):
-        text = file.read_text()
-        file.write_text(re.sub(r"/var/lib/swarmabs-[a-z0-9_-]+", str(folder), text))
+        file.write_text(re.sub(r"/var/lib/swarmabs-[a-z0-9_-]+", str(folder), file.read_text()))
+    return bundle
 
 
 @dataclass(slots=True)
@@ -57,7 +47,6 @@ class Unit:
         return self.process.poll() is None
 
     def complaint(self) -> str:
-        """Return what a node that has ended wrote."""
         return self.process.stderr.read() if self.process.stderr else ""
 
 
@@ -70,13 +59,16 @@ def running(bundle: Path, folder: Path) -> Iterator[dict[str, Unit]]:
             channel = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
             channel.bind(str(folder / f"notify{number}"))
             channel.settimeout(60.0)
-            own = {
-                "NOTIFY_SOCKET": channel.getsockname(),
-                "WATCHDOG_USEC": "2000000",
-                "ROS_LOG_DIR": str(folder / "ros"),
-            }
-            environment = {**os.environ, **environment_of(path), "PYTHONSAFEPATH": "", **own}
-            process = subprocess.Popen(command_of(path), env=environment, stderr=subprocess.PIPE, text=True)
+            unit = path.read_text()
+            environment = {**os.environ, "PYTHONSAFEPATH": "", "ROS_LOG_DIR": str(folder / "ros")}
+            environment |= {"NOTIFY_SOCKET": channel.getsockname(), "WATCHDOG_USEC": "2000000"}
+            for file in re.findall(r"^EnvironmentFile=(\S+)$", unit, re.MULTILINE):
+                # The tests run in the environment of the workspace.
+                environment |= {} if file.endswith("workspace.env") else variables(Path(file))
+            ((python, words),) = re.findall(r"^ExecStart=(\S+) (.*)$", unit, re.MULTILINE)
+            assert python == "/nowhere/swarmabs/.venv/bin/python"
+            command = [sys.executable, *shlex.split(words)]
+            process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
             stack.callback(process.communicate)
             stack.callback(process.kill)
             name = path.stem.split("-", 2)[2]
@@ -85,7 +77,6 @@ def running(bundle: Path, folder: Path) -> Iterator[dict[str, Unit]]:
 
 
 def ended(units: dict[str, Unit]) -> list[int]:
-    """Ask all nodes to end, and return their exit codes."""
     for unit in units.values():
         unit.process.send_signal(signal.SIGTERM)
     return [unit.process.wait(timeout=30) for unit in units.values()]

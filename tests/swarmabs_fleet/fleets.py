@@ -1,7 +1,5 @@
 """Fleet files that tests write."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
@@ -40,11 +38,9 @@ def example(name: str) -> LoadedFleet:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return all files below a folder by path."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def deployed(loaded: LoadedFleet, folder: Path, keys: Path | None = None) -> Path:
-    """Deploy into a folder, and return it."""
     deploy(loaded, folder, keys)
     return folder

@@ -1,16 +1,15 @@
 """`deploy --check`: fleets side by side, bundles against their manifests, and this machine as a host."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
-from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited, example
+from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited
 
 from swarmabs_cli import main
 from swarmabs_config.fleet.loader import load_fleet
@@ -25,97 +24,81 @@ def bad(findings: list[Finding]) -> list[str]:
     return [finding.text for finding in findings if finding.verdict == "bad"]
 
 
-def test_what_deploy_has_written_is_fine(tmp_path: Path) -> None:
-    for name in EXAMPLES:
-        deployed(example(name), tmp_path / name, None if name == "lan" else tmp_path / "keys")
-    findings = check([tmp_path / name for name in EXAMPLES] + list(EXAMPLES.values()), None)
+def changed_manifest(bundle: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    manifest = json.loads((bundle / "manifest.json").read_text())
+    change(manifest)
+    (bundle / "manifest.json").write_text(json.dumps(manifest))
+
+
+PARAMETERS, CONFIGURATION = "nodes/agent_001.yaml", "wireguard/floor0.conf"
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "agent_001.yaml has been changed; copy or install": lambda bundle: os.truncate(bundle / PARAMETERS, 9),
+    "agent_001.yaml: No such file or directory; copy or install": lambda bundle: (bundle / PARAMETERS).unlink(),
+    "floor0.conf has the mode 0644, not 0600; chmod 0600": lambda bundle: (bundle / CONFIGURATION).chmod(0o644),
+    "authorized_keys does not belong there; remove it": lambda bundle: (bundle / "nodes/authorized_keys").touch(),
+    "made with AgentState RIHS01_0, here is RIHS01_": lambda bundle: changed_manifest(
+        bundle, lambda found: found["versions"].update(AgentState="RIHS01_0")
+    ),
+}
+
+
+def test_a_bundle_is_as_it_was_made_or_what_is_wrong_is_named(
+    examples: dict[str, Path], own: Callable[[str], Path]
+) -> None:
+    findings = check([*examples.values(), *EXAMPLES.values()], None)
     assert bad(findings) == []
     assert sum(finding.text.startswith("they do not get") for finding in findings) == 3
+    for words, act in DAMAGES.items():
+        bundle = own("tunnel") / "cart-1"
+        act(bundle)
+        findings = check([bundle], None)
+        (text,) = bad(findings)
+        assert words in text and "; " in text
+        assert not [finding for finding in findings if finding.verdict == "ok" and finding.check.startswith("bundle")]
 
 
-@pytest.mark.parametrize(
-    ("damage", "words"),
-    [
-        ("changed", "agent_001.yaml has been changed; copy or install"),
-        ("missing", "agent_001.yaml: No such file or directory; copy or install"),
-        ("mode", "floor0.conf has the mode 0644, not 0600; chmod 0600"),
-        ("stray", "authorized_keys does not belong there; remove it"),
-        ("version", "made with AgentState RIHS01_0, here is RIHS01_"),
-    ],
-)
-def test_a_bundle_that_is_not_as_it_was_made(damage: str, words: str, tmp_path: Path) -> None:
-    bundle = deployed(example("tunnel"), tmp_path / "out", tmp_path / "keys") / "cart-1"
-    parameters = bundle / "nodes" / "agent_001.yaml"
-    if damage == "changed":
-        parameters.write_text(parameters.read_text().replace("mass: 0.45", "mass: 4.5"))
-    elif damage == "missing":
-        parameters.unlink()
-    elif damage == "mode":
-        (bundle / "wireguard" / "floor0.conf").chmod(0o644)
-    elif damage == "stray":
-        (bundle / "nodes" / "authorized_keys").write_text("")
-    else:
-        manifest = json.loads((bundle / "manifest.json").read_text())
-        manifest["versions"]["AgentState"] = "RIHS01_0"
-        (bundle / "manifest.json").write_text(json.dumps(manifest))
-    (text,) = bad(check([bundle], None))
-    assert words in text and "; " in text
-
-
-def test_bundles_that_this_version_would_make_otherwise_are_noted(tmp_path: Path) -> None:
-    output = deployed(example("lan"), tmp_path / "out")
-    text = (output / "fleet.yaml").read_text().replace("mass: 0.3552", "mass: 0.4")
-    (output / "fleet.yaml").write_text(text)
-    notes = [finding.text for finding in check([output], None) if finding.check == "bundle lan/robot-1"]
-    assert "this version makes another nodes/agent_001.yaml; deploy again if that is wanted" in notes
+def test_bundles_that_this_version_would_make_otherwise_are_noted(own: Callable[[str], Path]) -> None:
+    output = own("lan")
+    file = output / "fleet.yaml"
+    file.write_text(file.read_text().replace("mass: 0.3552", "mass: 0.4"))
+    found = [(one.verdict, one.text) for one in check([output], None) if one.check == "bundle lan/robot-1"]
+    assert ("note", "this version makes another nodes/agent_001.yaml; deploy again if that is wanted") in found
+    file.write_text(file.read_text().replace("robot-1", "robot-7"))
+    (text,) = bad(check([output], None))
+    assert text == f"{file} has no such host; deploy again into a new folder"
 
 
 def test_fleets_that_get_into_each_others_way(tmp_path: Path) -> None:
     tunnel = EXAMPLES["tunnel"].read_text(encoding="utf-8")
     second = edited(tmp_path / "second.yaml", tunnel, ("name: floor", "name: other"), ("10.83.0.", "10.84.0."))
     texts = bad(check([EXAMPLES["tunnel"], second], None))
-    assert len(texts) == 3
-    for text, words in zip(
-        texts, ("ROS domain 41", "tunnel floor0 on 10.20.0.5", "port 51820 on 10.20.0.5"), strict=True
-    ):
-        assert words in text
-    apart = edited(
-        tmp_path / "apart.yaml",
-        second.read_text(encoding="utf-8"),
-        ("domain: 41", "domain: 43"),
-        ("interface: floor0, port: 51820", "interface: other0, port: 51821"),
-    )
+    said = ("ROS domain 41", "tunnel floor0 on 10.20.0.5", "port 51820 on 10.20.0.5")
+    assert [words in text for text, words in zip(texts, said, strict=True)] == [True] * 3
+    changes = (("domain: 41", "domain: 43"), ("floor0, port: 51820", "other0, port: 51821"))
+    apart = edited(tmp_path / "apart.yaml", second.read_text(encoding="utf-8"), *changes)
     assert bad(check([EXAMPLES["tunnel"], apart], None)) == []
 
 
-@pytest.mark.parametrize(
-    ("path", "host", "words"),
-    [
-        ("lan", "robot-9", "did you mean 'robot-"),
-        ("empty", None, "holds no bundle"),
-        ("nothing.yaml", None, "no such file"),
-    ],
-)
-def test_what_cannot_be_checked_is_refused(path: str, host: str | None, words: str, tmp_path: Path) -> None:
+def test_what_cannot_be_checked_is_refused(tmp_path: Path, own: Callable[[str], Path]) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=words):
-        check([EXAMPLES.get(path, tmp_path / path)], host)
-
-
-@pytest.mark.parametrize("text", ["{", "[]", '{"bundle": 1}', '{"bundle": 2}', "[" * 100_000])
-def test_a_manifest_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
-    (tmp_path / "manifest.json").write_text(text)
-    with pytest.raises(InputError, match=r"no manifest of a bundle|update swarmabs"):
-        check([tmp_path], None)
-
-
-def test_a_manifest_cannot_name_files_outside(tmp_path: Path) -> None:
-    bundle = deployed(example("lan"), tmp_path / "out") / "robot-1"
-    manifest = json.loads((bundle / "manifest.json").read_text())
-    manifest["files"]["../../secret"] = {"sha256": "0", "mode": "0644"}
-    (bundle / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(InputError, match="not in the bundle"):
-        check([bundle], None)
+    for paths, host, words in (
+        (["lan"], "robot-9", "did you mean 'robot-"),
+        (["lan", "tunnel"], "base", "several fleets have a host 'base'; check one fleet at a time"),
+        (["empty"], None, "holds no bundle"),
+        (["nothing.yaml"], None, "no such file"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check([EXAMPLES.get(path, tmp_path / path) for path in paths], host)
+    # A manifest that names files outside, or is none.
+    bundle = own("lan") / "robot-1"
+    for path in ("../../secret", "/etc/passwd"):
+        changed_manifest(bundle, lambda found: found.update(files={path: {"sha256": "0", "mode": "0644"}}))  # noqa: B023
+        with pytest.raises(InputError, match="not in the bundle"):
+            check([bundle], None)
+    for text in ("{", "[]", '{"bundle": 1}', "[" * 100_000, '{"bundle": 2}'):
+        (bundle / "manifest.json").write_text(text)
+        with pytest.raises(InputError, match="update swarmabs" if "2" in text else "not the manifest of a bundle"):
+            check([bundle], None)
 
 
 # From `chronyc -c tracking` of chrony 4.3 and `pmc` of linuxptp 3.1.
@@ -133,28 +116,25 @@ sending: GET TIME_STATUS_NP
 
 
 def test_how_well_the_clock_is_known_to_go() -> None:
-    state = read_chrony(CHRONY.format(offset="-0.000250", leap="Normal"))
-    assert state is not None and state.synchronised
-    assert state.bound == pytest.approx(0.00025 + 0.0003 + 0.0006)  # offset, dispersion, half the delay
-    state = read_chrony(CHRONY.format(offset="0.0", leap="Not synchronised"))
-    assert state is not None and not state.synchronised
-    assert read_chrony("506 Cannot talk to daemon\n") is None
-    state = read_pmc(PMC.format(present="true"))
-    assert state is not None and state.synchronised and state.bound == pytest.approx(1.75e-6)
-    state = read_pmc(PMC.format(present="false"))
-    assert state is not None and not state.synchronised
-    assert read_pmc("sending: GET TIME_STATUS_NP\n") is None
-    assert [read_timedatectl(text) for text in ("", "nonsense\n")] == [None, None]
-    assert [getattr(read_timedatectl(text), "synchronised", None) for text in ("yes\n", "no\n")] == [True, False]
+    states = {
+        **{text: read_timedatectl(text) for text in ("", "nonsense\n", "yes\n", "no\n")},
+        **{leap: read_chrony(CHRONY.format(offset="-0.000250", leap=leap)) for leap in ("Normal", "Not synchronised")},
+        **{present: read_pmc(PMC.format(present=present)) for present in ("true", "false")},
+        **{text: read(text) for read, text in ((read_chrony, "506 Cannot talk\n"), (read_pmc, "sending: GET\n"))},
+    }
+    synchronised = {text: None if state is None else state.synchronised for text, state in states.items()}
+    assert list(synchronised.values()) == [None, None, True, False, True, False, True, False, None, None]
+    # Offset, dispersion and half the delay, as chrony knows them.
+    for text, bound in (("Normal", 0.00025 + 0.0003 + 0.0006), ("true", 1.75e-6)):
+        assert getattr(states[text], "bound", None) == pytest.approx(bound)
 
 
 class Machine:
     """This machine as the host of a fleet, with programs of the test's own."""
 
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
         (folder / "bin").mkdir()
-        monkeypatch.setenv("PATH", str(folder / "bin"))
 
     def program(self, name: str, text: str) -> None:
         path = self.folder / "bin" / name
@@ -167,7 +147,8 @@ class Machine:
 
 @pytest.fixture
 def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
-    return Machine(tmp_path, monkeypatch)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    return Machine(tmp_path)
 
 
 def test_the_machine_is_examined(machine: Machine) -> None:
@@ -176,7 +157,7 @@ def test_the_machine_is_examined(machine: Machine) -> None:
         machine.program("chronyc", CHRONY.format(offset="0.001", leap="Normal"))
         machine.program("systemctl", "systemd 255 (255.4)")
         found = machine.findings(fleet)
-        assert [found[name].verdict for name in ("interface", "ports", "clock", "systemd")] == ["ok"] * 4
+        assert [found[name].verdict for name in ("interface", "ports", "clock", "systemd", "packages")] == ["ok"] * 5
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", 7000 + 100 * domain + 10 + 2 * 9))  # the second robot's
             assert machine.findings(fleet)["ports"].verdict == "bad"
@@ -185,22 +166,19 @@ def test_the_machine_is_examined(machine: Machine) -> None:
             assert machine.findings(fleet)["ports"].verdict == "note"
 
 
-@pytest.mark.parametrize(
-    ("chrony", "verdict", "words"),
-    [
+def test_the_clock_of_the_machine(machine: Machine) -> None:
+    machine.program("timedatectl", "yes")
+    for chrony, verdict, words in (
+        (None, "note", "not how well"),
+        ("506 Cannot talk to daemon", "note", "not how well"),
         (CHRONY.format(offset="0.0", leap="Normal"), "ok", "at most 0.000900 s by chrony"),
         (CHRONY.format(offset="-0.0049", leap="Normal"), "bad", "more than time.max_offset 0.005 s"),
         (CHRONY.format(offset="0.0", leap="Not synchronised"), "bad", "is not synchronised"),
-        ("506 Cannot talk to daemon", "note", "not how well"),
-        (None, "note", "not how well"),
-    ],
-)
-def test_the_clock_of_the_machine(chrony: str | None, verdict: str, words: str, machine: Machine) -> None:
-    machine.program("timedatectl", "yes")
-    if chrony is not None:
-        machine.program("chronyc", chrony)
-    finding = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST))["clock"]
-    assert (finding.verdict, words in finding.text) == (verdict, True), finding
+    ):
+        if chrony is not None:
+            machine.program("chronyc", chrony)
+        finding = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST))["clock"]
+        assert (finding.verdict, words in finding.text) == (verdict, True), finding
 
 
 def test_a_machine_that_is_not_the_host(machine: Machine) -> None:
@@ -215,52 +193,46 @@ def test_a_machine_that_is_not_the_host(machine: Machine) -> None:
     assert found["account"].text.startswith("there is no nobody-here; make it: useradd")
 
 
-class Installed:
-    """The bundle of a fleet of one host, installed where everybody may enter, for an account of this machine."""
-
-    def __init__(self, folder: Path, account: str) -> None:
+def test_an_installed_bundle_and_its_checkout_must_be_whole_and_open_to_the_account_of_the_nodes() -> None:
+    with TemporaryDirectory(dir="/tmp") as name:  # the folders of tests are closed to others
+        folder = Path(name)
         folder.chmod(0o755)
-        self.folder = folder
-        changes = [("/etc/swarmabs", f"{folder}/etc"), ("/nowhere", f"{folder}/opt"), ("nobody-here", account)]
-        fleet = edited(folder / "one.yaml", ONE_HOST, *changes)
-        output = deployed(load_fleet(fleet), folder / "out")
+        changes = [("/etc/swarmabs", f"{folder}/etc"), ("/nowhere", f"{folder}/opt"), ("nobody-here", "nobody")]
+        output = deployed(load_fleet(edited(folder / "one.yaml", ONE_HOST, *changes)), folder / "out")
+        python = folder / "opt" / "swarmabs" / ".venv" / "bin" / "python"
+        python.parent.mkdir(parents=True)
+        python.symlink_to("/bin/sh")
         (folder / "etc").mkdir()
-        self.bundle = (output / "base").rename(folder / "etc" / "one")
-        self.python = folder / "opt" / "swarmabs" / ".venv" / "bin" / "python"
-        self.python.parent.mkdir(parents=True)
-        self.python.symlink_to("/bin/sh")
+        bundle = folder / "etc" / "one"
 
-    def access(self) -> Finding:
-        return {finding.check: finding for finding in check([self.bundle], "base")}["access"]
+        def examined(name: str = "access") -> tuple[str, str]:
+            given = bundle if bundle.exists() else output / "base"
+            return next((found.verdict, found.text) for found in check([given], "base") if found.check == name)
 
-
-@pytest.fixture
-def installed() -> Iterator[Installed]:
-    with TemporaryDirectory(dir="/tmp") as folder:  # the folders of tests are closed to others
-        yield Installed(Path(folder), "nobody")
-
-
-def test_the_account_of_the_nodes_must_be_able_to_read_its_bundle(installed: Installed) -> None:
-    assert installed.access() == Finding("access", "ok", f"nobody can read {installed.bundle}")
-    for path, mode, remedy in (
-        (installed.bundle.parent, 0o700, "start install.sh of the bundle again"),
-        (installed.bundle, 0o750, "start install.sh of the bundle again"),
-        (installed.bundle / "dds", 0o744, "start install.sh of the bundle again"),
-        (installed.bundle / "dds" / "robot.xml", 0o600, "start install.sh of the bundle again"),
-        (installed.folder / "opt", 0o700, "let others enter it"),
-    ):
-        before = path.stat().st_mode & 0o7777
-        path.chmod(mode)
-        text = f"nobody has no access to {path} (mode {mode:04o}), so no node starts; {remedy}"
-        assert installed.access() == Finding("access", "bad", text)
-        path.chmod(before)
-    assert installed.access().verdict == "ok"
-
-
-def test_what_is_not_installed_is_not_looked_at(installed: Installed) -> None:
-    installed.bundle = installed.bundle.rename(installed.folder / "elsewhere")
-    finding = installed.access()
-    assert (finding.verdict, "nothing is installed in" in finding.text) == ("note", True)
+        assert examined() == ("note", f"not looked at: nothing is installed in {bundle}")
+        (output / "base").rename(bundle)
+        assert examined() == ("ok", f"nobody can read {bundle}")
+        again = "start install.sh of the bundle again"
+        closed = {bundle.parent: 0o700, bundle: 0o750, bundle / "dds": 0o744, bundle / "dds" / "robot.xml": 0o600}
+        for path, mode in {**closed, folder / "opt": 0o700}.items():
+            before = path.stat().st_mode & 0o7777
+            path.chmod(mode)
+            remedy = again if path in closed else "let others enter it"
+            text = f"nobody has no access to {path} (mode {mode:04o}), so no node starts; {remedy}"
+            assert examined() == ("bad", text)
+            path.chmod(before)
+        (bundle / "units.txt").unlink()
+        assert examined() == ("bad", f"{bundle / 'units.txt'}: No such file or directory; {again}")
+        changed_manifest(bundle, lambda manifest: manifest["modules"].append("nowhere.node"))
+        remedy = "bring this checkout to the fleet's version"
+        assert examined("packages") == ("bad", f"nowhere.node cannot be imported; {remedy}")
+        swarm = folder / "opt" / "swarmabs" / "scripts" / "swarm"
+        swarm.parent.mkdir()
+        swarm.touch(mode=0o755)
+        assert examined("checkout") == ("ok", f"{folder}/opt/swarmabs")
+        python.unlink()
+        remedy = "start there: ./scripts/swarm doctor"
+        assert examined("checkout") == ("bad", f"{folder}/opt/swarmabs is not prepared; {remedy}")
 
 
 def test_owner_and_groups_of_a_file_decide(tmp_path: Path) -> None:
@@ -268,11 +240,7 @@ def test_owner_and_groups_of_a_file_decide(tmp_path: Path) -> None:
     file.touch()
     found = file.stat()
     other, group = Reader(found.st_uid + 1, frozenset()), Reader(found.st_uid + 1, frozenset({found.st_gid}))
-    for mode, own, of_group, others in (
-        (0o400, True, False, False),
-        (0o070, False, True, False),
-        (0o604, True, False, True),
-    ):
+    for mode, own, of_group, others in ((0o400, 1, 0, 0), (0o070, 0, 1, 0), (0o604, 1, 0, 1)):
         file.chmod(mode)
         assert group.may(file, os.R_OK) == of_group
         assert other.may(file, os.R_OK) == others
@@ -293,25 +261,25 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "BAD   bundle one/base: " in capsys.readouterr().out
     assert main(["deploy", fleet, "-o", output]) == 2
     assert "is not empty" in capsys.readouterr().err
-    for words in (
-        ["deploy"],
-        ["deploy", fleet],
-        ["deploy", fleet, fleet, "-o", output],
-        ["deploy", fleet, "--host", "a"],
-    ):
-        assert main(words) == 2
+    for words in ([], [fleet], [fleet, fleet, "-o", output], [fleet, "--host", "a"]):
+        assert main(["deploy", *words]) == 2
     assert main(["deploy", "--schema"]) == 0
     captured = capsys.readouterr()
     assert json.loads(captured.out)["title"] == "swarmabs fleet"
 
 
 def test_permissions_that_end_are_named(tmp_path: Path) -> None:
-    fleet = edited(
-        tmp_path / "hall.yaml",
-        EXAMPLES["sros2"].read_text(encoding="utf-8"),
-        ("level: sros2", "level: sros2, valid_days: 3"),
-    )
+    text = EXAMPLES["sros2"].read_text(encoding="utf-8")
+    fleet = edited(tmp_path / "hall.yaml", text, ("level: sros2", "level: sros2, valid_days: 3"))
     output = deployed(load_fleet(fleet), tmp_path / "out", tmp_path / "keys")
     notes = [finding for finding in check([output / "arm-1"], None) if "valid until" in finding.text]
     assert {finding.verdict for finding in notes} == {"note"}
     assert len(notes) == 2
+
+
+def test_a_discovery_server_with_certificates_is_noted(tmp_path: Path) -> None:
+    text = EXAMPLES["sros2"].read_text(encoding="utf-8")
+    fleet = edited(tmp_path / "hall.yaml", text, ("discovery: static", "discovery: server, server: base"))
+    (found,) = (finding for finding in check([fleet], None) if "discovery server" in finding.text)
+    assert found.verdict == "note" and found.text.endswith("use 'discovery: static', or test it before robots move")
+    assert not [finding for finding in check([EXAMPLES["sros2"]], None) if "discovery server" in finding.text]

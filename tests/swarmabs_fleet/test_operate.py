@@ -1,25 +1,179 @@
-"""An operator and a fleet of real nodes: status, stop, reset, drain, join."""
-
-from __future__ import annotations
+"""An operator: how nodes are and what is asked of them, first of nodes of the test, then of a fleet of real nodes."""
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
-from tests.processes import until
-from tests.swarmabs_fleet.bundle_processes import ended, running, write_below
-from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import Trigger
+from tests.processes import ROOT, until
+from tests.swarmabs_fleet.bundle_processes import ended, installed, running
+from tests.swarmabs_fleet.fleets import ONE_HOST, edited
 
 from swarmabs_cli import main
 from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_fleet.operate import SILENT, SILENT_AFTER, HealthMonitor, Row, Target, in_order, joined, target
+from swarmabs_ros.endpoints import ros_type
 from swarmabs_run.orchestration.network import claimed_domain
+from swarmabs_run.orchestration.run_files import write_network
 
 PATIENCE = 60.0
 THIRD = "  - {id: 3, host: base, kind: single_integrator, mass: 0.3, drive: {type: simulated, position: -0.2}}\n"
+COORDINATORS = ("plane_sim", "abstraction_observer", "parent_controller", "recorder")
+HOSTS = {"plane_sim": "base", "agent_001": "cart-1", "agent_002": "cart-2"}
+
+
+def test_nodes_are_shown_in_their_order_and_strangers_behind_them() -> None:
+    monitor = HealthMonitor(HOSTS)
+    for node in ("agent_009", "agent_002", "plane_sim"):
+        assert not monitor.complete()
+        monitor.hear(node, 0, "fine", {"x": "1"}, 10.0)
+    rows = monitor.rows(10.5)
+    assert rows == [
+        Row("plane_sim", "base", "OK", "fine", {"x": "1"}),
+        Row("agent_001", "cart-1", SILENT, "has not been heard", {}),
+        Row("agent_002", "cart-2", "OK", "fine", {"x": "1"}),
+        Row("agent_009", "unknown", "OK", "fine", {"x": "1"}),
+    ]
+    assert not in_order(rows)
+    found = [monitor.value(*words) for words in (("plane_sim", "x"), ("plane_sim", "y"), ("agent_001", "x"))]
+    assert found == ["1", "", ""]
+    monitor.hear("agent_001", 1, "", {}, 10.0)
+    assert monitor.complete() and in_order(monitor.rows(10.5))
+
+
+def test_a_node_that_falls_silent_is_no_longer_believed_nor_in_order_with_an_error_or_an_unknown_level() -> None:
+    monitor = HealthMonitor({"agent_001": "cart-1"})
+    monitor.hear("agent_001", 0, "follows the broadcasts", {}, 10.0)
+    assert in_order(monitor.rows(10.0 + SILENT_AFTER))
+    (row,) = monitor.rows(10.1 + SILENT_AFTER)
+    assert (row.level, row.text) == (SILENT, "not heard for 3 s; then: follows the broadcasts")
+    monitor.hear("agent_001", 0, "follows the broadcasts", {}, 14.0)
+    levels = {}
+    for level in (0, 1, 2, 3, 77):
+        monitor.hear("agent_001", level, "", {}, 14.0)
+        (row,) = rows = monitor.rows(14.0)
+        levels[row.level] = in_order(rows)
+    assert levels == {"OK": True, "WARN": True, "ERROR": False, "STALE": False}
+
+
+def test_a_fleet_is_spoken_to_as_its_installed_bundle_says(tmp_path: Path) -> None:
+    file = edited(tmp_path / "one.yaml", ONE_HOST, ("scenario:", "namespace: /hall\nscenario:"))
+    with target(file) as found:
+        assert (found.name, found.namespace, found.robots, found.run) == ("one", "/hall", (1, 2), None)
+        assert dict(found.hosts) == dict.fromkeys((*COORDINATORS, "agent_001", "agent_002"), "base")
+        assert found.environment["ROS_DOMAIN_ID"] == "7"
+        profile = Path(found.environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
+        assert "127.0.0.1" in profile.read_text(encoding="utf-8")
+        assert found.robot(2) == "agent_002"
+        with pytest.raises(InputError, match="one has no robot 9; it has 1, 2"):
+            found.robot(9)
+    assert not profile.parent.exists()
+
+
+def test_a_run_is_spoken_to_by_its_folder_if_it_is_in_real_time(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    shutil.copyfile(ROOT / "src/swarmabs_bringup/scenarios/pd_het_4.yaml", tmp_path / "scenario.yaml")
+    write_network(logs, 7, 5, realtime=True)
+    with target(tmp_path) as found:
+        assert (found.name, found.namespace, found.robots, found.run) == ("pd_het_4", "/", (1, 2, 3, 4), tmp_path)
+        robots = [f"agent_00{number}" for number in range(1, 5)]
+        assert dict(found.hosts) == dict.fromkeys((*COORDINATORS, *robots), "this one")
+        found.check()
+    write_network(logs, 7, 5, realtime=False)
+    with pytest.raises(InputError, match="a run in lockstep has no operator; look at it with top"), target(tmp_path):
+        pass
+
+
+class Peer:
+    """A robot's node in a thread of this process: it answers, says how it is, and hears what operators announce."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        stack.callback(self.context.try_shutdown)
+        self.heard: list[bytes] = []
+        self._mute = rclpy.create_node("mute", namespace="/hall", context=self.context)  # nobody spins it
+        self._mute.create_service(Trigger, "mute/leave", self._answer)
+        self._node = rclpy.create_node("agent_001", namespace="/hall", context=self.context)
+        for name in ("leave", "join"):
+            self._node.create_service(Trigger, f"agent_001/{name}", partial(self._answer, name))
+        self._node.create_subscription(ros_type(EVENTS), EVENTS.name, self.heard.append, 10, raw=True)
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._node.create_timer(0.05, self._say)
+        executor = SingleThreadedExecutor(context=self.context)
+        executor.add_node(self._node)
+        thread = Thread(target=executor.spin)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(executor.shutdown)
+
+    @staticmethod
+    def _answer(name: str, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        answer.success, answer.message = name == "leave", f"{name} is asked for"
+        return answer
+
+    def _say(self) -> None:
+        status = DiagnosticStatus(level=bytes([1]), hardware_id="agent_001", message="stands")
+        status.values = [KeyValue(key="left", value="3 4")]
+        self._diagnostics.publish(DiagnosticArray(status=[status]))
+
+
+@pytest.mark.usefixtures("ros")
+@pytest.mark.timeout(60)
+def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
+    swarm = Target("one", "/hall", {"agent_001": "cart-1"}, (1,), {})
+    monitor = HealthMonitor(swarm.hosts)
+    with ExitStack() as stack:
+        peer = Peer(stack)
+        client = stack.enter_context(joined(swarm))
+        client.call("agent_001/leave", PATIENCE)
+        with pytest.raises(RunError, match="one: agent_001/join: join is asked for"):
+            client.call("agent_001/join", PATIENCE)
+        with pytest.raises(RunError, match=r"one: mute/leave has not answered within 0\.5 s"):
+            client.call("mute/leave", 0.5)
+        with pytest.raises(RunError, match="one: agent_009/leave was not found; check that its node runs"):
+            client.call("agent_009/leave", 0.1)
+        with client.announced(7, "taken away", PATIENCE):
+            until(lambda: peer.heard, "the event is heard", PATIENCE)
+        event = decode(SwarmEvent, peer.heard[0])
+        assert (event.agent_id, event.kind, event.detail) == (7, EventKind.LEFT, "taken away")
+        client.listen(monitor, PATIENCE, monitor.complete)
+        assert monitor.rows(time.monotonic()) == [Row("agent_001", "cart-1", "WARN", "stands", {"left": "3 4"})]
+        client.listen(HealthMonitor({}), 0.0, lambda: False)
+    (tmp_path / "logs").mkdir()
+    reused = {"domain": 7, "realtime": True, "orchestrator": os.getpid(), "started": 0}  # the id is of another process
+    (tmp_path / "logs" / "network.json").write_text(json.dumps(reused))
+    over = replace(swarm, run=tmp_path)
+    with joined(over) as client, pytest.raises(RunError, match="the run has ended; start it again"):
+        client.listen(monitor, PATIENCE, lambda: False)
+    unheard = pytest.raises(RunError, match="one: no node receives /elsewhere/swarm/events")
+    with joined(replace(swarm, namespace="/elsewhere")) as client, unheard, client.announced(7, "", 0.0):
+        pass
+
+
+def test_what_is_no_swarm_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.yaml").write_text("schema: 1\nname: x\n")
+    for command, path in product(("status", "stop", "reset"), (tmp_path, tmp_path / "x.yaml", tmp_path / "nowhere")):
+        assert main([command, str(path)]) == 2
+        assert capsys.readouterr().err.startswith("error: ")
 
 
 def operate(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -27,23 +181,14 @@ def operate(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=os.environ, capture_output=True, text=True, timeout=120, check=False)
 
 
-def says(fleet: Path) -> dict[str, str]:
-    """Return what every node says, by its name."""
-    answer: dict[str, Any] = json.loads(operate("status", fleet, "--json").stdout)
-    return {row["node"]: f"{row['level']}: {row['text']}" for row in answer["nodes"]}
-
-
-def left_by(fleet: Path) -> list[str]:
-    """Return the ids of the robots that the observer takes to have left."""
-    answer: dict[str, Any] = json.loads(operate("status", fleet, "--json").stdout)
-    (row,) = [row for row in answer["nodes"] if row["node"] == "abstraction_observer"]
-    return str(row["values"]["left"]).split()
+def status(fleet: Path) -> dict[str, Any]:
+    return {row["node"]: row for row in json.loads(operate("status", fleet, "--json").stdout)["nodes"]}
 
 
 def until_all_say(fleet: Path, words: str, *nodes: str) -> None:
     def said() -> bool:
-        heard = says(fleet)
-        return all(words in heard[node] for node in nodes)
+        heard = status(fleet)
+        return all(words in f"{heard[node]['level']}: {heard[node]['text']}" for node in nodes)
 
     until(said, f"{', '.join(nodes)} say {words!r}", PATIENCE)
 
@@ -52,17 +197,9 @@ def until_all_say(fleet: Path, words: str, *nodes: str) -> None:
 @pytest.mark.timeout(300)
 def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_survives: str) -> None:
     with claimed_domain() as domain:
-        prefix = tmp_path / "etc"
-        changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", str(prefix))]
-        third = (
-            "  - {id: 3, host: base, kind: single_integrator, mass: 0.3, drive: {type: simulated, position: -0.2}}\n"
-        )
-        changes.append(("coordinators:", f"{third}coordinators:"))
-        file = edited(tmp_path / "one.yaml", ONE_HOST, *changes)
-        output = deployed(load_fleet(file), tmp_path / "out")
-        prefix.mkdir()
-        bundle = (output / "base").rename(prefix / "one")
-        write_below(bundle, tmp_path)
+        changes = (("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{tmp_path}/etc"))
+        file = edited(tmp_path / "one.yaml", ONE_HOST, *changes, ("coordinators:", f"{THIRD}coordinators:"))
+        bundle = installed(load_fleet(file), tmp_path)
         robots = ("agent_001", "agent_002", "agent_003")
         with running(bundle, tmp_path) as units:
             for unit in units.values():
@@ -85,10 +222,10 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             assert "does so only with one that is silent, another can leave by itself: drain" in alive.stderr
             units["agent_003"].process.kill()
             until_all_say(file, "2 of 3 robots follow", "abstraction_observer")
-            assert left_by(file) == []
+            assert status(file)["abstraction_observer"]["values"]["left"] == ""
             removed = operate("remove", file, 3)
             assert (removed.returncode, removed.stderr) == (0, "")
-            assert left_by(file) == ["3"]
+            assert status(file)["abstraction_observer"]["values"]["left"].split() == ["3"]
             del units["agent_003"]
             stopped = operate("stop", file)
             assert (stopped.returncode, stopped.stderr) == (0, "")
@@ -96,19 +233,5 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             assert ended(units) == [0] * 6
         gone = operate("stop", file, "--timeout", "1")
         assert gone.returncode == 1
-        assert "swarm/stop is not there" in gone.stderr
+        assert "swarm/stop was not found" in gone.stderr
         assert "Traceback" not in gone.stderr
-
-
-@pytest.mark.parametrize("command", ["status", "stop", "reset"])
-def test_what_is_no_swarm_is_refused(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "x.yaml").write_text("schema: 1\nname: x\n")
-    for path in (tmp_path, tmp_path / "x.yaml", tmp_path / "nowhere"):
-        assert main([command, str(path)]) == 2
-        assert capsys.readouterr().err.startswith("error: ")
-
-
-def test_a_robot_that_the_fleet_has_not_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = edited(tmp_path / "one.yaml", ONE_HOST)
-    assert main(["drain", str(file), "9"]) == 2
-    assert "has no robot 9; it has 1, 2" in capsys.readouterr().err

@@ -1,10 +1,9 @@
 """Fast DDS with the profiles of bundles: who meets whom, and on which addresses anything listens."""
 
-from __future__ import annotations
-
 import ipaddress
 import json
 import os
+import signal
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -12,37 +11,18 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from tests.processes import until
-from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited, example
+from tests.processes import SEARCH_PATH, until
+from tests.swarmabs_fleet.bundle_processes import installed, variables
+from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, edited, example
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
+from swarmabs_config.fleet.participants import DISCOVERY, node_plans
+from swarmabs_fleet import discovery_server
 from swarmabs_fleet.bundle import host_bundle
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_run.orchestration.network import claimed_domain
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
-
-TALKER = """
-import json, sys, time
-import psutil, rclpy
-from std_msgs.msg import String
-
-rclpy.init()
-node = rclpy.create_node(sys.argv[1])
-publisher = node.create_publisher(String, "/talk", 10)
-heard = set()
-node.create_subscription(String, "/talk", lambda message: heard.add(message.data), 10)
-told = None
-while True:
-    publisher.publish(String(data=sys.argv[1]))
-    rclpy.spin_once(node, timeout_sec=0.05)
-    sockets = {c.laddr.ip for c in psutil.Process().net_connections("udp") if c.laddr}
-    ports = {c.laddr.port for c in psutil.Process().net_connections("udp") if c.laddr}
-    seen = [sorted(heard), sorted(set(node.get_node_names())), sorted(sockets), sorted(ports)]
-    if seen != told:
-        print(json.dumps(seen), flush=True)
-        told = seen
-"""
 
 
 def xml(loaded: LoadedFleet, host: str, role: str) -> ET.Element:
@@ -78,33 +58,39 @@ def test_every_profile_is_bound_to_the_one_address_of_its_host(name: str) -> Non
                 assert {element.text for element in own} <= {address}
 
 
-class Talkers:
-    """Processes with the environments of a bundle."""
+@pytest.mark.parametrize(
+    ("network", "robot", "base"),
+    [
+        ("static", "192.168.10.12 192.168.10.1", [".1", ".11", ".12", ".13", ".14"]),
+        ("multicast", "192.168.10.12 192.168.10.1 239.255.0.1", [".1", ".11", ".12", ".13", ".14", "239.255.0.1"]),
+        ("server, server: robot-4", "192.168.10.12 192.168.10.1 192.168.10.14", [".1", ".11", ".12", ".13", ".14"]),
+    ],
+)
+def test_nodes_may_talk_to_those_they_meet_only(network: str, robot: str, base: list[str], tmp_path: Path) -> None:
+    text = EXAMPLES["lan"].read_text(encoding="utf-8")
+    loaded = load_fleet(edited(tmp_path / "lan.yaml", text, ("discovery: static", f"discovery: {network}")))
+    files = host_bundle(loaded, HostPlan(loaded.fleet, "robot-2"), None)
+    assert f"IPAddressAllow=localhost {robot}\n" in files["systemd/swarmabs-lan-agent_002.service"].content.decode()
+    files = host_bundle(loaded, HostPlan(loaded.fleet, "base"), None)
+    allowed = " ".join(f"192.168.10{address}" if address[0] == "." else address for address in base)
+    controller = files["systemd/swarmabs-lan-parent_controller.service"].content.decode()
+    assert f"IPAddressAllow=localhost {allowed}\n" in controller
+    servers = [node.host for node in node_plans(loaded.fleet) if node.name == DISCOVERY]
+    assert servers == (["robot-4"] if network.startswith("server") else [])
+    operator = files["nodes/operator.env"].content.decode().splitlines()
+    assert {"ROS_DOMAIN_ID=40", "SWARMABS_PARTICIPANT=4"} <= set(operator)
+    profile = files["dds/operator.xml"].content.decode()
+    assert ("CLIENT" in profile) == network.startswith("server")
 
-    def __init__(self, bundle: Path, stack: ExitStack) -> None:
-        self._bundle = bundle
-        self._stack = stack
-        self._seen: dict[str, Path] = {}
 
-    def environment(self, name: str) -> dict[str, str]:
-        lines = (self._bundle / "nodes" / f"{name}.env").read_text().splitlines()
-        own = {"PYTHONSAFEPATH": "", "ROS_LOG_DIR": str(self._bundle / "logs")}
-        return dict(os.environ) | dict(line.split("=", 1) for line in lines) | own
-
-    def start(self, name: str, *command: str) -> None:
-        out = self._bundle / f"{name}.txt"
-        file = self._stack.enter_context(out.open("wb"))
-        words = command or (sys.executable, "-c", TALKER, name)
-        process = subprocess.Popen(words, env=self.environment(name), stdout=file)
-        self._stack.callback(process.wait)
-        self._stack.callback(process.kill)
-        self._seen[name] = out
-
-    def seen(self, name: str) -> list[list[str]]:
-        """Return what a talker heard last: names of talkers, of nodes, own addresses, own ports."""
-        lines = self._seen[name].read_text().splitlines()
-        last: list[list[str]] = json.loads(lines[-1]) if lines else [[], [], [], []]
-        return last
+def test_a_discovery_server_that_is_told_to_end_while_it_waits_serves_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    waited: list[object] = []
+    monkeypatch.setattr(discovery_server, "initialise", pytest.fail)
+    monkeypatch.setattr(signal, "pthread_sigmask", lambda *how: waited.append(how))
+    monkeypatch.setattr(signal, "sigtimedwait", lambda *what: waited.append(what) or signal.SIGTERM)
+    assert discovery_server.main([]) == 0
+    ends = (signal.SIGINT, signal.SIGTERM)
+    assert waited == [(signal.SIG_BLOCK, ends), (ends, discovery_server.FORGOTTEN_AFTER)]
 
 
 @pytest.mark.system
@@ -114,33 +100,45 @@ def test_nodes_meet_with_each_discovery_on_one_address_only(
     discovery: str, tmp_path: Path, nothing_survives: str
 ) -> None:
     with claimed_domain() as domain, ExitStack() as stack:
-        prefix = tmp_path / "etc"
         text = ONE_HOST.replace("discovery: static", f"discovery: {discovery}")
-        changes = (("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", str(prefix)))
-        output = deployed(load_fleet(edited(tmp_path / "one.yaml", text, *changes)), tmp_path / "out")
-        prefix.mkdir()
-        bundle = (output / "base").rename(prefix / "one")
-        talkers = Talkers(bundle, stack)
+        changes = (("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{tmp_path}/etc"))
+        bundle = installed(load_fleet(edited(tmp_path / "one.yaml", text, *changes)), tmp_path)
+
+        def start(name: str, *command: str) -> None:
+            words = command or (sys.executable, "-m", "tests.swarmabs_fleet.talker", name)
+            own = {"PYTHONSAFEPATH": "", "ROS_LOG_DIR": str(bundle / "logs")}
+            environment = {**os.environ, **SEARCH_PATH, **variables(bundle / "nodes" / f"{name}.env"), **own}
+            file = stack.enter_context((bundle / f"{name}.txt").open("wb"))
+            process = subprocess.Popen(words, env=environment, stdout=file)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+
+        def seen(name: str) -> list[list[str]]:
+            """Return what a talker heard last: names of talkers, of nodes, own addresses, own ports."""
+            lines = (bundle / f"{name}.txt").read_text().splitlines()
+            last: list[list[str]] = json.loads(lines[-1]) if lines else [[], [], [], []]
+            return last
+
         if "server" in discovery:
-            talkers.start("discovery_server", sys.executable, "-m", "swarmabs_fleet.discovery_server")
-        talkers.start("agent_001")
-        talkers.start("agent_002")
+            start("discovery_server", sys.executable, "-m", "swarmabs_fleet.discovery_server")
+        start("agent_001")
+        start("agent_002")
         # The coordinator comes later than those who need it, as after a restart.
-        until(lambda: talkers.seen("agent_001")[0], "the first robot hears itself", 30.0)
-        talkers.start("parent_controller")
-        talkers.start("operator")
+        until(lambda: seen("agent_001")[0], "the first robot hears itself", 30.0)
+        start("parent_controller")
+        start("operator")
         both = {"parent_controller", "operator"}
         for name in ("agent_001", "agent_002"):
-            until(lambda name=name: both < set(talkers.seen(name)[0]), f"{name} hears the coordinators", 30.0)  # type: ignore[misc]
+            until(lambda name=name: both < set(seen(name)[0]), f"{name} hears the coordinators", 30.0)  # type: ignore[misc]
         everybody = both | {"agent_001", "agent_002"}
-        until(lambda: set(talkers.seen("parent_controller")[0]) == everybody, "the coordinator hears all", 30.0)
+        until(lambda: set(seen("parent_controller")[0]) == everybody, "the coordinator hears all", 30.0)
         for name in everybody:
-            addresses = [ipaddress.ip_address(text) for text in talkers.seen(name)[2]]
+            addresses = [ipaddress.ip_address(text) for text in seen(name)[2]]
             assert {str(one) for one in addresses if not one.is_multicast} == {"127.0.0.1"}
             assert any(one.is_multicast for one in addresses) == (discovery == "multicast")
         participant = {"parent_controller": 2, "operator": 4, "agent_001": 8, "agent_002": 9}
         for name, number in participant.items():
             first = 7000 + 100 * domain + 10 + 2 * number
-            assert {first, first + 1} <= set(talkers.seen(name)[3])  # type: ignore[comparison-overlap]
+            assert {first, first + 1} <= set(seen(name)[3])  # type: ignore[comparison-overlap]
         if discovery == "static":
-            assert "agent_002" not in talkers.seen("agent_001")[1], "robots discover each other"
+            assert "agent_002" not in seen("agent_001")[1], "robots discover each other"

@@ -1,19 +1,30 @@
-"""Keys, certificates, signatures and permissions, examined by openssl and as XML."""
-
-from __future__ import annotations
+"""Keys, certificates and signatures as openssl sees them; the rights of the enclaves against what the nodes use."""
 
 import base64
 import fnmatch
+import json
+import os
 import re
 import shutil
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from tests.swarmabs_fleet.fleets import contents, deployed, example
+from tests.swarmabs_fleet.bundle_processes import ended, installed, running, variables
+from tests.swarmabs_fleet.fleets import ONE_HOST, contents, deployed, edited, example
 
+from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
+from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
 from swarmabs_core.errors import InputError
+from swarmabs_fleet.bundle import deploy
+from swarmabs_fleet.host_plan import HostPlan
+from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Target
+from swarmabs_fleet.parameters import parameter_file
+from swarmabs_fleet.permissions import Rights, host_rights, node_rights
+from swarmabs_run.orchestration.network import claimed_domain
 
 _X25519_PRIVATE = bytes.fromhex("302e020100300506032b656e04220420")
 """What stands before a private X25519 key of 32 bytes in DER, RFC 8410."""
@@ -26,16 +37,9 @@ def openssl(*arguments: object, data: bytes | None = None) -> subprocess.Complet
     return subprocess.run([program, *map(str, arguments)], input=data, capture_output=True, check=False)
 
 
-@pytest.fixture(scope="module")
-def tunnel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("tunnel")
-    return deployed(example("tunnel"), folder / "out", folder / "keys")
-
-
-@pytest.fixture(scope="module")
-def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("hall")
-    return deployed(example("sros2"), folder / "out", folder / "keys")
+@pytest.fixture
+def hall(examples: dict[str, Path]) -> Path:
+    return examples["sros2"]
 
 
 def wireguard(path: Path) -> tuple[dict[str, str], list[dict[str, str]]]:
@@ -46,8 +50,8 @@ def wireguard(path: Path) -> tuple[dict[str, str], list[dict[str, str]]]:
     return parsed[0], parsed[1:]
 
 
-def test_public_keys_are_those_of_the_private_ones_and_peers_fit_together(tunnel: Path) -> None:
-    files = {path.parts[-3]: wireguard(path) for path in tunnel.glob("*/wireguard/floor0.conf")}
+def test_public_keys_are_those_of_the_private_ones_and_peers_fit_together(examples: dict[str, Path]) -> None:
+    files = {path.parts[-3]: wireguard(path) for path in examples["tunnel"].glob("*/wireguard/floor0.conf")}
     assert set(files) == {"base", "cart-1", "cart-2", "cart-3"}
     public = {}
     for host, (interface, _) in files.items():
@@ -70,20 +74,21 @@ def test_public_keys_are_those_of_the_private_ones_and_peers_fit_together(tunnel
         assert (interface["PreUp"], interface["PostDown"]) == (f"{fence} up", f"{fence} down")
 
 
-@pytest.mark.parametrize("fixture", ["tunnel", "hall"])
-def test_a_private_key_is_in_the_bundle_of_its_host_only(fixture: str, request: pytest.FixtureRequest) -> None:
-    output: Path = request.getfixturevalue(fixture)
-    files = contents(output)
+@pytest.mark.parametrize(("name", "keys"), [("tunnel", 4), ("sros2", 8)])
+def test_a_private_key_is_in_the_bundle_of_its_host_only(name: str, keys: int, examples: dict[str, Path]) -> None:
+    files = contents(output := examples[name])
     pattern = rb"PrivateKey = (\S+)|-----BEGIN PRIVATE KEY-----\n([^-]+)"
     secrets = {path: b"".join(key) for path, text in files.items() for key in re.findall(pattern, text)}
-    assert len(secrets) == (4 if fixture == "tunnel" else 9)
-    assert len(set(secrets.values())) == len(secrets)
+    assert len(secrets) == len(set(secrets.values())) == keys
     for path, secret in secrets.items():
         assert [other for other, text in files.items() if secret in text] == [path]
         assert (output / path).stat().st_mode & 0o7777 == 0o600
-    if fixture == "hall":
+    if name == "sros2":
         authority = (output.parent / "keys/hall/sros2/ca.key.pem").read_bytes()
         assert not [path for path, text in files.items() if authority.splitlines()[1] in text]
+
+
+SPEAKERS = ("plane_driver", "abstraction_observer", "parent_controller", "agent_001", "agent_002")
 
 
 def enclaves(output: Path) -> dict[str, Path]:
@@ -92,27 +97,47 @@ def enclaves(output: Path) -> dict[str, Path]:
 
 def test_certificates_are_issued_by_the_authority_for_their_own_key(hall: Path) -> None:
     found = enclaves(hall)
-    assert set(found) == {
-        "plane_driver",
-        "abstraction_observer",
-        "parent_controller",
-        "discovery_server",
-        "operator_base",
-        "driver_base",
-        "agent_001",
-        "driver_arm_1",
-        "agent_002",
-    }
+    assert set(found) == {*SPEAKERS, "operator_base", "driver_base", "driver_arm_1"}
     for name, folder in found.items():
         ca = folder / "identity_ca.cert.pem"
         assert openssl("verify", "-x509_strict", "-CAfile", ca, ca).returncode == 0
-        done = openssl("verify", "-CAfile", ca, folder / "cert.pem")
+        done = openssl("verify", "-x509_strict", "-CAfile", ca, folder / "cert.pem")
         assert done.returncode == 0, done.stderr
         subject = openssl("x509", "-in", folder / "cert.pem", "-noout", "-subject", "-nameopt", "RFC2253").stdout
         assert subject.decode().strip() == f"subject=CN=/hall/{name}"
         of_certificate = openssl("x509", "-in", folder / "cert.pem", "-noout", "-pubkey").stdout
         assert openssl("pkey", "-in", folder / "key.pem", "-pubout").stdout == of_certificate
         assert b"prime256v1" in openssl("x509", "-in", folder / "cert.pem", "-noout", "-text").stdout
+
+
+def accepted(folder: Path, certificate: Path) -> bool:
+    """Say whether an enclave's files accept a certificate, as Fast DDS asks OpenSSL."""
+    lists = ("-crl_check", "-CRLfile", folder / "crl.pem")
+    return openssl("verify", *lists, "-CAfile", folder / "identity_ca.cert.pem", certificate).returncode == 0
+
+
+def test_revoked_certificates_are_refused_by_all_and_replaced(own: Callable[[str], Path], tmp_path: Path) -> None:
+    before = own("sros2")
+    keys = before.parent / "keys"
+    assert not list(before.glob("**/crl.pem")), "without a revocation there is no list"
+    with pytest.raises(InputError, match=r"no certificate of 'arm-3' is among the keys .*; did you mean 'arm-"):
+        deploy(example("sros2"), tmp_path / "out", keys, ["arm-1", "arm-3"])
+    lost = {name: folder / "cert.pem" for name, folder in enclaves(before).items()}
+    for step, names, refused in (
+        ("one", ["agent_002"], {"agent_002"}),
+        ("two", ["arm-1"], {"agent_001", "agent_002", "driver_arm_1"}),
+        ("later", [], {"agent_001", "agent_002", "driver_arm_1"}),
+    ):
+        deploy(example("sros2"), tmp_path / step, keys, names)
+        for folder in (found := enclaves(tmp_path / step)).values():
+            assert {name for name, certificate in lost.items() if not accepted(folder, certificate)} == refused
+            assert all(accepted(folder, other / "cert.pem") for other in found.values())
+    (keys / "hall/sros2/crl.pem").write_text("nonsense")
+    with pytest.raises(InputError, match=r"crl\.pem is not a list of revoked certificates; restore it"):
+        deploy(example("sros2"), tmp_path / "out", keys)
+    with pytest.raises(InputError, match="security tunnel has no certificates to revoke"):
+        deploy(example("tunnel"), tmp_path / "out", tmp_path / "others", ["base"])
+    assert not (tmp_path / "out").exists()
 
 
 def test_signatures_hold_and_cover_what_stands_beside_them(hall: Path) -> None:
@@ -160,45 +185,186 @@ def test_who_may_publish_what(hall: Path) -> None:
         "rt/cmd_vel": {"agent_001"},
         "rt/odom": {"driver_arm_1"},
         "rt/plane/encoder": {"driver_base"},
-        "rt/hall/swarm/events": {
-            *("plane_driver", "abstraction_observer", "parent_controller", "agent_001", "agent_002", "operator_base")
-        },
-        "rt/hall/diagnostics": {
-            *("plane_driver", "abstraction_observer", "parent_controller", "agent_001", "agent_002")
-        },
+        "rt/hall/swarm/events": {*SPEAKERS, "operator_base"},
+        "rt/hall/diagnostics": {*SPEAKERS},
     }
     for topic, expected in publishers.items():
         assert {name for name, folder in found.items() if may(folder, "publish", topic)} == expected, topic
-    everything = {
-        "rt/hall/swarm/abstract_state",
-        "rt/hall/swarm/auxiliary_state",
-        "rt/hall/swarm/desired_abstract_state",
-    }
-    for topic in everything:
-        assert may(found["agent_001"], "subscribe", topic)
-    assert not may(found["agent_001"], "subscribe", "rt/hall/swarm/agent_state"), "robots do not see each other"
-    assert set(rights(found["agent_001"], "publish")) == {
-        "ros_discovery_info",
-        "rt/rosout",
-        "rt/parameter_events",
-        "rt/hall/diagnostics",
-        "rt/hall/swarm/agent_state",
-        "rt/hall/swarm/events",
-        "rt/hall/agent_001/*",
-        "rr/hall/agent_001/*Reply",
-        "rt/cmd_vel",
+    robot = found["agent_001"]
+    for state in ("abstract_state", "auxiliary_state", "desired_abstract_state"):
+        assert may(robot, "subscribe", f"rt/hall/swarm/{state}")
+    assert not may(robot, "subscribe", "rt/hall/swarm/agent_state"), "robots do not see each other"
+    assert set(rights(robot, "publish")) == {
+        *("ros_discovery_info", "rt/rosout", "rt/parameter_events", "rt/hall/diagnostics", "rt/hall/swarm/agent_state"),
+        *("rt/hall/swarm/events", "rt/hall/agent_001/*", "rr/hall/agent_001/*Reply", "rt/cmd_vel"),
     }
 
 
-def test_keys_of_another_authority_are_not_used(tmp_path: Path) -> None:
-    deployed(example("sros2"), tmp_path / "out", tmp_path / "keys")
-    folder = tmp_path / "keys" / "hall" / "sros2"
+def test_keys_of_another_authority_are_not_used(own: Callable[[str], Path], tmp_path: Path) -> None:
+    keys = own("sros2").parent / "keys"
+    folder = keys / "hall" / "sros2"
     for name in ("ca.key.pem", "ca.cert.pem"):
         (folder / name).unlink()
-    with pytest.raises(InputError, match="does not fit its key or the authority"):
-        deployed(example("sros2"), tmp_path / "again", tmp_path / "keys")
+    with pytest.raises(InputError, match="does not match its key or the authority"):
+        deployed(example("sros2"), tmp_path / "again", keys)
+    of_ed25519 = openssl("genpkey", "-algorithm", "ed25519").stdout
+    for name, content, words in (
+        ("ca.cert.pem", b"nonsense", r"ca\.cert\.pem holds no certificate; restore it"),
+        ("ca.key.pem", b"nonsense", r"ca\.key\.pem holds no private key; restore it"),
+        ("ca.key.pem", of_ed25519, r"ca\.key\.pem holds a key that is not of an elliptic curve; restore it"),
+    ):
+        (folder / name).write_bytes(content)
+        (folder / name).chmod(0o600)
+        with pytest.raises(InputError, match=words):
+            deployed(example("sros2"), tmp_path / "again", keys)
     assert not (tmp_path / "again").exists()
-    (folder / "ca.key.pem").write_text("nonsense")
-    (folder / "ca.key.pem").chmod(0o600)
-    with pytest.raises(InputError, match=r"ca\.key\.pem holds no private key; restore it"):
-        deployed(example("sros2"), tmp_path / "again", tmp_path / "keys")
+
+
+DISCOVERY_INFO = "ros_discovery_info"
+"""Used by each process for itself, so that it is no node's."""
+
+Endpoints = dict[str, list[str]]
+
+PROBE = """
+import json, sys
+import rclpy
+from rclpy.node import Node
+
+rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
+node = Node("probe", enable_rosout=False, start_parameter_services=False)
+looks = [{}]
+
+
+def look():
+    looks.append({
+        name: {
+            "publish": sorted(topic for topic, _ in node.get_publisher_names_and_types_by_node(name, namespace, True)),
+            "subscribe": sorted(
+                topic for topic, _ in node.get_subscriber_names_and_types_by_node(name, namespace, True)
+            ),
+        }
+        for name, namespace in node.get_node_names_and_namespaces()
+        if name != "probe"
+    })
+
+
+node.create_timer(0.5, look)
+# Endpoints become known one by one: the picture is complete when it stays the same for a while.
+while not (set(looks[-1]) >= set(sys.argv[1:]) and len(looks) > 4 and all(each == looks[-1] for each in looks[-5:])):
+    rclpy.spin_once(node)
+print(json.dumps(looks[-1]))
+"""
+"""Prints which topics of DDS each node publishes and hears, as DDS calls them, once it knows all that are named."""
+
+
+def fleet_of(plane: str, domain: int, folder: Path) -> LoadedFleet:
+    """Return a fleet in a namespace with all kinds of nodes, but for a discovery server."""
+    changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{folder}/etc")]
+    changes.append(("scenario:", "namespace: /hall\nscenario:"))
+    if plane != "simulated":
+        changes.append((", recorder: {host: base}", ""))
+        changes.append(("plane: {host", f"plane: {{type: driver, {plane}, host"))
+        changes.append(("type: simulated, position: 0.1", "type: topic, topic: /odom, command_topic: cmd_vel"))
+        changes.append(("type: simulated, position: -0.1", "type: topic, gravity: imu"))
+    return load_fleet(edited(folder / "one.yaml", ONE_HOST, *changes))
+
+
+def used_by_nodes(loaded: LoadedFleet, folder: Path) -> dict[str, Endpoints]:
+    """Start all nodes of the fleet's one host, and a discovery server, and return their endpoints."""
+    bundle = installed(loaded, folder)
+    add_server(bundle)
+    names = [node.name for node in node_plans(loaded.fleet)] + [DISCOVERY]
+    with running(bundle, folder) as units:
+        for name, unit in units.items():
+            assert unit.said(b"READY=1", b"WATCHDOG=1"), f"{name}: {unit.complaint()}"
+        environment = {**os.environ, **variables(bundle / "nodes/operator.env"), "ROS_LOG_DIR": str(folder / "ros")}
+        printed = subprocess.check_output([sys.executable, "-c", PROBE, *names], env=environment)
+        assert set(ended(units)) == {0}
+    found: dict[str, Endpoints] = json.loads(printed)
+    assert set(found) == set(names)
+    return found
+
+
+def add_server(bundle: Path) -> None:
+    """Add the node of a discovery server, here with a profile by which it meets others like any coordinator."""
+    nodes = bundle / "nodes"
+    text = (nodes / "abstraction_observer.env").read_text()
+    changed = text.replace("SWARMABS_PARTICIPANT=1\n", f"SWARMABS_PARTICIPANT={DISCOVERY_SERVER}\n")
+    (nodes / f"{DISCOVERY}.env").write_text(changed)
+    (nodes / f"{DISCOVERY}.yaml").write_text(parameter_file({}))
+    unit = bundle / "systemd" / "swarmabs-one-abstraction_observer.service"
+    text = unit.read_text().replace("abstraction_observer.realtime", "swarmabs_fleet.discovery_server")
+    unit.with_name(f"swarmabs-one-{DISCOVERY}.service").write_text(text.replace("abstraction_observer", DISCOVERY))
+
+
+def rights_of(loaded: LoadedFleet) -> dict[str, Rights]:
+    server = NodePlan(DISCOVERY, "swarmabs_fleet.discovery_server", "base", DISCOVERY_SERVER, "server")
+    return {node.name: node_rights(loaded.fleet, node) for node in (*node_plans(loaded.fleet), server)}
+
+
+def differences(used: dict[str, Endpoints], rights: dict[str, Rights]) -> dict[str, list[str]]:
+    """Return, by node, the endpoints without a right, and the rights without an endpoint."""
+    found = {}
+    for name, has in rights.items():
+        for what, granted in (("publish", has.publish), ("subscribe", has.subscribe)):
+            topics = {*used[name][what], DISCOVERY_INFO}
+            lacking = [t for t in topics if not any(fnmatch.fnmatchcase(t, right) for right in granted)]
+            idle = [right for right in granted if not any(fnmatch.fnmatchcase(t, right) for t in topics)]
+            texts = [f"cannot {what} {t}" for t in lacking] + [f"may {what} {right} for nothing" for right in idle]
+            found[name] = sorted(found.get(name, []) + texts)
+    return {name: texts for name, texts in found.items() if texts}
+
+
+@pytest.mark.system
+@pytest.mark.timeout(150)
+@pytest.mark.parametrize("plane", ["simulated", "topic: /encoder", pytest.param("source: imu", marks=pytest.mark.full)])
+def test_every_node_may_do_what_it_does_and_no_more(plane: str, tmp_path: Path, nothing_survives: str) -> None:
+    with claimed_domain() as domain:
+        loaded = fleet_of(plane, domain, tmp_path)
+        assert differences(used_by_nodes(loaded, tmp_path), rights_of(loaded)) == {}
+
+
+class _AskedFor(Exception):  # noqa: N818 - it is no error
+    """What a node was asked for."""
+
+
+class Recording:
+    """A node that makes nothing, but says by which topic of DDS it would."""
+
+    def create_client(self, _: object, service: str) -> None:
+        raise _AskedFor("publish", f"rq/hall/{service}Request", "subscribe", f"rr/hall/{service}Reply")
+
+    def create_publisher(self, _: object, topic: str, *__: object) -> None:
+        raise _AskedFor("publish", f"rt/hall/{topic}")
+
+    def create_subscription(self, _: object, topic: str, *__: object) -> None:
+        raise _AskedFor("subscribe", f"rt/hall/{topic}")
+
+
+def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
+    rights = host_rights(HostPlan(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base"))["operator_base"]
+    client = OperatorClient(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
+    actions: list[Callable[[], object]] = [
+        lambda: client.announced(2, "gone", 1.0).__enter__(),
+        lambda: client.listen(HealthMonitor({}), 1.0, lambda: False),
+        *(lambda name=name: client.call(name, 1.0) for name in ("swarm/stop", "swarm/reset", "agent_001/leave")),  # type: ignore[misc]
+    ]
+    for action in actions:
+        with pytest.raises(_AskedFor) as asked:
+            action()
+        words = asked.value.args
+        for what, topic in zip(words[::2], words[1::2], strict=True):
+            assert any(fnmatch.fnmatchcase(topic, right) for right in getattr(rights, what)), (what, topic)
+    # As `ros2 service call` names its node.
+    assert any(fnmatch.fnmatchcase("rr/_ros2cli_1/get_parametersReply", right) for right in rights.publish)
+    assert not any(fnmatch.fnmatchcase("rt/hall/swarm/desired_abstract_state", right) for right in rights.publish)
+
+
+def test_a_driver_has_the_other_side_of_what_its_node_has(tmp_path: Path) -> None:
+    found = host_rights(HostPlan(fleet_of("source: imu", 7, tmp_path).fleet, "base"))
+    published, heard = (
+        [topic for topic in topics if "driver_base" not in topic]
+        for topics in (found["driver_base"].publish, found["driver_base"].subscribe)
+    )
+    assert published[4:] == ["rt/hall/plane_driver/imu", "rt/odom", "rt/hall/agent_002/odom", "rt/hall/agent_002/imu"]
+    assert heard[2:] == ["rt/hall/cmd_vel", "rt/hall/agent_002/force"]

@@ -1,19 +1,18 @@
 """Units as systemd checks them, and scripts as a shell runs them, below DESTDIR."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
 import stat
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from tests.swarmabs_fleet.fleets import EXAMPLES, contents, deployed, edited
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
+from swarmabs_fleet import own_address
 
 SWARM = """\
 #!/bin/sh
@@ -22,10 +21,10 @@ printf "export PYTHONPATH='/a b/lib'\\nexport WHO=%s\\n" "${SWARMABS_USE_SOURCED
 """
 
 
-@pytest.fixture
-def checkout(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make what a bundle needs of a checkout and of an installed ROS."""
-    folder = tmp_path / "opt"
+    folder = tmp_path_factory.mktemp("checkout") / "opt"
     (folder / "scripts").mkdir(parents=True)
     (folder / ".venv" / "bin").mkdir(parents=True)
     (folder / ".venv" / "bin" / "python").symlink_to("/bin/sh")
@@ -35,109 +34,137 @@ def checkout(tmp_path: Path) -> Path:
     return folder
 
 
-def here(name: str, checkout: Path, *changes: tuple[str, str]) -> LoadedFleet:
-    """Load an example whose hosts find the checkout of a test."""
+def here(name: str, checkout: Path, folder: Path, *changes: tuple[str, str]) -> LoadedFleet:
+    """Load an example whose hosts find the checkout of these tests; write its file into a folder."""
     text = EXAMPLES[name].read_text(encoding="utf-8")
-    lines = f"checkout: {checkout}, setup: {checkout}/setup.sh"
-    if "installation: {" in text:
-        text = text.replace("installation: {", f"installation: {{{lines}, ")
-    else:
-        text += f"installation: {{{lines}}}\n"
-    return load_fleet(edited(checkout.parent / f"{name}.yaml", text, *changes))
+    lines = f"installation: {{checkout: {checkout}, setup: {checkout}/setup.sh"
+    present = "installation: {" in text
+    text = text.replace("installation: {", f"{lines}, ") if present else f"{text}{lines}}}\n"
+    return load_fleet(edited(folder / f"{name}.yaml", text, *changes))
 
 
-def bundles(name: str, checkout: Path) -> Path:
-    keys = None if name == "lan" else checkout.parent / "keys"
-    return deployed(here(name, checkout), checkout.parent / f"{name}-bundles", keys)
+@pytest.fixture(scope="module")
+def made(checkout: Path) -> dict[str, Path]:
+    """Bundles of the examples for that checkout by name, to be read only; the keys are in `keys` beside it."""
+    place = checkout.parent
+    return {
+        name: deployed(here(name, checkout, place), place / name, None if name == "lan" else place / "keys")
+        for name in EXAMPLES
+    }
 
 
-def start(script: Path, root: Path) -> subprocess.CompletedProcess[str]:
-    environment = {"PATH": os.environ["PATH"], "DESTDIR": str(root)}
+def start(script: Path, root: Path | str = "", programs: str = "") -> subprocess.CompletedProcess[str]:
+    """Start a script below a root, with programs that come before those of this machine."""
+    environment = {"PATH": f"{programs}{os.environ['PATH']}", **({"DESTDIR": str(root)} if root else {})}
     return subprocess.run(["sh", script], env=environment, capture_output=True, text=True, check=False, cwd="/")
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_systemd_accepts_the_units(name: str, checkout: Path) -> None:
+def install(bundle: Path, root: Path) -> None:
+    done = start(bundle / "install.sh", root)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def floor(made: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root with the bundle of the tunnel's base in it, to be copied."""
+    root = tmp_path_factory.mktemp("floor") / "root"
+    install(made["tunnel"] / "base", root)
+    return root
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "root"
+
+
+@pytest.fixture
+def tunnel(made: dict[str, Path], floor: Path, root: Path, tmp_path: Path) -> Path:
+    """Return the bundle of the tunnel's base, which is installed below `root`; both are the test's own."""
+    shutil.copytree(floor, root)
+    return shutil.copytree(made["tunnel"] / "base", tmp_path / "bundle")
+
+
+def test_systemd_accepts_the_units(made: dict[str, Path], tmp_path: Path) -> None:
     analyze = shutil.which("systemd-analyze")
     if analyze is None:
         pytest.skip("there is no systemd-analyze here")
-    output = bundles(name, checkout)
-    if name == "sros2":  # its interpreter is the system's, which need not be there
-        for unit in output.rglob("*.service"):
-            unit.write_text(unit.read_text().replace("/usr/bin/python3", "/bin/sh"))
-    for folder in sorted(output.glob("*/systemd")):
-        files = sorted(folder.iterdir())
-        assert any(file.suffix == ".target" for file in files)
-        done = subprocess.run([analyze, "verify", "--man=no", *files], capture_output=True, text=True, check=False)
-        own = [line for line in done.stderr.splitlines() if "swarmabs" in line]
-        # What needs a unit or an account of the host itself cannot be seen here.
-        unexpected = [line for line in own if "wg-quick@" not in line and "not found" not in line]
-        assert not unexpected
-    broken = files[0]
-    broken.write_text(broken.read_text().replace("Type=notify", "Type=notfiy"))
-    done = subprocess.run([analyze, "verify", "--man=no", broken], capture_output=True, text=True, check=False)
-    assert "notfiy" in done.stderr
+    found = {unit.name: unit.read_text() for output in made.values() for unit in output.glob("*/systemd/*")}
+    assert {f"swarmabs-{name}.target" for name in ("lan", "floor", "hall")} < set(found)
+    found["swarmabs-broken.service"] = found["swarmabs-lan-agent_001.service"].replace("Type=notify", "Type=notfiy")
+    for name, text in found.items():
+        # The interpreter of sros2 is the system's, which need not be there.
+        (tmp_path / name).write_text(text.replace("/usr/bin/python3", "/bin/sh"))
+    files = [tmp_path / name for name in found]
+    done = subprocess.run([analyze, "verify", "--man=no", *files], capture_output=True, text=True, check=False)
+    lines = [line for line in done.stderr.splitlines() if "swarmabs" in line]
+    # What needs a unit or an account of the host itself cannot be seen here.
+    unexpected = [line for line in lines if "wg-quick@" not in line and "not found" not in line]
+    assert unexpected and all("swarmabs-broken" in line for line in unexpected)
+    assert "notfiy" in unexpected[0]
 
 
-def test_what_the_units_say(checkout: Path) -> None:
-    output = bundles("tunnel", checkout)
+def test_what_the_units_say(made: dict[str, Path], checkout: Path) -> None:
+    output = made["tunnel"]
     unit = (output / "cart-1" / "systemd" / "swarmabs-floor-agent_001.service").read_text()
-    lines = unit.splitlines()
-    for line in (
-        "Type=notify",
-        "Restart=on-failure",
-        "WatchdogSec=2",
-        "RestartPreventExitStatus=2",
-        "User=swarmabs",
-        "NoNewPrivileges=yes",
-        "ProtectSystem=strict",
-        "PrivateTmp=yes",
+    assert {
+        *("Type=notify", "Restart=on-failure", "WatchdogSec=2", "RestartPreventExitStatus=2", "User=swarmabs"),
+        *("NoNewPrivileges=yes", "ProtectSystem=strict", "PrivateTmp=yes", "IPAddressDeny=any"),
         f"ExecStartPre={checkout}/.venv/bin/python -m swarmabs_fleet.own_address 10.83.0.11",
-        "IPAddressDeny=any",
         "IPAddressAllow=localhost 10.83.0.11 10.83.0.1",
         "RestrictNetworkInterfaces=lo floor0",
-    ):
-        assert line in lines
+    } <= set(unit.splitlines())
     assert "wg-quick@floor0.service" in unit
     order = (output / "base" / "units.txt").read_text().split()
     assert order[-2:] == ["swarmabs-floor-parent_controller.service", "swarmabs-floor.target"]
+    slow = [path.stem for path in (output / "base" / "systemd").iterdir() if "WatchdogSec=10" in path.read_text()]
+    assert slow == ["swarmabs-floor-recorder"]
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_shells_accept_the_scripts(name: str, checkout: Path) -> None:
-    files = sorted(bundles(name, checkout).glob("*/*.sh"))
-    assert len(files) >= 9
-    for file in files:
-        subprocess.run(["sh", "-n", file], check=True)
+def test_units_ask_whether_an_address_is_this_hosts(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, code, words in (
+        (["127.0.0.1"], 0, ""),
+        (["192.0.2.77"], 1, "192.0.2.77: Cannot assign requested address; is its interface up?"),
+        ([], 1, "give one address"),
+        (["127.0.0.1", "127.0.0.1"], 1, "give one address"),
+    ):
+        assert own_address.main(arguments) == code
+        error = capsys.readouterr().err
+        assert words in error and bool(error) == bool(code)
 
 
-def test_shellcheck_accepts_the_scripts(checkout: Path) -> None:
+def test_shells_and_shellcheck_accept_the_scripts(made: dict[str, Path]) -> None:
+    together = {name: b"".join(path.read_bytes() for path in made[name].glob("base/*.sh")) for name in made}
+    assert [text.count(b"#!/bin/sh") for text in together.values()] == [4] * len(made)
+    subprocess.run(["sh", "-n"], input=b"".join(together.values()), check=True)
     shellcheck = shutil.which("shellcheck")
     if shellcheck is None:
         pytest.skip("there is no shellcheck here")
-    files = sorted(bundles("tunnel", checkout).glob("base/*.sh"))
-    # All scripts begin with the same names, of which each uses some: none may be used by no script.
-    together = b"".join(file.read_bytes() for file in files)
-    subprocess.run([shellcheck, "--include=SC2034", "--shell=sh", "-"], input=together, check=True)
-    subprocess.run([shellcheck, "--severity=warning", "--exclude=SC2034", *files], check=True)
+    # All scripts begin with the same names, of which each uses some: none may be used by no script. Together each
+    # script has the functions of those before it, too.
+    command = [shellcheck, "--severity=warning", "--exclude=SC2218", "--shell=sh", "-"]
+    subprocess.run(command, input=together["tunnel"], check=True)
 
 
-def test_install_twice_and_uninstall(checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("tunnel", checkout) / "base", tmp_path / "root"
+def test_install_twice_and_uninstall(checkout: Path, tmp_path: Path, root: Path) -> None:
+    changed = here("tunnel", checkout, tmp_path, ("checkout: ", "prefix: /srv/swarms/bundles, checkout: "))
+    bundle = deployed(changed, tmp_path / "out", checkout.parent / "keys") / "base"
     (bundle / "stray.txt").write_text("is not listed, so it is not installed")
     (bundle / "nodes" / "plane_driver.env").chmod(0o666)
+    installed = root / "srv" / "swarms" / "bundles" / "floor"
     for _ in range(2):
-        done = start(bundle / "install.sh", root)
-        assert done.returncode == 0, done.stderr
-        installed = root / "etc" / "swarmabs" / "floor"
-        listed = contents(bundle)
+        install(bundle, root)
+        listed, found = contents(bundle), contents(installed)
         del listed["stray.txt"]
-        found = contents(installed)
         assert found.pop("workspace.env") == b"PYTHONPATH='/a b/lib'\nWHO=wheels\n"
         assert found.pop("complete") == b""
         assert found == listed
     assert stat.S_IMODE((installed / "nodes" / "plane_driver.env").stat().st_mode) == 0o644
-    assert stat.S_IMODE((installed / "wireguard").stat().st_mode) == 0o700
+    # Everybody may enter the folders on the way, and nobody those of secrets.
+    folders = [root, *(path for path in root.rglob("*") if path.is_dir())]
+    modes = {str(path.relative_to(root)): stat.S_IMODE(path.stat().st_mode) for path in folders}
+    assert {"srv/swarms/bundles/floor", "etc/systemd/system", "etc/wireguard"} < set(modes)
+    closed = {path: mode for path, mode in modes.items() if mode != 0o755}
+    assert closed == {"etc/wireguard": 0o700, "srv/swarms/bundles/floor/wireguard": 0o700}
     units = {path.name for path in (root / "etc/systemd/system").iterdir()}
     assert units == set((bundle / "units.txt").read_text().split())
     tunnel = root / "etc/wireguard/floor0.conf"
@@ -148,66 +175,30 @@ def test_install_twice_and_uninstall(checkout: Path, tmp_path: Path) -> None:
     assert start(bundle / "uninstall.sh", root).returncode == 1
 
 
-def modes(folder: Path) -> dict[str, int]:
-    """Return the modes of a folder and of the folders below it, by path."""
-    found = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
-    return {str(path.relative_to(folder)): stat.S_IMODE(path.stat().st_mode) for path in found}
-
-
-def test_everybody_may_enter_the_folders_on_the_way_and_nobody_those_of_secrets(checkout: Path, tmp_path: Path) -> None:
-    changed = here("tunnel", checkout, ("checkout: ", "prefix: /srv/swarms/bundles, checkout: "))
-    bundle, root = deployed(changed, tmp_path / "out", tmp_path / "keys") / "base", tmp_path / "root"
-    assert start(bundle / "install.sh", root).returncode == 0
-    found = modes(root)
-    assert {"srv/swarms/bundles/floor", "etc/systemd/system", "etc/wireguard"} < set(found)
-    closed = {path for path, mode in found.items() if mode != 0o755}
-    assert closed == {"etc/wireguard", "srv/swarms/bundles/floor/wireguard"}
-    assert {found[path] for path in closed} == {0o700}
-
-
-@pytest.mark.parametrize("content", ["nothing", "a bundle", "something else"])
-def test_a_prefix_that_was_made_for_root_alone_is_opened(content: str, checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("lan", checkout) / "base", tmp_path / "root"
+def test_a_prefix_that_was_made_for_root_alone_is_opened(made: dict[str, Path], root: Path) -> None:
     prefix = root / "etc" / "swarmabs"
-    if content == "a bundle":
-        assert start(bundle / "install.sh", root).returncode == 0
-    else:
-        prefix.mkdir(parents=True)
-    if content == "something else":
-        (prefix / "mine").touch()
-    prefix.chmod(0o700)
-    assert start(bundle / "install.sh", root).returncode == 0
-    # What somebody keeps to himself with other things in it is not this script's to open.
-    assert stat.S_IMODE(prefix.stat().st_mode) == (0o700 if content == "something else" else 0o755)
+    prefix.mkdir(parents=True)
+    # There is nothing in it, then a bundle, then what somebody keeps to himself, which is not this script's to open.
+    for mode in (0o755, 0o755, 0o700):
+        prefix.chmod(0o700)
+        if mode == 0o700:
+            (prefix / "mine").touch()
+        install(made["lan"] / "base", root)
+        assert stat.S_IMODE(prefix.stat().st_mode) == mode
 
 
-@pytest.mark.parametrize("name", ["lan", "tunnel"])
-def test_another_account_can_read_what_nodes_need(name: str, checkout: Path) -> None:
-    setpriv = shutil.which("setpriv")
-    if os.geteuid() or setpriv is None:
-        pytest.skip("only root can try as another account, by setpriv")
-    bundle = bundles(name, checkout) / "base"
-    with TemporaryDirectory(dir="/tmp") as folder:  # the folders of tests are closed to others
-        Path(folder).chmod(0o755)
-        assert start(bundle / "install.sh", Path(folder)).returncode == 0
-        installed = Path(folder) / "etc" / "swarmabs" / ("floor" if name == "tunnel" else name)
-        needed = [path for path in contents(installed) if not path.startswith("wireguard/")]
-        assert {"nodes/parent_controller.yaml", "dds/coordinator.xml", "scenario.yaml"} < set(needed)
-        nobody = [setpriv, "--reuid=65534", "--regid=65534", "--clear-groups", "--"]
-        command = [*nobody, "cat", *(installed / path for path in needed)]
-        done = subprocess.run(command, capture_output=True, check=False)
-        assert (done.returncode, done.stderr) == (0, b"")
-        if name == "tunnel":
-            command = [*nobody, "cat", installed / "wireguard" / "floor0.conf"]
-            assert b"Permission denied" in subprocess.run(command, capture_output=True, check=False).stderr
+ANOTHER = "manifest of another"
 
 
-@pytest.mark.parametrize("place", ["floor", "floor.new", "floor.old"])
-@pytest.mark.parametrize("content", ["file", "manifest of another", "link"])
+@pytest.mark.parametrize(
+    ("place", "content"),
+    [("floor", "file"), ("floor", ANOTHER), ("floor", "link"), ("floor.new", "file"), ("floor.old", ANOTHER)],
+)
 def test_a_folder_that_is_no_bundle_of_the_fleet_is_left_alone(
-    place: str, content: str, checkout: Path, tmp_path: Path
+    place: str, content: str, made: dict[str, Path], floor: Path, root: Path, tmp_path: Path
 ) -> None:
-    bundle, root = bundles("tunnel", checkout) / "base", tmp_path / "root"
+    if place != "floor":
+        shutil.copytree(floor, root)
     foreign = root / "etc" / "swarmabs" / place
     if content == "link":
         foreign.parent.mkdir(parents=True)
@@ -217,127 +208,103 @@ def test_a_folder_that_is_no_bundle_of_the_fleet_is_left_alone(
         name = "sshd_config" if content == "file" else "manifest.json"
         (foreign / name).write_text('{\n  "bundle": 1,\n  "fleet": "floor2",\n  "name": "floor"\n}\n')
     before = contents(root)
-    scripts = ["install.sh", "uninstall.sh"] if foreign.is_dir() and place == "floor" else ["install.sh"]
-    for script in scripts:
-        done = start(bundle / script, root)
+    for script in ("install.sh", "uninstall.sh") if content != "link" else ("install.sh",):
+        done = start(made["tunnel"] / "base" / script, root)
         assert done.returncode == 1
         assert done.stderr.startswith(f"{script}: {foreign} is no bundle of floor, so it stays as it is; move it away")
         assert contents(root) == before
         assert foreign.is_symlink() == (content == "link")
 
 
-@pytest.mark.parametrize("place", [".new", ".old"])
-def test_uninstalling_leaves_alone_what_stands_beside(place: str, checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("lan", checkout) / "base", tmp_path / "root"
-    assert start(bundle / "install.sh", root).returncode == 0
-    beside = root / "etc" / "swarmabs" / f"lan{place}"
-    beside.mkdir()
-    (beside / "mine").touch()
-    before = contents(root)
-    done = start(root / "etc/swarmabs/lan/uninstall.sh", root)
-    assert (done.returncode, "is no bundle of lan" in done.stderr) == (1, True)
-    assert contents(root) == before
-
-
 @pytest.mark.parametrize("change", ["renamed", "none", "not ours"])
-def test_a_tunnel_that_a_new_bundle_has_no_more_is_removed(change: str, checkout: Path, tmp_path: Path) -> None:
-    root = tmp_path / "root"
-    assert start(bundles("tunnel", checkout) / "base" / "install.sh", root).returncode == 0
-    tunnels = root / "etc" / "wireguard"
-    text = EXAMPLES["tunnel"].read_text(encoding="utf-8")
+def test_what_a_new_bundle_has_no_more_is_removed(
+    change: str, checkout: Path, tunnel: Path, root: Path, tmp_path: Path
+) -> None:
+    tunnels, recorder = root / "etc" / "wireguard", root / "etc/systemd/system/swarmabs-floor-recorder.service"
+    assert recorder.exists()
+    changes = [("interface: floor0", "interface: floor9"), ("  recorder: {host: base}\n", "")]
     if change == "none":
-        changes = [("level: tunnel, interface: floor0, port: 51820", "level: none")]
+        text = EXAMPLES["tunnel"].read_text(encoding="utf-8")
+        changes[0] = ("level: tunnel, interface: floor0, port: 51820", "level: none")
         changes += [(part, "}") for part in re.findall(r", tunnel_address: [0-9.]+}", text)]
-    else:
-        changes = [("interface: floor0", "interface: floor9")]
     if change == "not ours":
         (tunnels / "floor0.conf").write_text("# mine\n")
-    keys = None if change == "none" else tmp_path / "keys"
-    output = deployed(here("tunnel", checkout, *changes), tmp_path / "new", keys)
-    done = start(output / "base" / "install.sh", root)
-    assert done.returncode == 0, done.stderr
+    keys = None if change == "none" else checkout.parent / "keys"
+    install(deployed(here("tunnel", checkout, tmp_path, *changes), tmp_path / "new", keys) / "base", root)
+    assert not recorder.exists()
     expected = {"renamed": {"floor9.conf"}, "none": set(), "not ours": {"floor0.conf", "floor9.conf"}}[change]
     assert {path.name for path in tunnels.iterdir()} == expected
     # A bundle's own script removes what is installed, not what the bundle would.
-    assert start(checkout.parent / "tunnel-bundles" / "base" / "uninstall.sh", root).returncode == 0
+    assert start(tunnel / "uninstall.sh", root).returncode == 0
     assert {path.name for path in tunnels.iterdir()} == expected - {"floor9.conf"}
 
 
-def test_the_environment_of_an_installed_ros(checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("sros2", checkout) / "arm-1", tmp_path / "root"
-    assert start(bundle / "install.sh", root).returncode == 0
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        ("changed", "nodes/recorder.yaml"),
+        ("missing", "nodes/recorder.yaml"),
+        ("no list", "the bundle is not complete; copy it again"),
+        ("no manifest", "the bundle is not complete; copy it again"),
+        ("not prepared", "not prepared"),
+        ("no environment", "./scripts/swarm doctor"),
+        ("foreign tunnel", "floor0.conf"),
+    ],
+)
+def test_half_a_bundle_is_refused_and_nothing_is_changed(
+    damage: str, words: str, checkout: Path, tunnel: Path, root: Path, tmp_path: Path
+) -> None:
+    parameters = tunnel / "nodes" / "recorder.yaml"
+    away = tmp_path / "away"
+    acts: dict[str, Callable[[], object]] = {
+        "changed": lambda: parameters.write_text("{}"),
+        "missing": parameters.unlink,
+        "no list": (tunnel / "SHA256SUMS").unlink,
+        "no manifest": (tunnel / "manifest.json").unlink,
+        "not prepared": lambda: (checkout / ".venv").rename(away),
+        "no environment": lambda: (checkout / "scripts" / "swarm").write_text("#!/bin/sh\nexit 1\n"),
+        "foreign tunnel": lambda: (root / "etc/wireguard/floor0.conf").write_text("# mine\n"),
+    }
+    acts[damage]()
+    before = contents(root)
+    try:
+        done = start(tunnel / "install.sh", root)
+    finally:
+        (checkout / "scripts" / "swarm").write_text(SWARM)
+        if away.exists():
+            away.rename(checkout / ".venv")
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 1
+    assert last.startswith("install.sh: ") and "; " in last
+    assert words in done.stderr
+    assert contents(root) == before
+
+
+def test_an_interrupted_installation_is_mended_and_has_the_environment_of_an_installed_ros(
+    made: dict[str, Path], tunnel: Path, root: Path
+) -> None:
+    installed = root / "etc/swarmabs/floor"
+    before = contents(root)
+    installed.rename(installed.with_name("floor.old"))
+    installed.with_name("floor.new").mkdir()
+    install(tunnel, root)
+    assert contents(root) == before
+    install(made["sros2"] / "arm-1", root)
     installed = root / "etc/swarmabs/hall"
     assert (installed / "workspace.env").read_text() == "PYTHONPATH='/a b/lib'\nWHO=1-sourced\n"
     assert stat.S_IMODE((installed / "keystore/enclaves/hall/agent_001/key.pem").stat().st_mode) == 0o600
 
 
-def test_units_that_a_new_bundle_has_no_more_are_removed(checkout: Path, tmp_path: Path) -> None:
-    root = tmp_path / "root"
-    assert start(bundles("tunnel", checkout) / "base" / "install.sh", root).returncode == 0
-    recorder = root / "etc/systemd/system/swarmabs-floor-recorder.service"
-    assert recorder.exists()
-    fewer = here("tunnel", checkout, ("  recorder: {host: base}\n", ""))
-    output = deployed(fewer, tmp_path / "fewer", tmp_path / "keys")
-    assert start(output / "base" / "install.sh", root).returncode == 0
-    assert not recorder.exists()
+def program(path: Path, text: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
 
 
-@pytest.mark.parametrize("damage", ["changed", "missing", "no list", "no manifest", "not prepared", "foreign tunnel"])
-def test_half_a_bundle_is_refused_and_nothing_is_changed(damage: str, checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("tunnel", checkout) / "base", tmp_path / "root"
-    assert start(bundle / "install.sh", root).returncode == 0
-    if damage == "changed":
-        (bundle / "nodes" / "recorder.yaml").write_text("{}")
-    elif damage == "missing":
-        (bundle / "nodes" / "recorder.yaml").unlink()
-    elif damage == "no list":
-        (bundle / "SHA256SUMS").unlink()
-    elif damage == "no manifest":
-        (bundle / "manifest.json").unlink()
-    elif damage == "not prepared":
-        (checkout / ".venv" / "bin" / "python").unlink()
-    else:
-        (root / "etc/wireguard/floor0.conf").write_text("# mine\n")
-    before = contents(root)
-    done = start(bundle / "install.sh", root)
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].startswith("install.sh: ") and "; " in done.stderr
-    assert contents(root) == before
-
-
-def test_an_environment_that_cannot_be_had_changes_nothing(checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("lan", checkout) / "base", tmp_path / "root"
-    assert start(bundle / "install.sh", root).returncode == 0
-    before = contents(root)
-    (checkout / "scripts" / "swarm").write_text("#!/bin/sh\nexit 1\n")
-    done = start(bundle / "install.sh", root)
-    assert done.returncode == 1
-    assert "./scripts/swarm doctor" in done.stderr
-    assert contents(root) == before
-
-
-def test_an_installation_that_was_interrupted_between_its_renamings_is_mended(checkout: Path, tmp_path: Path) -> None:
-    bundle, root = bundles("lan", checkout) / "base", tmp_path / "root"
-    assert start(bundle / "install.sh", root).returncode == 0
-    installed = root / "etc/swarmabs/lan"
-    before = contents(root)
-    installed.rename(installed.with_name("lan.old"))
-    (root / "etc/swarmabs/lan.new").mkdir()
-    assert start(bundle / "install.sh", root).returncode == 0
-    assert contents(root) == before
-
-
-def test_without_root_nothing_is_touched(checkout: Path, tmp_path: Path) -> None:
-    bundle = bundles("lan", checkout) / "base"
-    somebody = tmp_path / "programs" / "id"
-    somebody.parent.mkdir()
-    somebody.write_text("#!/bin/sh\necho 1000\n")
-    somebody.chmod(0o755)
-    environment = {"PATH": f"{somebody.parent}:{os.environ['PATH']}"}
+def test_without_root_nothing_is_touched(made: dict[str, Path], tmp_path: Path) -> None:
+    program(tmp_path / "programs" / "id", "echo 1000")
     for script in ("install.sh", "uninstall.sh", "restart.sh"):
-        done = subprocess.run(
-            ["sh", bundle / script], env=environment, capture_output=True, text=True, check=False, cwd="/"
-        )
+        done = start(made["lan"] / "base" / script, programs=f"{tmp_path / 'programs'}:")
         assert (done.returncode, done.stderr) == (1, f"{script}: this needs root; start it with sudo\n")
     assert not Path("/etc/swarmabs").exists()
 
@@ -345,23 +312,17 @@ def test_without_root_nothing_is_touched(checkout: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize("failing", ["", "swarmabs-floor-plane_driver.service"])
 def test_nodes_are_restarted_one_by_one_and_a_failure_ends_it(failing: str, checkout: Path, tmp_path: Path) -> None:
     prefix = tmp_path / "prefix"
-    text = EXAMPLES["tunnel"].read_text(encoding="utf-8") + f"installation: {{prefix: {prefix}}}\n"
-    output = deployed(load_fleet(edited(tmp_path / "f.yaml", text)), tmp_path / "out", tmp_path / "keys")
+    changed = here("tunnel", checkout, tmp_path, ("checkout: ", f"prefix: {prefix}, checkout: "))
+    output = deployed(changed, tmp_path / "out", checkout.parent / "keys")
     prefix.mkdir()
     installed = (output / "base").rename(prefix / "floor")
     programs, log = tmp_path / "programs", tmp_path / "log"
-    programs.mkdir()
-    (programs / "id").write_text("#!/bin/sh\necho 0\n")
-    (programs / "systemctl").write_text(f'#!/bin/sh\necho "$*" >>{log}\n[ "$3" != "{failing}" ]\n')
-    for program in programs.iterdir():
-        program.chmod(0o755)
-    command = ["sh", installed / "restart.sh"]
-    environment = {"PATH": f"{programs}:{os.environ['PATH']}"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert "is not complete; start install.sh again" in done.stderr
+    program(programs / "id", "echo 0")
+    program(programs / "systemctl", f'echo "$*" >>{log}\n[ "$3" != "{failing}" ]')
+    assert "is not complete; start install.sh again" in start(installed / "restart.sh", programs=f"{programs}:").stderr
     assert not log.exists()
     (installed / "complete").touch()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    done = start(installed / "restart.sh", programs=f"{programs}:")
     calls = log.read_text().splitlines()
     restarted = [call.rpartition("-floor-")[2].partition(".")[0] for call in calls if call.startswith("restart")]
     if failing:

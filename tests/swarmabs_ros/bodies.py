@@ -1,7 +1,5 @@
 """Robots on a tilted plane in space, by vectors and rotation matrices: what their sensors say."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -30,7 +28,6 @@ def attitude(angle: float, facing: float, heading: float = 0.0, yaw: float = 0.0
 
 
 def imu(stamp: int, angle: float, rate: float, facing: float, yaw: float = 0.0, frame: str = "imu_link") -> Imu:
-    """Return what the robot's IMU says."""
     stands = attitude(angle, facing, yaw=yaw)
     turning = Rotation.from_rotvec(yaw * UP).apply(np.array([0.0, -rate, 0.0]))  # from x to z is against y
     return Imu(stamp, frame, tuple(stands.as_quat()), tuple(stands.inv().apply(turning)))

@@ -1,23 +1,25 @@
-"""Nodes in this process, started with a command line as by `ros2 run`."""
-
-from __future__ import annotations
+"""Nodes in this process, started with a command line as by `ros2 run`, and what they say."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import rclpy
 
+from swarmabs_core.messages import DesiredAbstractState
 from swarmabs_core.parameters import Parameter, Value, resolve
 from swarmabs_ros.parameters import declare, given_values, table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.start import SwarmNode
 
+COMMAND_LINE = ["--ros-args", "--disable-external-lib-logs"]
+
 
 @contextmanager
 def started_node(*arguments: str, name: str = "probe") -> Iterator[SwarmNode]:
     """Start a node; it needs the fixture `ros`."""
-    rclpy.init(args=["--ros-args", "--disable-external-lib-logs", *arguments] if arguments else None)
+    rclpy.init(args=[*COMMAND_LINE, *arguments] if arguments else None)
     node = SwarmNode(name)
     try:
         yield node
@@ -31,14 +33,13 @@ def given(**values: str) -> list[str]:
     return [word for name, text in values.items() for word in ("-p", f"{name.replace('__', '.')}:={text}")]
 
 
-def settings_from(table: tuple[Parameter | type, ...], **values: Value) -> Settings:
+def _settings(common: tuple[Parameter, ...], table: tuple[Parameter | type, ...], /, **values: Value) -> Settings:
     """Return settings as a node would have them that was given these parameters; double underscores stand for dots."""
-    return _settings(COMMON, table, values)
+    named = {name.replace("__", "."): value for name, value in values.items()}
+    return Settings(resolve(table_of(named, common, table), named, owner="the node"))
 
 
-def realtime_settings_from(table: tuple[Parameter | type, ...], **values: Value) -> Settings:
-    """Return the same of a node in real time."""
-    return _settings(REALTIME_COMMON, table, values)
+settings_from, realtime_settings_from = partial(_settings, COMMON), partial(_settings, REALTIME_COMMON)
 
 
 def declared_by(arguments: list[str], common: tuple[Parameter, ...], table: tuple[Parameter | type, ...]) -> Settings:
@@ -47,6 +48,6 @@ def declared_by(arguments: list[str], common: tuple[Parameter, ...], table: tupl
         return Settings(declare(node, table_of(given_values(node), common, table)))
 
 
-def _settings(common: tuple[Parameter, ...], table: tuple[Parameter | type, ...], values: dict[str, Value]) -> Settings:
-    named = {name.replace("__", "."): value for name, value in values.items()}
-    return Settings(resolve(table_of(named, common, table), named, owner="the node"))
+def desired(step: int) -> DesiredAbstractState:
+    """Return a message of a step that has nothing else in it."""
+    return DesiredAbstractState(0, step, 0, *(0.0,) * 8)

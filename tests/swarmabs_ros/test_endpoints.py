@@ -1,6 +1,4 @@
-"""Publishers and both ways of receiving, over real DDS in one process."""
-
-from __future__ import annotations
+"""Publishers, both ways of receiving over real DDS in one process, and the contract's qualities of service."""
 
 import time
 from collections.abc import Iterator
@@ -8,23 +6,17 @@ from collections.abc import Iterator
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, QoSLivelinessPolicy, qos_check_compatible
+from tests.processes import until
 from tests.swarmabs_ros.nodes import started_node
 
-from swarmabs_config.graph import requested
+from swarmabs_config.graph import LEASE, LOCKSTEP, OFFERED, REALTIME, Driver, Qos, requested
+from swarmabs_config.model.scenario import Realtime
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPICS, EventKind, PlaneState, SwarmEvent, Topic
-from swarmabs_ros.endpoints import (
-    ExecutorReceiver,
-    LoopGroup,
-    Receiver,
-    WaitSetReceiver,
-    advertise,
-    receiver,
-    ros_type,
-)
+from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, EventKind, PlaneState, SwarmEvent, Topic
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_ros.endpoints import ExecutorReceiver, LoopGroup, Receiver, WaitSetReceiver, advertise, profile, receiver
 from swarmabs_ros.start import SwarmNode
-
-pytestmark = pytest.mark.usefixtures("ros")
 
 SUBSCRIPTIONS = {topic: requested(topic, depth=100, reliable=True) for topic in (PLANE_STATE, EVENTS)}
 MESSAGES = [encode(PlaneState(step, step, 0.1 * step, -1.0 / (step + 1))) for step in range(20)]
@@ -32,7 +24,7 @@ BOTH = (PLANE_STATE, EVENTS)
 
 
 @pytest.fixture
-def node() -> Iterator[SwarmNode]:
+def node(ros: None) -> Iterator[SwarmNode]:
     with started_node() as node:
         yield node
 
@@ -43,26 +35,21 @@ def inbox(request: pytest.FixtureRequest, node: SwarmNode) -> Receiver:
 
 
 def matched(publishers: dict[Topic, Publisher], *inboxes: Receiver) -> None:
-    """Wait until publishers and subscriptions have met."""
-    deadline = time.monotonic() + 10.0
-    while not all(
-        publisher.get_subscription_count() == len(inboxes) and inbox.publisher_count(topic) == 1
-        for topic, publisher in publishers.items()
-        for inbox in inboxes
-    ):
-        assert time.monotonic() < deadline, "endpoints do not meet"
-        time.sleep(0.01)
+    until(
+        lambda: all(
+            publisher.get_subscription_count() == len(inboxes) and inbox.publisher_count(topic) == 1
+            for topic, publisher in publishers.items()
+            for inbox in inboxes
+        ),
+        "endpoints meet",
+    )
 
 
 def receive(inbox: Receiver, topic: Topic, count: int) -> list[bytes]:
-    """Wait for messages of a topic."""
     found: list[bytes] = []
-    deadline = time.monotonic() + 10.0
     while len(found) < count:
-        assert time.monotonic() < deadline, f"{len(found)} of {count} messages arrived"
-        inbox.wait((topic,), 0.1)
-        while (data := inbox.take(topic)) is not None:
-            found.append(data)
+        until(lambda: inbox.wait((topic,), 0.1), f"{count} messages arrive")
+        found.extend(iter(lambda: inbox.take(topic), None))
     return found
 
 
@@ -82,33 +69,22 @@ def test_both_ways_deliver_the_same_bytes_in_order(node: SwarmNode) -> None:
     other.destroy_node()  # type: ignore[no-untyped-call]
 
 
-def test_topics_are_kept_apart(node: SwarmNode, inbox: Receiver) -> None:
+def test_topics_are_kept_apart_and_nothing_there_is_none_and_a_wait_that_ends(node: SwarmNode, inbox: Receiver) -> None:
+    began = time.monotonic()
+    assert inbox.wait(BOTH, 0.01) is False
+    assert time.monotonic() - began > 0.005
+    assert (inbox.take(PLANE_STATE), inbox.publisher_count(PLANE_STATE)) == (None, 0)
     publishers = {topic: advertise(node, topic) for topic in BOTH}
     matched(publishers, inbox)
     # Fast DDS pads the payload to a multiple of four: that may come with it.
     event = encode(SwarmEvent(0, 0, 3, EventKind.DEAD, 0.1, "silent"))
     publishers[EVENTS].publish(event)
+    until(lambda: inbox.wait(BOTH, 0.1), "one of two is enough")
     publishers[PLANE_STATE].publish(MESSAGES[0])
     (found,) = receive(inbox, EVENTS, 1)
     assert found.rstrip(b"\0") == event.rstrip(b"\0")
     assert receive(inbox, PLANE_STATE, 1) == [MESSAGES[0]]
     assert inbox.take(EVENTS) is None
-
-
-def test_nothing_there_is_none_and_a_wait_that_ends(inbox: Receiver) -> None:
-    assert inbox.take(PLANE_STATE) is None
-    assert inbox.wait(BOTH, 0.01) is False
-    assert inbox.publisher_count(PLANE_STATE) == 0
-
-
-def test_a_wait_ends_when_something_is_there(node: SwarmNode, inbox: Receiver) -> None:
-    publishers = {topic: advertise(node, topic) for topic in BOTH}
-    matched(publishers, inbox)
-    publishers[EVENTS].publish(encode(SwarmEvent(0, 0, 0, EventKind.JOINED, 0.0, "")))
-    deadline = time.monotonic() + 10.0
-    while not inbox.wait(BOTH, 5.0):
-        assert time.monotonic() < deadline
-    assert inbox.take(EVENTS) is not None
 
 
 def test_an_executor_leaves_alone_what_a_loop_takes(node: SwarmNode) -> None:
@@ -133,7 +109,26 @@ def test_an_rclpy_that_has_changed_is_named_with_the_way_out(node: SwarmNode, mo
         receiver(node, SUBSCRIPTIONS, "wait_set")
 
 
-@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_every_topic_has_its_ros_type(topic: Topic) -> None:
-    assert ros_type(topic).__name__ == topic.message.__name__
-    assert ros_type(topic).__module__.startswith("swarmabs_msgs.msg")
+@pytest.mark.parametrize(("driver", "topic"), [(driver, topic) for driver in OFFERED for topic in OFFERED[driver]])
+def test_offers_suffice_each_reader_and_assert_life_in_real_time_where_every_period_is_published(
+    driver: Driver, topic: Topic
+) -> None:
+    offered, asserts = profile(OFFERED[driver][topic]), driver is REALTIME and topic in MAIN_TOPICS
+    assert offered.history is QoSHistoryPolicy.KEEP_LAST
+    assert offered.depth == OFFERED[driver][topic].depth > 0
+    assert offered.deadline.nanoseconds == 0
+    assert (offered.liveliness is QoSLivelinessPolicy.MANUAL_BY_TOPIC) is asserts
+    assert offered.liveliness_lease_duration.nanoseconds == (500_000_000 if asserts else 0)
+    for reliable in (False, True):
+        wanted = requested(topic, driver, depth=7, reliable=reliable)
+        assert (wanted.depth, wanted.lease) == (7, 0.0)
+        assert reliable or wanted.reliability == "best_effort"
+        compatible, reason = qos_check_compatible(offered, profile(wanted))
+        assert compatible != QoSCompatibility.ERROR, reason
+
+
+def test_events_wait_for_those_who_come_later_and_ages_decide_before_the_middleware_does() -> None:
+    assert OFFERED[LOCKSTEP][EVENTS] == Qos("reliable", 1000, "transient_local")
+    limits = Realtime()
+    assert max(limits.broadcast_age_limit, limits.state_age_limit, limits.plane_age_limit) < LEASE
+    assert Schedule(10_000_000).steps(LEASE) > 10, "a lost message or two is no death"

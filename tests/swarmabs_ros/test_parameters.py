@@ -1,21 +1,28 @@
-"""Parameters of a real node: declared, described, checked, read-only."""
+"""Parameters: those of a real node are declared, described, checked, read-only; those of all nodes are of one style."""
 
-from __future__ import annotations
+import importlib
+import re
 
 import pytest
 from rclpy.parameter import Parameter as RosParameter
 from tests.swarmabs_ros.nodes import given, started_node
 
+from swarmabs_config.graph import LOCKSTEP, NODES, REALTIME, Driver
+from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, Value
-from swarmabs_ros.parameters import declare
+from swarmabs_core.realtime.drives import TOPIC
+from swarmabs_ros.parameters import declare, table_of
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
+from swarmabs_ros.runner import COMMON
 
-pytestmark = pytest.mark.usefixtures("ros")
+with_ros = pytest.mark.usefixtures("ros")
 
 TABLE = (
-    Parameter("mass", 0.5, "mass, kg", above=0.0),
+    Parameter("mass", 0.5, "mass, kg", above=0.0, below=9.0),
     Parameter("angle", 0.1, "angle, rad", minimum=-1.5, maximum=1.5),
     Parameter("count", 3, "a number of things", minimum=1, maximum=65535),
+    Parameter("seed", 5, "a number without an end", minimum=0),
     Parameter("kind", "square", "a kind", choices=("square", "round")),
     Parameter("loud", default=False, description="whether to shout"),
     Parameter("gains", (1.0, 2.0), "two gains, 1/s", above=0.0, length=2),
@@ -25,117 +32,108 @@ TABLE = (
 DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 
 
-def values_of(*arguments: str) -> dict[str, Value]:
-    with started_node(*arguments) as node:
-        return declare(node, TABLE)
-
-
-def test_defaults_are_the_tables() -> None:
-    assert values_of() == DEFAULTS
-
-
+@with_ros
 @pytest.mark.parametrize(
     ("name", "text", "value"),
     [
-        ("mass", "0.25", 0.25),
+        ("use_sim_time", "false", None),
         ("mass", "2", 2.0),
         ("mass", "1e-05", 1e-05),
-        ("angle", "-1.5", -1.5),
         ("angle", "1", 1.0),
-        ("count", "65535", 65535),
-        ("kind", "round", "round"),
         ("kind", "'round'", "round"),
         ("loud", "true", True),
-        ("gains", "[3.0, 4.5]", (3.0, 4.5)),
         ("gains", "[3, 4]", (3.0, 4.0)),
         ("ids", "[9]", (9,)),
         ("texts", "['kill 3 500', 'a: b']", ("kill 3 500", "a: b")),
     ],
 )
-def test_a_value_is_taken_as_the_type_that_is_due(name: str, text: str, value: Value) -> None:
-    found = values_of(*given(**{name: text}))
-    assert found == DEFAULTS | {name: value}
-    assert type(found[name]) is type(value)
-    if isinstance(value, tuple):
-        assert [type(item) for item in found[name]] == [type(item) for item in value]  # type: ignore[union-attr]
+def test_a_value_is_taken_as_the_type_that_is_due(name: str, text: str, value: Value | None) -> None:
+    with started_node(*given(**{name: text})) as node:
+        found = declare(node, TABLE)
+    assert repr(found) == repr(DEFAULTS if value is None else DEFAULTS | {name: value})
 
 
+@with_ros
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("mass", "0.0"),
-        ("mass", "-1"),
-        ("mass", ".nan"),
-        ("mass", ".inf"),
-        ("mass", "heavy"),
-        ("mass", "true"),
-        ("mass", "[1.0]"),
-        ("angle", "1.6"),
-        ("angle", "-2"),
-        ("angle", ".nan"),
-        ("count", "0"),
-        ("count", "65536"),
-        ("count", "2.5"),
-        ("kind", "oval"),
-        ("kind", "3"),
-        ("loud", "1"),
-        ("loud", "maybe"),
-        ("gains", "[1.0]"),
-        ("gains", "[1.0, 2.0, 3.0]"),
-        ("gains", "[1.0, -2.0]"),
-        ("gains", "[a, b]"),
-        ("ids", "[0]"),
-        ("ids", "[1.5]"),
-        ("texts", "[1, 2]"),
+        ("masss", "0.75"),
+        *(("mass", text) for text in ("-1", "heavy", "[1.0]")),
+        *(("count", "2.5"), ("kind", "3"), ("loud", "1")),
+        *(("gains", "[1.0]"), ("gains", "[a, b]"), ("texts", "[1, 2]")),
     ],
 )
 def test_a_wrong_value_is_refused_in_one_line_that_names_it(name: str, text: str) -> None:
     with started_node(*given(**{name: text})) as node, pytest.raises(InputError) as refusal:
         declare(node, TABLE)
     message = str(refusal.value)
-    assert message.startswith(f"parameter {name}: ")
-    assert "\n" not in message
-    description = next(parameter.description for parameter in TABLE if parameter.name == name)
-    assert description in message
+    assert message.startswith(f"parameter {name}: ") and "\n" not in message
+    unknown = "probe has none of this name; did you mean mass?"
+    assert next((parameter.description for parameter in TABLE if parameter.name == name), unknown) in message
 
 
-def test_parameters_describe_themselves() -> None:
+@with_ros
+def test_parameters_have_defaults_describe_themselves_and_cannot_be_changed_later() -> None:
     with started_node() as node:
-        declare(node, TABLE)
+        assert declare(node, TABLE) == DEFAULTS
         for parameter in TABLE:
             descriptor = node.describe_parameter(parameter.name)
             assert descriptor.description == parameter.description
             assert descriptor.read_only
+        (result,) = node.set_parameters([RosParameter("mass", value=2.0)])
+        assert not result.successful
+        assert node.get_parameter("mass").value == DEFAULTS["mass"]
         mass, angle, count, kind, gains = (
             node.describe_parameter(name) for name in ("mass", "angle", "count", "kind", "gains")
         )
-    assert mass.additional_constraints == "more than 0"
+    assert mass.additional_constraints == "more than 0; less than 9"
     assert kind.additional_constraints == "one of square, round"
     assert gains.additional_constraints == "more than 0; 2 elements"
-    (bounds,) = angle.floating_point_range
-    assert (bounds.from_value, bounds.to_value) == (-1.5, 1.5)
-    (integers,) = count.integer_range
-    assert (integers.from_value, integers.to_value) == (1, 65535)
+    ranges = [*angle.floating_point_range, *count.integer_range]
+    assert [(each.from_value, each.to_value) for each in ranges] == [(-1.5, 1.5), (1, 65535)]
 
 
-@pytest.mark.parametrize(("name", "value"), [("mass", 2.0), ("count", 4), ("kind", "round"), ("gains", [5.0, 6.0])])
-def test_nothing_can_be_changed_later(name: str, value: object) -> None:
-    with started_node() as node:
-        declare(node, TABLE)
-        before = node.get_parameter(name).value
-        (result,) = node.set_parameters([RosParameter(name, value=value)])
-        assert not result.successful
-        assert node.get_parameter(name).value == before
+COMMONS = {LOCKSTEP: COMMON, REALTIME: REALTIME_COMMON}
 
 
-def test_a_name_that_is_not_in_the_table_is_refused_with_the_nearest() -> None:
-    with (
-        started_node(*given(masss="0.75")) as node,
-        pytest.raises(InputError, match=r"^parameter masss: probe has none of this name; did you mean mass\?$"),
-    ):
-        declare(node, TABLE)
+def own(name: str, driver: Driver) -> tuple[Parameter, ...]:
+    """Return a node's parameters without those that all nodes have."""
+    table = importlib.import_module(NODES[name].modules[driver]).PARAMETERS
+    return tuple(parameter for parameter in table_of({}, (), table) if parameter not in COMMONS[driver])
 
 
-def test_what_every_node_may_be_given_is_no_unknown_name() -> None:
-    with started_node(*given(use_sim_time="false")) as node:
-        assert declare(node, TABLE) == DEFAULTS
+TABLES = {
+    **{f"{driver.value} common": common for driver, common in COMMONS.items()},
+    **{f"{driver.value} {name}": own(name, driver) for name, node in NODES.items() for driver in node.modules},
+    **{f"controller {name}": entry.settings for name, entry in CONTROLLERS.built_in.items()},
+    "topic drive": TOPIC.settings,
+}
+UNIT = re.compile(r"\b(ns|s|m|kg|rad|N|steps)\b|1/|0 to 1|probability|smoothing|gain|weight|friction", re.IGNORECASE)
+
+EITHER_SIGN = {
+    *("position", "velocity", "angular_velocity", "gains", "controller.gains", "adaptive_initial"),
+    *("amplitude", "angular_frequency", "disturbance.amplitude", "disturbance.angular_frequency"),
+    *("offset", "imu.offset", "scale", "joint.scale"),
+    *("trajectory.amplitude", "trajectory.angular_frequency", "trajectory.value", "trajectory.angle"),
+}
+"""Coordinates, amplitudes and gains: all other numbers have a bound."""
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_names_are_unique_not_common_ones_and_have_defaults_units_and_bounds(name: str) -> None:
+    names = [parameter.name for parameter in TABLES[name]]
+    assert len(set(names)) == len(names)
+    common = REALTIME_COMMON if name.startswith("realtime") else COMMON
+    if TABLES[name] is not common:
+        assert not set(names) & {parameter.name for parameter in common}
+    for parameter in TABLES[name]:
+        assert re.fullmatch(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)*", parameter.name), "a name that ROS takes"
+        assert parameter.check(parameter.default) == parameter.default
+        assert parameter.description
+        default = parameter.default
+        model = default[0] if isinstance(default, tuple) and default else default
+        if isinstance(model, float):
+            assert UNIT.search(parameter.description), parameter
+        if isinstance(model, (int, float)) and not isinstance(model, bool):
+            bounds = (parameter.minimum, parameter.maximum, parameter.above, parameter.below)
+            assert any(bound is not None for bound in bounds) or parameter.name in EITHER_SIGN, parameter

@@ -1,22 +1,19 @@
 """What is checked of a machine, and what is said where something is wrong."""
 
-from __future__ import annotations
-
 import importlib
+import re
 import resource
 import shutil
 import socket
+import types
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from swarmabs_run import doctor
-from swarmabs_run.doctor import Finding, examine
-
-
-def named(check: str) -> Finding:
-    (found,) = [finding for finding in examine() if finding.check == check]
-    return found
+from swarmabs_run.doctor import CHECKS, examine
 
 
 def broken_import(module: str) -> Callable[[str], object]:
@@ -32,41 +29,51 @@ def broken_import(module: str) -> Callable[[str], object]:
 
 def test_this_machine_can_run_swarms() -> None:
     findings = examine()
-    assert not [finding for finding in findings if finding.verdict == "bad"]
+    assert not [finding for finding in findings if finding.verdict == "bad" or "\n" in finding.text]
     assert len({finding.check for finding in findings}) == len(findings)
-    assert all("\n" not in finding.text for finding in findings)
 
 
-@pytest.mark.parametrize(("module", "check"), [("rclpy", "rclpy"), ("swarmabs_msgs", "messages")])
-def test_what_is_missing_is_bad_and_has_a_remedy(module: str, check: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor.importlib, "import_module", broken_import(module))
-    assert named(check).verdict == "bad"
-    assert "swarm" in named(check).text or "build" in named(check).text
+def refuse(*_: object) -> None:
+    raise OSError(101, "Network is unreachable")
 
 
-def test_an_rclpy_that_has_changed_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("rclpy.impl.implementation_singleton.rclpy_implementation.WaitSet")
-    assert named("rclpy") == Finding(
-        "rclpy", "note", "cannot be waited on directly; nodes need the parameter receive:=executor"
-    )
+FULL = shutil.disk_usage("/")._replace(free=10**6)
+NO_WAIT_SET = types.SimpleNamespace(rclpy_implementation=types.SimpleNamespace())
 
 
-def test_missing_scenarios_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "builtin_scenarios", dict)
-    assert named("scenarios").verdict == "bad"
+@pytest.mark.parametrize(
+    ("where", "what", "instead", "check", "verdict", "remedy"),
+    [
+        (doctor.importlib, "import_module", broken_import("rclpy"), "rclpy", "bad", "swarm again"),
+        (doctor.importlib, "import_module", lambda _: NO_WAIT_SET, "rclpy", "note", "receive:=executor"),
+        (doctor.importlib, "import_module", broken_import("swarmabs_msgs"), "messages", "bad", "build"),
+        (doctor.importlib, "import_module", lambda _: NO_WAIT_SET, "messages", "bad", "too old: .*build"),
+        (doctor, "builtin_scenarios", dict, "scenarios", "bad", "missing; build"),
+        (doctor, "builtin_scenarios", lambda: {"x": Path("/nowhere")}, "scenarios", "bad", "build"),
+        (socket.socket, "sendto", refuse, "loopback", "bad", "interface lo"),
+        (socket.socket, "bind", refuse, "ROS domain", "bad", "end other runs"),
+        (resource, "getrlimit", lambda _: (1023, 4096), "open files", "note", "limit 1023; .*ulimit -n 1024"),
+        (resource, "getrlimit", lambda _: (1024, 4096), "open files", "ok", "limit 1024"),
+        (resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2, "open files", "ok", "no limit"),
+        (shutil, "disk_usage", lambda _: FULL, "disk", "note", "only 1 MiB free"),
+        (shutil, "disk_usage", lambda _: FULL._replace(free=3 * 2**30), "disk", "ok", "3.0 GiB free"),
+    ],
+)
+def test_what_is_found_comes_with_its_remedy(
+    monkeypatch: pytest.MonkeyPatch, where: Any, what: str, instead: object, check: str, verdict: str, remedy: str
+) -> None:
+    monkeypatch.setattr(where, what, instead)
+    found, text = CHECKS[check]()
+    assert found == verdict
+    assert re.search(remedy, text)
 
 
-def test_no_udp_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(101, "Network is unreachable")
-
-    monkeypatch.setattr(socket.socket, "sendto", refuse)
-    assert named("loopback").verdict == "bad"
-    assert "lo" in named("loopback").text
-
-
-def test_few_descriptors_and_a_full_disk_are_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (256, 4096))
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9 - 10**6, 10**6))
-    assert (named("open files").verdict, named("disk").verdict) == ("note", "note")
-    assert "ulimit -n" in named("open files").text
+def test_small_buffers_are_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "BUFFERS", tmp_path)
+    assert CHECKS["socket buffers"]() == ("ok", "4 MiB and more")
+    larger = "sysctl -w net.core.rmem_max=4194304 net.core.wmem_max=419"
+    for received, sent, verdict, told in (("4194303", "1", "note", larger), ("4194304", "?", "ok", "4 MiB and more")):
+        (tmp_path / "rmem_max").write_text(received)
+        (tmp_path / "wmem_max").write_text(sent)
+        found, text = CHECKS["socket buffers"]()
+        assert found == verdict and told in text

@@ -1,12 +1,13 @@
-"""The processes of a run that is going on: found by its folder, named by their logs, gone when the run is over."""
-
-from __future__ import annotations
+"""The processes of a run: found by its folder, named by their logs, asked to end, and what they leave behind."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,118 +15,123 @@ import psutil
 import pytest
 from tests.processes import until
 
-from swarmabs_cli import main
 from swarmabs_core.errors import InputError
 from swarmabs_fleet.operate import target
-from swarmabs_run.orchestration.run_files import (
-    PROGRESS_INTERVAL,
-    ProgressFile,
-    RunOverError,
-    Told,
-    environment_of_run,
-    read_progress,
-    start_of,
-)
-from swarmabs_run.processes import RunProcesses, newest_run
+from swarmabs_run import tracing_files
+from swarmabs_run.ending import end_asked, interrupt_once, no_more_interrupts, terminable
+from swarmabs_run.orchestration import run_files
+from swarmabs_run.orchestration.network import FIRST_FREE, profile_xml
+from swarmabs_run.processes import RunProcesses, Snapshot, document, newest_run
+from swarmabs_run.tracing_files import tracing_files_removed
 
 SWARM = [sys.executable, "-m", "swarmabs_cli"]
 NODES = {"plane_sim", "abstraction_observer", "parent_controller", "recorder"}
 NODES |= {f"agent_00{agent}" for agent in (1, 2, 3, 4)}
 
 
-def folder_of(tmp_path: Path, pid: int, name: str = "run") -> Path:
+def folder_of(tmp_path: Path, name: str = "run") -> Path:
+    """Return the folder of a run that this process has started."""
     logs = tmp_path / name / "logs"
     logs.mkdir(parents=True)
-    network = {"domain": 5, "participants": 12, "realtime": False, "orchestrator": pid, "started": start_of(pid)}
-    (logs / "network.json").write_text(json.dumps(network), encoding="utf-8")
+    run_files.write_network(logs, 5, 12)
     return logs.parent
 
 
+def test_processes_are_named_by_their_logs_or_modules(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path)
+    running = RunProcesses(folder)
+    logs = folder / "logs"
+    with ExitStack() as stack:
+        for output, words in ((logs / "plane_sim.log", ()), (tmp_path / "plane_sim.log", ("-m", "swarmabs_view"))):
+            stream = stack.enter_context(output.open("w"))
+            waiting = [sys.executable, "-c", "input()", *words]
+            process = stack.enter_context(subprocess.Popen(waiting, stdin=subprocess.PIPE, stdout=stream))
+            stack.callback(process.kill)
+        first, second = (running.snapshot(time, 1).rows for time in (1.0, 2.0))
+        until(lambda: running.snapshot(3.0).rows[0].cpu, "the time that a snapshot takes shows in the next")
+    names = [row.name for row in first]
+    assert (names[0], first[0].pid) == ("orchestrator", os.getpid())
+    assert {"plane_sim", "view"} <= set(names[1:]) and names[1:] == sorted(names[1:])
+    assert [row.name for row in second] == names
+    assert [row.pss is not None for row in first] == [True] + [False] * (len(names) - 1)
+    assert sum(row.pss is not None for row in second) == 2, "another one's turn"
+    found = document(folder, Snapshot(first, None, 0.0))
+    assert (found["run"], found["step"]) == (str(folder), None)
+    assert [row["pid"] for row in found["processes"]] == [row.pid for row in first]
+
+
 def test_progress_is_written_now_and_then(tmp_path: Path) -> None:
-    file = ProgressFile(tmp_path)
+    file = run_files.ProgressFile(tmp_path)
     file.tell("starting", 0, 100, 10.0)
-    assert read_progress(tmp_path) == Told("starting", 0, 100, None, 10.0)
+    assert run_files.read_progress(tmp_path) == run_files.Told("starting", 0, 100, None, 10.0)
     file.tell("running", 0, 100, 10.1)  # the phase is another one
     file.tell("running", 30, 100, 10.2)
-    assert read_progress(tmp_path) == Told("running", 0, 100, None, 10.1)
-    file.tell("running", 50, 100, 10.1 + PROGRESS_INTERVAL)
-    told = read_progress(tmp_path)
-    assert told is not None and told.step_rate == pytest.approx(50 / PROGRESS_INTERVAL)
+    assert run_files.read_progress(tmp_path) == run_files.Told("running", 0, 100, None, 10.1)
+    file.tell("running", 50, 100, 10.1 + run_files.PROGRESS_INTERVAL)
+    told = run_files.read_progress(tmp_path)
+    assert told is not None and told.step_rate == pytest.approx(50 / run_files.PROGRESS_INTERVAL)
+    file.tell("closing", 60, 100, told.told_at)  # no time has passed
+    assert run_files.read_progress(tmp_path) == run_files.Told("closing", 60, 100, None, told.told_at)
     file.over()
-    told = read_progress(tmp_path)
-    assert told is not None and told[:4] == ("over", 50, 100, None)
+    told = run_files.read_progress(tmp_path)
+    assert told is not None and told[:4] == ("over", 60, 100, None)
     assert [path.name for path in tmp_path.iterdir()] == ["progress.json"]
+    run_files.ProgressFile(tmp_path / "nowhere").tell("running", 1, 2, 3.0)  # a full disk does not end the run
 
 
-def test_a_full_disk_does_not_end_the_run(tmp_path: Path) -> None:
-    ProgressFile(tmp_path / "nowhere").tell("running", 1, 2, 3.0)
-
-
-@pytest.mark.parametrize("content", ["", "[]", "{}", "null", '{"orchestrator": null}', '{"orchestrator": "x"}'])
-def test_a_damaged_folder_is_refused(tmp_path: Path, content: str) -> None:
-    folder = folder_of(tmp_path, 1)
-    (folder / "logs" / "network.json").write_text(content, encoding="utf-8")
-    with pytest.raises(InputError, match=r"network\.json: not what a run writes there"):
-        RunProcesses(folder)
-
-
-def test_folders_without_a_run_are_refused(tmp_path: Path) -> None:
+def test_folders_that_are_damaged_or_without_a_run_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not the folder of a run with processes"):
         RunProcesses(tmp_path)
     with pytest.raises(InputError, match=r"no run in .* is going on"):
         newest_run(tmp_path)
+    folder = folder_of(tmp_path)
+    for content in ("", "[]", "{}", "null", '{"orchestrator": null}', '{"orchestrator": "x"}'):
+        (folder / "logs" / "network.json").write_text(content, encoding="utf-8")
+        with pytest.raises(InputError, match=r"network\.json: not what a run writes there"):
+            RunProcesses(folder)
 
 
 def test_a_process_that_has_got_the_id_later_is_not_the_run(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, os.getpid())
+    folder = folder_of(tmp_path)
     assert RunProcesses(folder).going_on()
     network = folder / "logs" / "network.json"
     written = json.loads(network.read_text())
     network.write_text(json.dumps(written | {"started": written["started"] - 1}))
-    with pytest.raises(RunOverError, match="this run is over"):
-        RunProcesses(folder)
-    with pytest.raises(RunOverError, match="this run is over"):
-        environment_of_run(folder)
+    for look in (RunProcesses, run_files.environment_of_run):
+        with pytest.raises(run_files.RunOverError, match="this run is over"):
+            look(folder)
     with pytest.raises(InputError, match="no run in"):
         newest_run(tmp_path)
 
 
 def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
     """The process that has started it may live on, such as a notebook."""
-    folder = folder_of(tmp_path, os.getpid())
-    processes = RunProcesses(folder)
-    assert environment_of_run(folder)["ROS_DOMAIN_ID"] == "5"
-    ProgressFile(folder / "logs").over()
-    assert not processes.going_on()
-    with pytest.raises(RunOverError):
-        environment_of_run(folder)
-    with pytest.raises(RunOverError), target(folder):
+    folder = folder_of(tmp_path)
+    with pytest.raises(InputError, match="a run in lockstep has no operator; look at it with top"), target(folder):
         pass
-
-
-def test_a_run_in_lockstep_has_no_operator(tmp_path: Path) -> None:
-    with (
-        pytest.raises(InputError, match="a run in lockstep has no operator; look at it with top"),
-        target(folder_of(tmp_path, os.getpid())),
-    ):
+    processes = RunProcesses(folder)
+    file = run_files.ProgressFile(folder / "logs")
+    file.tell("running", 0, 100, 10.0)
+    file.tell("running", 60, 100, 11.0)
+    assert processes.snapshot(11.5).step_rate == pytest.approx(60.0)
+    assert processes.snapshot(20.0).step_rate is None, "the speed of a run that stands still is not known"
+    environment = run_files.environment_of_run(folder)
+    assert environment["ROS_DOMAIN_ID"] == "5"
+    profile = Path(environment["FASTDDS_DEFAULT_PROFILES_FILE"])
+    assert profile.read_text() == profile_xml(5, peers=range(12), participant=FIRST_FREE)
+    file.over()
+    assert not processes.going_on()
+    with pytest.raises(run_files.RunOverError):
+        run_files.environment_of_run(folder)
+    with pytest.raises(run_files.RunOverError), target(folder):
         pass
 
 
 def test_the_start_of_a_process_is_the_kernels() -> None:
-    ticks, hertz = start_of(os.getpid()), os.sysconf("SC_CLK_TCK")
+    ticks, hertz = run_files.start_of(os.getpid()), os.sysconf("SC_CLK_TCK")
     assert ticks is not None
     assert psutil.Process().create_time() == pytest.approx(psutil.boot_time() + ticks / hertz, abs=1.0)
-    assert start_of(2**22 + 1) is None
-
-
-def test_the_speed_of_a_run_that_stands_still_is_not_known(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, os.getpid())
-    file = ProgressFile(folder / "logs")
-    file.tell("running", 0, 100, 10.0)
-    file.tell("running", 60, 100, 11.0)
-    processes = RunProcesses(folder)
-    assert processes.snapshot(11.5).step_rate == pytest.approx(60.0)
-    assert processes.snapshot(20.0).step_rate is None
+    assert run_files.start_of(2**22 + 1) is None
 
 
 def top(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -140,19 +146,19 @@ def test_top_of_a_run(tmp_path: Path, nothing_survives: str) -> None:
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as run:
         folder = tmp_path / "runs" / "pd_het_4-001"
         try:
-            until(lambda: (told := read_progress(folder / "logs")) is not None and told.step > 100, "steps", 60.0)
+            until(
+                lambda: (told := run_files.read_progress(folder / "logs")) is not None and told.step > 100,
+                "steps",
+                60.0,
+            )
             found = json.loads(top("--json", cwd=tmp_path).stdout)
             rows = {row["name"]: row for row in found["processes"]}
             assert rows.keys() == NODES | {"orchestrator", "launcher"}
             assert (found["run"], found["phase"], found["steps"]) == ("runs/pd_het_4-001", "running", 1_000_000)
             assert found["step"] > 100 and found["step_rate"] > 0.0
-            assert rows["orchestrator"]["pid"] == run.pid
-            children = {child.pid: child for child in psutil.Process(run.pid).children(recursive=True)}
+            children = {child.pid: child.name() for child in psutil.Process(run.pid).children(recursive=True)}
             assert {row["pid"] for row in rows.values()} == {run.pid, *children}
-            # The kernel knows a node by the first 15 characters of its name.
-            assert all(children[rows[node]["pid"]].name()[:15] == node[:15] for node in NODES)
             assert all(0 < row["pss"] <= 2 * row["rss"] for row in rows.values())
-            assert sum(row["cpu"] for row in rows.values()) > 0.0
             shown = top(folder, "--once").stdout
             assert all(f"\n{node} " in shown for node in NODES) and "steps/s" in shown
             # Without an end it ends with the run, as a pager's input or on a terminal.
@@ -170,12 +176,117 @@ def test_top_of_a_run(tmp_path: Path, nothing_survives: str) -> None:
     assert (over.returncode, over.stderr) == (2, text)
 
 
-def test_refusals_of_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["top"]) == 2
-    assert main(["top", "nowhere"]) == 2
-    errors = capfd.readouterr().err.splitlines()
-    assert errors[0].startswith("error: no run in runs/ is going on")
-    assert errors[1].startswith("error: nowhere is not the folder of a run with processes")
+ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.fixture
+def handlers() -> Iterator[list[object]]:
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ASKING}
+    yield [signal.SIG_IGN] * len(ASKING)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def current() -> list[object]:
+    return [signal.getsignal(number) for number in ASKING]
+
+
+@pytest.mark.parametrize("number", ASKING)
+def test_a_signal_is_noted_or_interrupts_while_that_is_wanted(number: int, handlers: list[object]) -> None:
+    with end_asked() as asked:
+        assert not asked()
+        signal.raise_signal(number)
+        assert asked()
+    assert current() == handlers
+    with pytest.raises(KeyboardInterrupt), terminable():
+        signal.raise_signal(number)
+    assert current() == handlers
+    interrupt_once()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(number)
+    for later in ASKING:
+        signal.raise_signal(later)
+
+
+def test_beside_the_main_thread_signals_are_left_alone(handlers: list[object]) -> None:
+    def during() -> tuple[bool, list[object]]:
+        with end_asked() as asked:
+            return asked(), current()
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(during).result() == (False, handlers)
+    # Who has not asked for interrupts keeps its own.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    no_more_interrupts()
+    assert current()[0] is signal.default_int_handler
+
+
+_MAPPER = (
+    "import mmap, sys; f = open(sys.argv[1], 'r+b'); m = mmap.mmap(f.fileno(), 0); f.close();"
+    "print('mapped', flush=True); sys.stdin.read()"
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(tracing_files, "SHARED_MEMORY", tmp_path)
+    return tmp_path
+
+
+def made(folder: Path, name: str = "lttng-ust-wait-6") -> Path:
+    path = folder / name
+    path.write_bytes(bytes(4096))
+    return path
+
+
+@contextmanager
+def mapped(path: Path) -> Iterator[None]:
+    """Let another process map a file, as a program does that has loaded rclpy."""
+    words = [sys.executable, "-c", _MAPPER, str(path)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"mapped\n"
+        yield
+        process.communicate()
+
+
+def test_files_from_before_and_from_the_block_are_removed_also_after_an_error(folder: Path) -> None:
+    made(folder, "lttng-ust-wait-5")
+    with suppress(KeyboardInterrupt), tracing_files_removed():
+        made(folder)
+        raise KeyboardInterrupt
+    assert not list(folder.iterdir())
+
+
+def test_a_file_that_another_program_uses_stays_until_the_last_one_ends(folder: Path) -> None:
+    with tracing_files_removed():
+        path = made(folder)
+        other = mapped(path)
+        other.__enter__()
+    assert path.exists(), "it was made in the block, but another program uses it now"
+    with tracing_files_removed():
+        other.__exit__(None, None, None)
+    assert not path.exists()
+
+
+def test_shared_files_stay_where_their_users_are_unknown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other, shared = made(folder, "someone-elses"), made(folder)
+    own = made(folder, f"lttng-ust-wait-6-{tracing_files.os.getuid()}")
+    with monkeypatch.context() as patch:
+        patch.setattr(tracing_files, "mapped_by_others", lambda: (set(), True))
+        with tracing_files_removed():
+            new = made(folder, "lttng-ust-wait-8")
+    assert [path.exists() for path in (other, shared, own)] == [True, True, False]
+    assert not new.exists(), "nobody else can have had the time to use it"
+    with tracing_files_removed():
+        theirs = made(folder, "lttng-ust-wait-9")
+        monkeypatch.setattr(tracing_files.os, "getuid", lambda: 12345)
+    assert other.exists() and theirs.exists()
+
+
+def test_a_living_parent_removes_the_files_of_a_process(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tracing_files_removed(if_orphaned=True):
+        path = made(folder)
+    assert path.exists()
+    with tracing_files_removed(if_orphaned=True):
+        monkeypatch.setattr(tracing_files.os, "getppid", lambda: 1)
+    assert not path.exists()

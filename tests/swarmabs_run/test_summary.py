@@ -1,7 +1,6 @@
 """What a run comes to, in numbers that JSON has."""
 
-from __future__ import annotations
-
+import io
 import json
 import re
 from pathlib import Path
@@ -24,10 +23,6 @@ FIGURES = {
     "digest": "ab" * 32,
 }
 TIMES = Times(6.54321)
-KEYS = {
-    *("scenario", "steps", "duration", "wall_time", "real_time_factor", "agents", "settled_at", "final_error"),
-    *("rms_error", "max_abs_position", "messages", "digest", "status", "setup_time", "startup_time", "run_time"),
-}
 
 
 def summary(figures: dict[str, Any] | None = None, times: Times = TIMES, **changes: Any) -> dict[str, Any]:
@@ -36,82 +31,107 @@ def summary(figures: dict[str, Any] | None = None, times: Times = TIMES, **chang
     return summarise(find_scenario("pd_het_4"), outcome, times)
 
 
-def test_a_complete_run() -> None:
-    found = summary()
-    assert found.keys() >= KEYS
-    assert FIGURES.items() <= found.items()
-    assert (found["scenario"], found["steps"], found["duration"], found["agents"]) == ("pd_het_4", 3000, 30.0, 4)
-    assert (found["wall_time"], found["real_time_factor"], found["status"]) == (6.543, 6.0, "ok")
-
-
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "unknown"),
     [
-        {"figures": {}},
-        {"status": "failed", "reason": "agent 3 is dead"},
-        {"status": "interrupted", "stepping_seconds": None},
-        {"stepping_seconds": 0.0},
-        {"stepping_seconds": None},
+        ({"figures": {}}, FIGURES),
+        ({"status": "failed", "reason": "agent 3 is dead"}, {"real_time_factor"}),
+        ({"stepping_seconds": 0.0}, {"real_time_factor"}),
+        ({"stepping_seconds": None}, {"real_time_factor", "run_time"}),
     ],
 )
-def test_what_is_not_known_is_null(changes: dict[str, Any]) -> None:
-    found = summary(**changes)
-    text = json.dumps(found, allow_nan=False)
-    assert json.loads(text).keys() >= KEYS
-    if "status" in changes or "stepping_seconds" in changes:
-        assert found["real_time_factor"] is None
-    if "figures" in changes:
-        assert all(found[name] is None for name in FIGURES)
+def test_what_is_not_known_is_null(changes: dict[str, Any], unknown: set[str]) -> None:
+    found, complete = summary(**changes), summary()
+    sizes = {"scenario": "pd_het_4", "steps": 3000, "duration": 30.0, "agents": 4}
+    times = {"wall_time": 6.543, "real_time_factor": 6.0, "status": "ok"}
+    assert (FIGURES | sizes | times).items() <= complete.items()
+    assert json.loads(json.dumps(found, allow_nan=False)).keys() == complete.keys()
+    assert {name for name in found if found[name] is None} - {"startup_time", "reason", "rerun_of"} == set(unknown)
 
 
 def shown(found: dict[str, Any], folder: Path) -> str:
-    console = Console(width=200, record=True, file=(folder / "out").open("w"), force_terminal=False)
-    with console.file:
-        console.print(summary_table(found, RunFolder(folder)))
-        return console.export_text()
+    told = io.StringIO()
+    Console(width=300, file=told).print(summary_table(found, RunFolder(folder)))
+    return told.getvalue()
 
 
-def test_set_up_start_and_run_are_told_apart(tmp_path: Path) -> None:
-    found = summary(times=Times(94.21, setup=85.06, startup=2.34))
-    assert [found[name] for name in ("wall_time", "setup_time", "startup_time", "run_time")] == [
-        94.21,
-        85.06,
-        2.34,
-        5.0,
-    ]
-    assert "94.2 s: set-up 85.1 s, start 2.3 s, run 5.0 s, 6.0 x real time" in shown(found, tmp_path)
+def rows_of(text: str) -> dict[str, str]:
+    found = (re.split(r" {2,}|(?<=max \|position\|) ", line.strip(), maxsplit=1) for line in text.splitlines())
+    return {row[0]: row[-1] for row in found}
 
 
-def test_a_set_up_that_was_there_is_not_shown(tmp_path: Path) -> None:
-    text = shown(summary(times=Times(7.5, setup=0.02, startup=2.34)), tmp_path)
-    assert "7.5 s: start 2.3 s, run 5.0 s" in text
-    assert "set-up" not in text
+STEPPED = "run 5.0 s, 6.0 x real time"
+NEVER_STEPPED = {"status": "failed", "reason": "no", "stepping_seconds": None}
 
 
-def test_of_a_run_that_never_stepped_the_whole_time_is_shown(tmp_path: Path) -> None:
-    found = summary({}, times=Times(3.21), status="failed", reason="no", stepping_seconds=None)
-    assert (found["startup_time"], found["run_time"]) == (None, None)
-    assert "wall time       3.2 s\n" in re.sub(r" +\n", "\n", shown(found, tmp_path))
+@pytest.mark.parametrize(
+    ("times", "changes", "words"),
+    [
+        (Times(94.21, setup=85.06, startup=2.34), {}, f"9.1 s: start 2.3 s, {STEPPED}\n"),
+        (Times(7.5, setup=0.02, startup=2.34), {}, f"7.5 s: start 2.3 s, {STEPPED}\n"),
+        (Times(3.21), NEVER_STEPPED, "3.2 s\n"),
+    ],
+)
+def test_known_times_are_told_apart(tmp_path: Path, times: Times, changes: dict[str, Any], words: str) -> None:
+    found = summary(times=times, **changes)
+    assert (found["wall_time"], found["setup_time"], found["startup_time"]) == (times.wall, times.setup, times.startup)
+    assert found["run_time"] == changes.get("stepping_seconds", 5.0)
+    assert f"wall time       {words}" in re.sub(r" +\n", "\n", shown(found, tmp_path))
+
+
+REALTIME = {
+    "missed_periods": {"agent_001": 0, "plane_sim": 3},
+    "longest_us": {"agent_001": 1200, "plane_sim": 4300},
+    "losses": {"plane/state": {"missing": 0}, "swarm/agent_state": {"missing": 7}},
+    "broadcast_ages": {"1": 50, "2": 4, "3": 3, "4": 2, "9": 1},
+    "safe_stops": 2,
+    "died": {"agent_001": "was killed by SIGKILL"},
+}
+
+
+SHOWN = {
+    "missed periods": "plane_sim 3",
+    "latest step": "4.3 ms late",
+    "missing messages": "swarm/agent_state 7",
+    "broadcasts used": "50 after 1 steps, 4 after 2 steps, 3 after 3 steps, 3 after up to 9 steps",
+    "safe stops": "2",
+    "died": "agent_001 was killed by SIGKILL",
+}
+NONE_SHOWN = {"missed periods": "none", "latest step": "-", "missing messages": "none", "safe stops": "0"}
+
+
+@pytest.mark.parametrize(("realtime", "rows"), [(REALTIME, SHOWN), ({}, NONE_SHOWN)])
+def test_a_run_in_real_time_has_no_digest(tmp_path: Path, realtime: dict[str, Any], rows: dict[str, str]) -> None:
+    found = summary({**FIGURES, "realtime": realtime})
+    assert found["realtime"] == realtime
+    told = rows_of(shown(found, tmp_path))
+    assert rows.items() <= told.items()
+    assert "digest" not in told and ("died" in told) is ("died" in realtime)
+
+
+def test_what_is_run_again_says_what_came_of_it(tmp_path: Path) -> None:
+    for same, compared, words in (
+        (True, {"compared": "whole"}, "b: the same digest"),
+        (True, {"compared": "prefix", "last_step": 7}, "b: the same up to its last step, 7"),
+        (False, {"compared": "prefix"}, "b: not the same digest"),
+        (None, {"compared": "whole"}, "b: digests not comparable"),
+    ):
+        found = {**summary(), "rerun_of": {"bag": "b", "same": same, **compared}}
+        assert rows_of(shown(found, tmp_path))["rerun of"] == words
 
 
 @pytest.mark.parametrize("figures", [FIGURES, {}, {**FIGURES, "settled_at": None}, {**FIGURES, "settled_at": 0.0}])
 def test_the_table_shows_it_all(figures: dict[str, Any], tmp_path: Path) -> None:
-    text = shown(summary(figures), tmp_path)
-    assert "pd_het_4, 4 robots, 3000 steps" in text
-    assert str(tmp_path) in text
-    assert "None" not in text
-    if figures:
-        assert figures["digest"] in text
-    settled = figures.get("settled_at")
-    assert ("not within 0.01 rad" if settled is None else f"from t = {settled:g} s") in text
-
-
-def test_the_table_takes_a_name_as_it_is(tmp_path: Path) -> None:
-    """A folder that looks like the markup of the terminal library."""
+    (tmp_path / "[bold]x[/bold]" / "bag").mkdir(parents=True)  # as the markup of the terminal library
     folder = tmp_path / "[bold]x[/bold]"
-    console = Console(width=300, record=True, quiet=True)
-    console.quiet = False
-    with (tmp_path / "out").open("w") as stream:
-        console.file = stream
-        console.print(summary_table(summary(), RunFolder(folder)))
-        assert "[bold]x[/bold]" in console.export_text()
+    told = rows_of(shown(summary(figures), folder))
+    assert "bag" not in told and "rerun of" not in told
+    (folder / "bag" / "metadata.yaml").touch()
+    assert rows_of(shown(summary(figures), folder))["bag"] == str(folder / "bag")
+    assert told["scenario"] == "pd_het_4, 4 robots, 3000 steps"
+    assert (told["folder"], told["status"]) == (str(folder), "ok")
+    settled = figures.get("settled_at")
+    assert told["settled"] == ("not within 0.01 rad" if settled is None else f"within 0.01 rad from t = {settled:g} s")
+    assert told["digest"] == (figures["digest"] if figures else "-")
+    assert told["max |position|"] == ("0.14 m" if figures else "-")
+    assert told["messages"] == ("24008" if figures else "0")

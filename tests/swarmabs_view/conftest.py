@@ -1,34 +1,46 @@
 """Bags, servers of them as real processes, and a real browser."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
 from tests.swarmabs_analysis.figures.conftest import record
 
-from swarmabs_view.protocol import Abstract, Frame, Hello, Message, Robot, RobotStates, State
+from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
+from swarmabs_view.protocol import Frame, Hello, Message, Robot, State
 
-COMMAND = (sys.executable, "-m", "swarmabs_cli", "view")
-CHANGES = (
-    "duration=4.0",
-    "faults=[{at: 1.0, kind: kill, agent: 1}, {at: 2.0, kind: leave, agent: 2}]",
+HELLO = Hello(
+    source="swarm",
+    title="sample",
+    place="here",
+    period=None,
+    last_step=None,
+    robots=[],
+    plane=None,
+    manifold=None,
+    regions=None,
+    playback=False,
 )
+Kind = TypeVar("Kind", bound=Message)
+COMMAND = (sys.executable, "-m", "swarmabs_cli", "view")
+CHANGES = ("duration=4.0", "faults=[{at: 1.0, kind: kill, agent: 1}, {at: 2.0, kind: leave, agent: 2}]")
 
 
-@dataclass
-class Served:
+def told(said: Iterable[Message], kind: type[Kind]) -> list[Kind]:
+    """Return the messages of a kind."""
+    return [message for message in said if isinstance(message, kind)]
+
+
+class Served(NamedTuple):
     """A view that is served by a process."""
 
     url: str
@@ -37,7 +49,6 @@ class Served:
 
     @property
     def port(self) -> int:
-        """Port of the server."""
         return int(self.url.rstrip("/").rpartition(":")[2])
 
 
@@ -133,18 +144,13 @@ def seek(page: Page, step: int) -> None:
 
 
 class PageServer:
-    """What the page takes for the server's connection; a test says what comes, and sees what the page says.
+    """What the page, whose files come from a real server, takes for the server's connection.
 
-    Parameters
-    ----------
-    page : Page
-        Gets its files from a real server.
-    url : str
-        Of that server.
+    A test says what comes, and sees what the page says.
     """
 
     def __init__(self, page: Page, url: str) -> None:
-        self.refusing = False
+        self.refusing = 0
         self._page, self._url = page, url
         self._first: tuple[Message, ...] = ()
         self._sockets: list[WebSocketRoute] = []
@@ -156,41 +162,17 @@ class PageServer:
     def open(self, *messages: Message, hash_: str = "") -> None:
         """Have the page opened; each connection begins with two robots of a run, and with these messages."""
         robots = [Robot(id=n, kind="single_integrator", mass=0.1 * n, damping=None) for n in (1, 2)]
-        self._first = (
-            Hello(
-                source="run",
-                title="a run",
-                place="runs/a",
-                period=0.01,
-                last_step=None,
-                robots=robots,
-                plane=None,
-                manifold=None,
-                regions=None,
-                playback=False,
-            ),
-            *messages,
-            Frame(
-                step=3,
-                time=0.03,
-                angle=0.1,
-                angular_velocity=0.0,
-                reference=0.0,
-                abstract=Abstract(torque=0.0, inertia=0.1),
-                desired=Abstract(torque=0.0, inertia=0.1),
-                robots=RobotStates(
-                    position=[0.1, -0.1], velocity=[0.0] * 2, command=[0.0] * 2, status=["active", "dead"]
-                ),
-                step_rate=100.0,
-            ),
-            State(phase="running", text=""),
-        )
+        hello = HELLO.model_copy(update={"source": "run", "period": 0.01, "robots": robots})
+        state = Abstract(0.0, 0.1)
+        shown = [ShownRobot(0.1, 0.0, 0.0, "active"), ShownRobot(-0.1, 0.0, 0.0, "dead")]
+        frame = Frame.of(Instant(3, 30_000_000, 0.03, 0.1, 0.0, 0.0, state, state), shown, 100.0)
+        self._first = (hello, *messages, frame, State(phase="running", text=""))
         self._page.goto(self._url + hash_)
         expect(self._page.locator("#step")).to_have_attribute("value", "3")
 
     def _connect(self, socket: WebSocketRoute) -> None:
         if self.refusing:
-            socket.close(code=1011)
+            socket.close(code=self.refusing)
             return
         self._sockets.append(socket)
         socket.on_message(lambda text: self._heard.append(json.loads(text)))
@@ -198,11 +180,9 @@ class PageServer:
             socket.send(message.model_dump_json())
 
     def send(self, message: Message) -> None:
-        """Send the page a message."""
         self._sockets[-1].send(message.model_dump_json())
 
     def close(self, code: int = 1011) -> None:
-        """End the connection."""
         self._sockets[-1].close(code=code)
 
     def heard(self, kind: str) -> list[dict[str, Any]]:

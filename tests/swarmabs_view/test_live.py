@@ -1,60 +1,28 @@
-"""What pages get of a swarm that goes on: state machines on a clock that the test turns, and one real listener."""
+"""What pages get of a swarm that goes on: state machines on a clock that the test turns."""
 
-from __future__ import annotations
-
-import json
 import math
-import os
 import random
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
-import rclpy
 from tests.processes import until
 from tests.swarmabs_bag.sample_run import make_run, make_step
+from tests.swarmabs_view.conftest import HELLO, told
 
-from swarmabs_bag.swarm_state import RobotIdentity, SwarmState
-from swarmabs_core.cdr import encode
-from swarmabs_core.messages import TOPIC_OF, EventKind, Kind, PlaneState, SwarmEvent
+from swarmabs_bag.swarm_state import Abstract, Instant, RobotIdentity, SwarmState
+from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
-from swarmabs_ros.endpoints import advertise
-from swarmabs_ros.start import SwarmNode, initialise
+from swarmabs_view import protocol
 from swarmabs_view.facts import Shading, regions
-from swarmabs_view.listener import Listener
-from swarmabs_view.live import RATE_WINDOW, SILENCE, LiveSession, LiveView, StepRate
-from swarmabs_view.protocol import (
-    Curves,
-    Events,
-    Frame,
-    Hello,
-    Manifold,
-    Message,
-    Plane,
-    Play,
-    Robot,
-    Session,
-    Sets,
-    State,
-)
+from swarmabs_view.live import RATE_WINDOW, SILENCE, CurveBuffer, LiveSession, LiveView, StepRate
 from swarmabs_view.sources import ProcessWatch
-
-HELLO = Hello(
-    source="swarm",
-    title="sample",
-    place="here",
-    period=None,
-    last_step=None,
-    robots=[],
-    plane=None,
-    manifold=None,
-    regions=None,
-    playback=False,
-)
 
 
 def view_of(steps: int = 0) -> LiveView:
@@ -64,33 +32,34 @@ def view_of(steps: int = 0) -> LiveView:
     return made
 
 
-def types(said: list[Message]) -> list[str]:
+def types(said: list[protocol.Message]) -> list[str]:
     return [type(message).__name__ for message in said]
 
 
-def test_a_page_gets_the_past_first_and_then_what_is_new() -> None:
+def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_heard_later() -> None:
     live = view_of(20)
     session = LiveSession(live)
-    (hello, events) = session.hello()
-    assert isinstance(hello, Hello)
-    assert [robot.id for robot in hello.robots] == [1, 2, 7]
-    assert isinstance(events, Events)
+    said = session.hello()
+    assert types(said) == ["Hello", "Events"]
+    assert [robot.id for robot in told(said, protocol.Hello)[0].robots] == [1, 2, 7]
     said = session.poll(0.0)
     assert types(said) == ["Curves", "Events", "Frame", "State"]
-    curves, happened, frame, _ = said
-    assert isinstance(curves, Curves)
-    assert (curves.replace, len(curves.time)) == (True, 21)
-    assert isinstance(happened, Events)
-    assert len(happened.events) == 1
-    assert isinstance(frame, Frame)
-    assert frame.step == 20
+    assert [(curves.replace, len(curves.time)) for curves in told(said, protocol.Curves)] == [(True, 21)]
+    assert len(told(said, protocol.Events)[0].events) == 1
+    assert told(said, protocol.Frame)[0].step == 20
     assert session.poll(0.1) == []
     for message in make_step(21):
         live.add(message)
-    more = session.poll(0.2)
-    assert types(more) == ["Curves", "Frame"]
-    assert isinstance(more[0], Curves)
-    assert (more[0].replace, more[0].time) == (False, [0.21])
+    said = session.poll(0.2)
+    assert types(said) == ["Curves", "Frame"]
+    assert [(curves.replace, curves.time) for curves in told(said, protocol.Curves)] == [(False, [0.21])]
+    for message in make_step(22, agents=(1, 2, 5, 7)):
+        live.add(message)
+    said = session.poll(0.3)
+    assert types(said)[:2] == ["Hello", "Events"]
+    assert [robot.id for robot in told(said, protocol.Hello)[0].robots] == [1, 2, 5, 7]
+    assert len(told(said, protocol.Frame)[0].robots.position) == 4
+    assert sum(len(message.events) for message in told(said, protocol.Events)) == 1  # none is lost
 
 
 def test_pages_that_come_at_different_times_have_the_same_in_the_end() -> None:
@@ -105,26 +74,9 @@ def test_pages_that_come_at_different_times_have_the_same_in_the_end() -> None:
             late = LiveSession(live)
             late.hello()
         for name, session in (("early", early), ("late", late)):
-            for message in session.poll(step / 10) if session else ():
-                if isinstance(message, Curves):
-                    points[name] = [*([] if message.replace else points[name]), *message.time]
+            for curves in told(session.poll(step / 10), protocol.Curves) if session else ():
+                points[name] = [*([] if curves.replace else points[name]), *curves.time]
     assert points["early"] == points["late"] == [step / 100 for step in range(50)]
-
-
-def test_a_robot_that_is_heard_later_is_introduced() -> None:
-    live = view_of(3)
-    session = LiveSession(live)
-    session.hello()
-    session.poll(0.0)
-    for message in make_step(4, agents=(1, 2, 5, 7)):
-        live.add(message)
-    said = session.poll(0.1)
-    assert types(said)[:2] == ["Hello", "Events"]
-    assert isinstance(said[0], Hello)
-    assert [robot.id for robot in said[0].robots] == [1, 2, 5, 7]
-    frame = next(message for message in said if isinstance(message, Frame))
-    assert len(frame.robots.position) == 4
-    assert sum(len(message.events) for message in said if isinstance(message, Events)) == 1  # none is lost
 
 
 def test_something_is_said_every_second() -> None:
@@ -138,7 +90,7 @@ def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
     live = view_of(3)
     live.look(0.0)
     assert live.phase == "running"
-    live.look(SILENCE + 0.1)
+    live.look(SILENCE)
     assert (live.phase, live.text) == ("silent", "no step since 3")
     for message in make_step(4):
         live.add(message)
@@ -147,28 +99,28 @@ def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
 
 
 def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
-    class After(Session):
+    class After(protocol.Session):
         wishes = 0
 
-        def hello(self) -> list[Message]:
+        def hello(self) -> list[protocol.Message]:
             return [HELLO]
 
-        def poll(self, now: float) -> list[Message]:
-            return [State(phase="recorded", text=f"{now}")]
+        def poll(self, now: float) -> list[protocol.Message]:
+            return [protocol.State(phase="recorded", text=f"{now}")]
 
         def control(self, request: object) -> None:
-            assert request == Play(v=1, type="play")
+            assert request == protocol.Play(v=1, type="play")
             self.wishes += 1
 
     after: list[After] = []
     session = LiveSession(view_of(3), lambda: after[0] if after else None)
     session.hello()
-    session.control(Play(v=1, type="play"))
+    session.control(protocol.Play(v=1, type="play"))
     session.poll(0.0)
     after.append(After())
     assert session.poll(0.1) == [HELLO]
     assert types(session.poll(0.2)) == ["State"]
-    session.control(Play(v=1, type="play"))
+    session.control(protocol.Play(v=1, type="play"))
     assert after[0].wishes == 1
 
 
@@ -181,10 +133,7 @@ def test_step_rate_is_that_of_the_last_seconds() -> None:
     for tenth in range(100):
         rate.take(10 + tenth / 10, 500 + tenth * 50)
     assert rate.at(19.9) == pytest.approx(500.0, rel=0.06)
-
-
-def test_while_no_page_is_open_only_the_window_of_the_step_rate_is_kept() -> None:
-    live = view_of()
+    live = view_of()  # while no page is open, only the window is kept
     for look in range(3000):
         live.add(PlaneState(look * 10**7, look, 0.0, 0.0))
         live.look(look / 100)
@@ -192,16 +141,19 @@ def test_while_no_page_is_open_only_the_window_of_the_step_rate_is_kept() -> Non
     assert live.rate.at(29.99) == pytest.approx(100.0)
 
 
+def sets(*known: Any) -> protocol.Regions:
+    found = regions(*known)
+    assert found is not None
+    return found
+
+
 def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:
     masses, length, gravity = [0.3552, 0.3532, 0.6762, 0.4596], 1.0, 9.81
-    found = regions(masses, length, gravity, 5.0)
-    assert found is not None
+    found = sets(masses, length, gravity, 5.0)
     assert found.torque == sorted(found.torque)
     rows = zip(found.torque, found.smallest, found.admissible, found.reachable, strict=True)
     for torque, smallest, admissible, reachable in list(rows)[::20]:
-        assert smallest is not None
-        assert admissible is not None
-        assert reachable is not None
+        assert smallest is not None and admissible is not None and reachable is not None
         for inertia, expected in (
             (smallest * 0.99 - 1e-6, StateClass.EMPTY),
             ((smallest + admissible) / 2, StateClass.ADMISSIBLE),
@@ -209,13 +161,16 @@ def test_boundaries_of_the_sets_are_those_of_the_classes() -> None:
             (reachable * 1.01, StateClass.UNREACHABLE),
         ):
             assert ConstraintSets(masses, length, gravity).classify(torque, inertia) is expected
+    # A torque that no robots on the plane give is not shown.
+    found = sets([0.1, 0.1], 1.0, 10.0, 5.0)
+    assert max(found.torque) == pytest.approx(1.0)
+    assert found.reachable[-1] == pytest.approx(0.05)
 
 
 def test_weights_that_stand_still_shift_the_sets() -> None:
     """Any positions on the plane of those who move give, with the weights that stand still, a state within."""
     masses, standing, length, gravity = [0.35, 0.4, 0.6], [(0.5, 0.3), (0.2, -0.45)], 1.0, 9.81
-    found = regions(masses, length, gravity, 8.0, standing)
-    assert found is not None
+    found = sets(masses, length, gravity, 8.0, standing)
     draw = random.Random(5)
     for _ in range(300):
         places = [draw.uniform(-0.5, 0.5) for _ in masses]
@@ -236,50 +191,54 @@ def test_weights_that_stand_still_shift_the_sets() -> None:
 
 
 def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
-    robots = [Robot(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)]
+    robots = [protocol.Robot(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)]
     identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0, joins=n == 9) for n in (1, 2, 7, 9)]
-    plane = Plane(length=1.0, inertia=0.1, gravity=9.81)
-    known = {"robots": robots, "plane": plane, "manifold": Manifold(curvature=0.1, offset=0.02, torque_max=5.0)}
+    plane = protocol.Plane(length=1.0, inertia=0.1, gravity=9.81)
+    known = {
+        "robots": robots,
+        "plane": plane,
+        "manifold": protocol.Manifold(curvature=0.1, offset=0.02, torque_max=5.0),
+    }
     first = regions([0.4] * 3, 1.0, 9.81, 5.0)
     hello = HELLO.model_copy(update={**known, "regions": first})
     live = LiveView(hello, SwarmState(identities))
     waiting: list[Callable[[], None]] = []
-    live.shading = Shading(hello, waiting.append)
+
+    def begin(work: Callable[[], None]) -> Any:
+        assert not waiting, "one is computed at a time"
+        waiting.append(work)
+        return SimpleNamespace(is_alive=lambda: bool(waiting))
+
+    live.shading = Shading(hello, begin)
     pages = [LiveSession(live), LiveSession(live)]
     for page in pages:
         page.hello()
 
-    def told(step: int, *events: SwarmEvent) -> list[list[Sets]]:
+    def after(step: int, *events: SwarmEvent) -> list[list[protocol.Sets]]:
         for message in [*events, *make_step(step)]:
             live.add(message)
         said = [page.poll(step / 10) for page in pages]
         assert all("Frame" in types(messages) for messages in said)  # which come also while the sets are computed
         while waiting:
             waiting.pop()()
-        said = [[*messages, *page.poll(step / 10)] for messages, page in zip(said, pages, strict=True)]
-        return [[message for message in messages if isinstance(message, Sets)] for messages in said]
+        return [
+            told([*messages, *page.poll(step / 10)], protocol.Sets) for messages, page in zip(said, pages, strict=True)
+        ]
 
     def event(step: int, robot: int, kind: EventKind) -> SwarmEvent:
         return SwarmEvent(step, step, robot, kind, 0.25, "")
 
-    assert told(0) == [[], []]
-    joined = Sets(moving=[1, 2, 7, 9], standing=[], regions=regions([0.4] * 4, 1.0, 9.81, 5.0))
-    assert told(1, event(1, 9, EventKind.JOINED)) == [[joined], [joined]]
-    died = Sets(moving=[1, 7, 9], standing=[2], regions=regions([0.4] * 3, 1.0, 9.81, 5.0, [(0.4, 0.25)]))
-    assert told(2, event(2, 2, EventKind.DEAD)) == [[died], [died]]
-    assert told(3) == [[], []]
-    ((alone,), _) = told(4, event(4, 1, EventKind.LEFT), event(4, 9, EventKind.LEFT))
+    assert after(0) == [[], []]
+    joined = protocol.Sets(moving=[1, 2, 7, 9], standing=[], regions=regions([0.4] * 4, 1.0, 9.81, 5.0))
+    assert after(1, event(1, 9, EventKind.JOINED)) == [[joined], [joined]]
+    died = protocol.Sets(moving=[1, 7, 9], standing=[2], regions=regions([0.4] * 3, 1.0, 9.81, 5.0, [(0.4, 0.25)]))
+    assert after(2, event(2, 2, EventKind.DEAD)) == [[died], [died]]
+    assert after(3) == [[], []]
+    ((alone,), _) = after(4, event(4, 1, EventKind.LEFT), event(4, 9, EventKind.LEFT))
     assert (alone.moving, alone.regions) == ([7], None)
     late = LiveSession(live)
     late.hello()
-    assert [message for message in late.poll(1.0) if isinstance(message, Sets)] == [alone]
-
-
-def test_a_torque_that_no_robots_on_the_plane_give_is_not_shown() -> None:
-    found = regions([0.1, 0.1], 1.0, 10.0, 5.0)
-    assert found is not None
-    assert max(found.torque) == pytest.approx(1.0)
-    assert found.reachable[-1] == pytest.approx(0.05)
+    assert told(late.poll(1.0), protocol.Sets) == [alone]
 
 
 def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
@@ -288,7 +247,6 @@ def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
         until(lambda: watch.look().processes[0].state == "sleeping", "the child waits")
         alive, nobody = watch.look().processes
         assert (alive.name, alive.pid) == ("child", child.pid)
-        assert alive.memory is not None
         assert alive.memory == pytest.approx(psutil.Process(child.pid).memory_info().rss, rel=0.2)
         assert (nobody.state, nobody.memory) == ("gone", None)
         child.kill()
@@ -296,43 +254,80 @@ def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
         assert watch.look().processes[0].state == "gone"
 
 
-@pytest.mark.timeout(60)
-@pytest.mark.usefixtures("ros")
-def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_none() -> None:
-    run = make_run(5)
-    initialise("view", ["--ros-args", "-r", "__ns:=/some/swarm"])
-    try:
-        listener, node = Listener(SwarmNode("hearer"), 3), SwarmNode("speaker")
-        publishers = {topic: advertise(node, topic) for topic in dict.fromkeys(TOPIC_OF[type(m)] for m in run)}
-        state = SwarmState()
-        heard = {topic.name for topic in publishers} - {"swarm/auxiliary_state"}
-        names = [p.topic_name for p in publishers.values()]
-        assert all(name.startswith("/some/swarm/") for name in names)
-        met = [publisher for topic, publisher in publishers.items() if topic.name in heard]
-        until(lambda: all(p.get_subscription_count() for p in met), "speaker and listener have met", 30.0)
-        for message in run:
-            publishers[TOPIC_OF[type(message)]].publish(encode(message))
-        good = encode(next(m for m in run if TOPIC_OF[type(m)].name == "plane/state"))
-        publishers[TOPIC_OF[type(run[3])]].publish(good[:30])
-
-        def complete() -> bool:
-            for heard in listener.poll():
-                state.add(heard.message)
-            instant = state.instant()
-            return instant is not None and instant.step == 5 and state.event_count == 1 and listener.malformed == 1
-
-        until(complete, "all has been heard", 30.0)
-        node.destroy_node()  # type: ignore[no-untyped-call]
-    finally:
-        rclpy.try_shutdown()
+def point(step: int) -> Instant:
+    return Instant(step, 0, step / 100, step * 0.5, 0.0, None, Abstract(1.0, 3.0), Abstract(2.0, 4.0))
 
 
-def test_processes_file_is_whole_or_not_there(tmp_path: Path) -> None:
-    from swarmabs_run.orchestration.run_files import read_processes, write_processes  # noqa: PLC0415
+def since(buffer: CurveBuffer[Instant], epoch: int = -1, count: int = 0) -> protocol.Curves:
+    """Return the points after those that are known, of which there are some."""
+    found = buffer.since(epoch, count)
+    assert found is not None
+    return protocol.Curves.of(found[0], replace=found[1])
 
-    (tmp_path / "logs").mkdir()
-    assert read_processes(tmp_path) is None
-    write_processes(tmp_path / "logs", {"plane_sim": 7})
-    assert read_processes(tmp_path) == {"orchestrator": os.getpid(), "plane_sim": 7}
-    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["processes.json"]
-    assert json.loads((tmp_path / "logs" / "processes.json").read_text())["plane_sim"] == 7
+
+def test_points_follow_each_other_and_those_who_have_them_get_the_rest() -> None:
+    buffer: CurveBuffer[Instant] = CurveBuffer()
+    assert since(buffer).time == []
+    for step in (0, 1, 2, 2, 1):  # a step that is past is no new point
+        buffer.add(point(step))
+    assert len(buffer) == 3
+    first = since(buffer)
+    assert (first.replace, first.time, first.reference) == (True, [0.0, 0.01, 0.02], [None] * 3)
+    known = (buffer.epoch, len(buffer))
+    assert buffer.since(*known) is None
+    buffer.add(point(3))
+    more = since(buffer, *known)
+    assert (more.replace, more.angle) == (False, [1.5])
+
+
+def test_the_beginning_comes_later_and_whole() -> None:
+    buffer: CurveBuffer[Instant] = CurveBuffer(most=10)
+    for step in (6, 7, 8):
+        buffer.add(point(step))
+    known = (buffer.epoch, len(buffer))
+    buffer.begin(point(step) for step in range(8))  # of which some have been heard
+    found = since(buffer, *known)
+    assert (found.replace, found.time) == (True, [step / 100 for step in range(9)])
+    buffer.add(point(9))
+    buffer.add(point(10))
+    assert since(buffer).time == [step / 100 for step in range(0, 11, 2)]
+
+
+def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
+    live = view_of(20)
+    live.look(0.0)
+    session = LiveSession(live)
+    session.hello()
+    (found,) = told(session.poll(0.0), protocol.Positions)
+    assert (found.labels, len(found.time)) == (["robot 1", "robot 2", "robot 7"], 21)
+    shown = live.state.shown_robots(20)
+    assert [line[-1] for line in found.lines] == [robot.position for robot in shown]
+    places = {robot: robot / 10 for robot in range(1, 102)} | {3: None}
+    bands = protocol.Positions.of(list(places), [protocol.Placed(0, 0.0, places)], replace=True)
+    assert dict(zip(bands.labels, bands.lines, strict=True)) == {
+        "lowest": [0.1],
+        "10 %": [1.2],
+        "median": [5.2],
+        "90 %": [9.1],
+        "highest": [10.1],
+    }
+
+
+def test_there_are_never_more_points_than_allowed_and_they_are_evenly_spread() -> None:
+    buffer: CurveBuffer[Instant] = CurveBuffer(most=100)
+    shown: list[float] = []
+    epoch, count = -1, 0
+    for step in range(10_000):
+        buffer.add(point(step))
+        assert len(buffer) <= 100
+        if step % 37 == 0 or step == 9_999:  # a page that follows
+            found = buffer.since(epoch, count)
+            epoch, count = buffer.epoch, len(buffer)
+            if found is not None:
+                times = [kept.time for kept in found[0]]
+                shown = times if found[1] else shown + times
+    assert shown == since(buffer).time
+    steps = [round(time * 100) for time in shown]
+    assert steps[0] == 0
+    assert {later - earlier for earlier, later in pairwise(steps)} == {128}
+    assert steps[-1] > 9_800

@@ -1,29 +1,114 @@
-"""The server as its clients find it: real requests to a real process."""
-
-from __future__ import annotations
+"""Who gets an answer from the server, and what: also by real requests, to a server in a thread of this process."""
 
 import asyncio
 import http.client
 import json
+import os
 import re
 import signal
 import socket
 import struct
-import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from threading import Thread
+from typing import Any, NamedTuple
 
-import psutil
 import pytest
 from aiohttp import ClientSession, WSCloseCode, WSMsgType, WSServerHandshakeError
-from tests.swarmabs_view.conftest import COMMAND, Served, serving
+from tests.processes import until
 
-from swarmabs_core.errors import InputError
-from swarmabs_view.ports import bound
-from swarmabs_view.protocol import FROM_SERVER
-from swarmabs_view.server import MOST_PAGES, load_files
+from swarmabs_view.playback import PlaybackSession, open_recording
+from swarmabs_view.ports import bound, url_of
+from swarmabs_view.protocol import FROM_SERVER, Message, Session, State
+from swarmabs_view.server import MOST_PAGES, ViewServer, load_files, refusal, response_headers, serve
 
 pytestmark = pytest.mark.timeout(60)
+
+PAUSE = '{"v": 1, "type": "pause"}'
+
+
+OWN = {"Host": "127.0.0.1:8000"}
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        OWN,
+        {"Host": "localhost:8000"},
+        {"Host": "LocalHost:8000", "Origin": "http://localhost:8000"},
+        {**OWN, "Origin": "http://127.0.0.1:8000"},
+        {**OWN, "Origin": "http://127.0.0.1:8000", "Sec-Fetch-Site": "same-origin"},
+        {**OWN, "Sec-Fetch-Site": "none"},
+    ],
+)
+def test_the_own_page_is_served_and_a_socket_needs_an_origin(headers: dict[str, str]) -> None:
+    assert refusal(headers, 8000, websocket=False) is None
+    assert (refusal(headers, 8000, websocket=True) is None) == ("Origin" in headers)
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Host": "evil.example:8000"},
+        {"Host": "127.0.0.1"},
+        {"Host": "127.0.0.1:8001"},
+        {"Host": "127.0.0.1:8000.evil.example"},
+        {"Host": "[::1]:8000"},
+        {**OWN, "Origin": "http://evil.example"},
+        {**OWN, "Origin": "null"},
+        {**OWN, "Origin": ""},
+        {**OWN, "Origin": "https://127.0.0.1:8000"},
+        {**OWN, "Origin": "http://127.0.0.1:8001"},
+        {**OWN, "Origin": "http://127.0.0.1:8000.evil.example"},
+        {**OWN, "Sec-Fetch-Site": "cross-site"},
+        {**OWN, "Sec-Fetch-Site": "same-site"},
+    ],
+)
+@pytest.mark.parametrize("websocket", [False, True])
+def test_others_are_refused(headers: dict[str, str], *, websocket: bool) -> None:
+    assert refusal(headers, 8000, websocket=websocket)
+
+
+def test_pages_may_run_what_the_server_delivers_and_nothing_inline() -> None:
+    policy = response_headers(8000)["Content-Security-Policy"]
+    assert "unsafe" not in policy
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    assert rules["script-src"] == rules["style-src"] == "'self'"
+    assert rules["connect-src"] == "'self' ws://127.0.0.1:8000 ws://localhost:8000"
+    assert rules["frame-ancestors"] == "'none'"
+
+
+class Served(NamedTuple):
+    """A view that is served."""
+
+    url: str
+    port: int
+
+
+@contextmanager
+def serving(session: Any) -> Iterator[Served]:
+    """Serve sessions to the end of the block."""
+    with bound(0) as listener:
+        loop, ended = asyncio.new_event_loop(), asyncio.Event()
+        server = ViewServer(listener, session)
+        thread = Thread(target=lambda: loop.run_until_complete(server.run(ended.wait())))
+        thread.start()
+        try:
+            yield Served(url_of(listener), listener.getsockname()[1])
+        finally:
+            loop.call_soon_threadsafe(ended.set)
+            thread.join()
+            loop.close()
+
+
+@pytest.fixture(scope="module")
+def served(run: Path) -> Iterator[Served]:
+    recording = open_recording(run)
+    with serving(lambda: PlaybackSession(recording)) as view:
+        yield view
 
 
 def answer(served: Served, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
@@ -65,66 +150,31 @@ def test_the_page_refers_to_nothing_that_is_not_served() -> None:
     assert not any(b"innerHTML" in text or b"insertAdjacentHTML" in text for text in own)
 
 
-def test_licence_of_what_others_have_written_is_shipped() -> None:
-    import swarmabs_view  # noqa: PLC0415
-
-    folder = Path(swarmabs_view.__file__).parent / "third_party" / "uplot"
-    assert "MIT License" in (folder / "LICENSE").read_text(encoding="utf-8")
-    assert {path.name for path in folder.iterdir()} == {"LICENSE", "uPlot.iife.min.js", "uPlot.min.css"}
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        "/../../../../../../etc/passwd",
-        "/..%2f..%2f..%2f..%2fetc/passwd",
-        "/%2e%2e/%2e%2e/etc/passwd",
-        "/static/../server.py",
-        "//etc/passwd",
-        "/index.html/../server.py",
-        "/LICENSE",
-        "/server.py",
-        "/main.js%00.html",
-        "/bag_0.mcap",
-    ],
-)
-def test_no_request_reaches_other_files(served: Served, path: str) -> None:
-    status, _, body = answer(served, path)
-    assert (status, body) == (404, b"not found\n")
+def test_no_request_reaches_other_files(served: Served) -> None:
+    for path in (
+        *("/../../../../../../etc/passwd", "/..%2f..%2f..%2f..%2fetc/passwd", "/%2e%2e/%2e%2e/etc/passwd"),
+        *("/static/../server.py", "//etc/passwd", "/index.html/../server.py", "/main.js%00.html"),
+        *("/LICENSE", "/server.py", "/bag_0.mcap"),
+    ):
+        assert answer(served, path)[::2] == (404, b"not found\n"), path
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {"Host": "evil.example"},
-        {"Host": "evil.example:{port}"},
-        {"Origin": "http://evil.example"},
-        {"Origin": "null"},
-        {"Sec_Fetch_Site": "cross-site"},
-    ],
-)
-@pytest.mark.parametrize("path", ["/", "/main.js", "/socket", "/nothing"])
-def test_other_hosts_and_origins_are_refused(served: Served, path: str, headers: dict[str, str]) -> None:
-    given = {name: text.format(port=served.port) for name, text in headers.items()}
-    status, _, body = answer(served, path, **given)
-    assert status == 403
-    assert b"<" not in body
-
-
-def test_only_loopback_listens(served: Served) -> None:
-    listening = [c.laddr for c in psutil.Process(served.process.pid).net_connections() if c.status == "LISTEN"]
-    assert [(address.ip, address.port) for address in listening] == [("127.0.0.1", served.port)]
-
-
-def test_a_port_that_is_taken_is_refused_and_named(served: Served) -> None:
-    with pytest.raises(InputError, match=f"port {served.port} of 127.0.0.1: .*in use; choose another"):
-        bound(served.port)
+def test_other_hosts_and_origins_are_refused_everywhere(served: Served) -> None:
+    for path in ("/", "/main.js", "/socket", "/nothing"):
+        for headers in ({"Host": f"evil.example:{served.port}"}, {"Origin": "null"}, {"Sec_Fetch_Site": "cross-site"}):
+            status, _, body = answer(served, path, **headers)
+            assert status == 403
+            assert b"<" not in body
+    assert answer(served, "/socket", Origin=served.url.rstrip("/"))[::2] == (400, b"this address is for a WebSocket\n")
+    with pytest.raises(WSServerHandshakeError) as caught:
+        asyncio.run(hear(served, origin="http://evil.example"))
+    assert caught.value.status == 403
 
 
 async def hear(
-    served: Served, *wishes: str | bytes, origin: str | None = None, until: str = "frame"
+    served: Served, *wishes: str | bytes, origin: str | None = None, last: str = "frame", count: int = 1
 ) -> list[dict[str, Any]]:
-    """Connect, say something, and return what comes up to the first message of a type."""
+    """Connect, say something, and return what comes up to so many messages of a type."""
     url = served.url
     headers = {"Origin": url.rstrip("/") if origin is None else origin}
     found: list[dict[str, Any]] = []
@@ -135,39 +185,34 @@ async def hear(
             if message.type is not WSMsgType.TEXT:
                 break
             found.append(json.loads(message.data))
-            if found[-1]["type"] == until:
+            count -= found[-1]["type"] == last
+            if not count:
                 break
-        if not found or found[-1]["type"] != until:
+        if count:
             found.append({"type": "closed", "code": page.close_code})
     return found
 
 
 def test_what_comes_first_is_valid_and_complete(served: Served) -> None:
+    """Also for a page that says as much as it may."""
     models = {model.__name__.lower(): model for model in FROM_SERVER}
-    found = asyncio.run(hear(served))
-    assert [message["type"] for message in found] == ["hello", "curves", "events", "frame"]
+    found = asyncio.run(hear(served, PAUSE.ljust(4095)))
+    assert [message["type"] for message in found] == ["hello", "curves", "positions", "events", "frame"]
     for message in found:
         models[message["type"]].model_validate(message)
     assert found[0]["title"] == "pd_het_4"
-    assert [event["kind"] for event in found[2]["events"]] == ["DEAD", "LEFT"]
-
-
-def test_connections_of_other_pages_are_refused(served: Served) -> None:
-    with pytest.raises(WSServerHandshakeError) as caught:
-        asyncio.run(hear(served, origin="http://evil.example"))
-    assert caught.value.status == 403
+    assert [event["kind"] for event in found[3]["events"]] == ["DEAD", "LEFT"]
 
 
 @pytest.mark.parametrize(
     "wish",
     [
-        *("", "x" * 5000, '{"v": 1, "type": "steer"}', '{"v": 9, "type": "play"}', '{"v": true, "type": "play"}'),
+        *("", PAUSE.ljust(4096), '{"v": 1, "type": "steer"}', '{"v": 9, "type": "play"}'),
         *(b"", b'{"v": 1, "type": "play"}', b"\xff" * 100),
     ],
-    ids=repr,
 )
 def test_who_says_what_is_no_message_is_shown_out_and_others_stay(served: Served, wish: str | bytes) -> None:
-    found = asyncio.run(hear(served, wish, until="never"))
+    found = asyncio.run(hear(served, wish, last="never"))
     assert found[-1]["code"] in {1008, 1009}
     assert asyncio.run(hear(served))[-1]["type"] == "frame"
 
@@ -186,57 +231,73 @@ def test_more_pages_than_allowed_are_refused(served: Served) -> None:
     assert asyncio.run(crowd()) == WSCloseCode.TRY_AGAIN_LATER
 
 
-def test_a_page_that_does_not_read_gets_less_and_costs_no_memory(served: Served) -> None:
-    """However much it asks for: what waits for it is bounded by the buffers of its connection."""
-    request = (
-        f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nOrigin: http://127.0.0.1:{served.port}\r\n"
-        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-    )
-    with socket.socket() as page:
+class Flood(Session):
+    """Has always more to say than a connection holds; it counts what it says, and is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.said = 0
+        self.asked = 0
+
+    def hello(self) -> list[Message]:
+        return [State(phase="recorded", text="flood")]
+
+    def poll(self, now: float) -> list[Message]:
+        self.said += 1
+        return [State(phase="recorded", text=f"{now}" + "x" * 1_000_000)]
+
+    def control(self, request: object) -> None:
+        self.asked += 1
+
+
+def test_a_page_that_does_not_read_gets_less_and_others_are_served_meanwhile() -> None:
+    """However much it asks for: nothing more is made for it than the buffers of its connection hold."""
+    sessions: list[Flood] = []
+
+    def session() -> Flood:
+        sessions.append(Flood())
+        return sessions[-1]
+
+    with serving(session) as view, socket.socket() as page:
         page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        page.connect(("127.0.0.1", served.port))
-        page.sendall(request.encode())
-        process = psutil.Process(served.process.pid)
-        before = process.memory_info().rss
-        for number in range(3000):
-            wish = json.dumps({"v": 1, "type": "seek", "step": number % 400}).encode()
+        page.connect(("127.0.0.1", view.port))
+        page.sendall(
+            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{view.port}\r\nOrigin: http://127.0.0.1:{view.port}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        wish = b'{"v": 1, "type": "seek", "step": 3}'
+        for _ in range(3000):
             page.sendall(struct.pack("!BB4x", 0x81, 0x80 | len(wish)) + wish)  # masked with zeros
-        assert asyncio.run(hear(served))[-1]["type"] == "frame"  # others are served meanwhile
-        assert process.memory_info().rss - before < 20e6
+        heard = asyncio.run(hear(view, wish.decode(), last="state", count=20))
+        assert len(heard) == 20
+        until(lambda: sessions[0].asked == 3000, "all that the page asks for is heard")
+        assert sessions[0].said < 10 < sessions[1].said
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ends_in_order_while_pages_look(run: Path, number: signal.Signals, nothing_survives: str) -> None:
-    async def look(view: Served) -> int | None:
-        headers = {"Origin": view.url.rstrip("/")}
-        async with ClientSession() as session, session.ws_connect(f"{view.url}socket", headers=headers) as page:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_in_order_while_pages_look(number: signal.Signals) -> None:
+    """As `serve` does in the main thread: pages are told, and the handlers are those that were there before."""
+    handlers = {each: signal.getsignal(each) for each in signal.Signals if each not in {signal.SIGKILL, signal.SIGSTOP}}
+    codes: list[int | None] = []
+
+    async def look(url: str) -> None:
+        headers = {"Origin": url.rstrip("/")}
+        async with ClientSession() as client, client.ws_connect(f"{url}socket", headers=headers) as page:
             await page.receive()
-            view.process.send_signal(number)
+            os.kill(os.getpid(), number)
             while (await page.receive()).type is WSMsgType.TEXT:
                 pass
-            return page.close_code
+            codes.append(page.close_code)
 
-    with serving(run) as view:
-        assert asyncio.run(look(view)) == 1001
-        assert view.process.wait(20) == 0
-    assert nothing_survives
+    clients: list[Thread] = []
 
+    def ready(url: str) -> None:
+        clients.append(Thread(target=lambda: asyncio.run(look(url))))
+        clients[0].start()
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ([], "Name a bag, or a swarm by --live."),
-        (["x", "--live", "/"], "Name a bag, or a swarm by --live."),
-        (["/nowhere"], "/nowhere"),
-        (["--live", "no such thing"], "neither the folder of a run nor a namespace"),
-        (["--live", "/", "--namespace", "/x"], "give --live the namespace itself"),
-    ],
-)
-def test_refusals(arguments: list[str], text: str, nothing_survives: str) -> None:
-    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False, timeout=50)
-    assert done.returncode == 2
-    assert text in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stdout == ""
-    assert nothing_survives
+    with bound(0) as listener:
+        serve(listener, Flood, ready=ready)
+    clients[0].join()
+    assert codes == [WSCloseCode.GOING_AWAY]
+    assert {each: signal.getsignal(each) for each in handlers} == handlers

@@ -1,7 +1,5 @@
 """System tests: real processes that talk over DDS, and real bags. None of them may leave anything behind."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,10 +3,8 @@
 With a second file it does not come back from halting, as a drive does not whose base does not answer.
 """
 
-from __future__ import annotations
-
 import sys
-import time
+import threading
 from pathlib import Path
 
 from swarmabs_config.graph import REALTIME, Endpoints, requested
@@ -34,8 +32,8 @@ class Failing:
 
     def halt(self) -> None:
         self._file.with_suffix(".halted").touch()
-        while self._file.with_suffix(".hangs").exists():
-            time.sleep(0.1)
+        if self._file.with_suffix(".hangs").exists():
+            threading.Event().wait()
 
     def health(self, now: int) -> Health:
         return Health(Level.OK, "fine")

@@ -1,8 +1,7 @@
 """Whole runs: as a command, and within this process; and their bags, read without the project's own reader."""
 
-from __future__ import annotations
-
 import hashlib
+import io
 import json
 import os
 import re
@@ -10,22 +9,27 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 from mcap.reader import make_reader
 from tests.processes import marked_processes, until
 
 from swarmabs_bag.recording import Digest
 from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_cli import main
 from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.cdr import decode
+from swarmabs_core.messages import SwarmEvent
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.plan import Arrange
-from swarmabs_run.run import Outcome, RunOptions
+from swarmabs_run.orchestration.realtime_run import RealtimeRun
+from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.simulation import Simulation
 
 MAIN_TOPICS = (
@@ -39,52 +43,41 @@ LONGEST = 100.0
 
 
 def seconds(duration: float) -> str:
-    """Return the override that shortens a scenario."""
     return f"duration={duration!r}"
 
 
-# Commands
+def parsed(text: str) -> dict[str, Any]:
+    """Return the one JSON document of a text."""
+    document = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert isinstance(document, dict)
+    return document
 
 
 @dataclass(frozen=True)
 class Finished:
-    """How a command has ended."""
-
     code: int
     out: str
     err: str
 
     def summary(self) -> dict[str, Any]:
-        """Return the one JSON document that the command has printed."""
-        document = json.loads(self.out, parse_constant=_no_constant)
-        assert isinstance(document, dict)
-        return document
+        return parsed(self.out)
 
 
-def _no_constant(name: str) -> None:
-    raise AssertionError(f"{name} is not JSON")
+def swarm(*arguments: object) -> Finished:
+    """Carry out a command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main([*map(str, arguments)])
+    return Finished(code, out.getvalue(), err.getvalue())
 
 
-def swarm(*arguments: object, cwd: Path | None = None) -> Finished:
-    """Run a command to its end."""
-    words = [*COMMAND, *map(str, arguments)]
-    done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=LONGEST, check=False)
-    return Finished(done.returncode, done.stdout, done.stderr)
-
-
+@dataclass(frozen=True)
 class Command:
-    """A command that goes on, in a process group of its own."""
+    """A command that is a process, in a group of its own."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.process = process
-
-    @property
-    def pid(self) -> int:
-        """Its process id, and the id of its process group."""
-        return self.process.pid
+    process: subprocess.Popen[str]
 
     def wait(self) -> Finished:
-        """Wait until it has ended."""
         out, err = self.process.communicate(timeout=LONGEST)
         return Finished(self.process.returncode, out, err)
 
@@ -107,51 +100,75 @@ def started_swarm(*arguments: object, **options: Any) -> Iterator[Command]:
             process.kill()
 
 
+def view_address(command: Command) -> str:
+    """Return the address of the page that a run has printed, once it has."""
+    assert command.process.stderr is not None
+    for line in command.process.stderr:
+        if line.startswith("view: "):
+            return line.removeprefix("view: ").strip()
+    raise AssertionError("the command has printed no address")
+
+
 def run_log(folder: Path) -> str:
-    """Return what the orchestrator has noted so far."""
     log = folder / "logs" / "orchestrator.log"
     return log.read_text(encoding="utf-8") if log.is_file() else ""
 
 
-def until_stepping(folder: Path) -> None:
-    """Wait until the processes of a run have met and the recorder writes."""
-    until(lambda: "start" in run_log(folder), f"the run in {folder} has started", 60.0)
-    bag = folder / "bag" / "bag_0.mcap"
+def until_stepping(folder: Path, *, simulated: bool = False) -> None:
+    """Wait until the processes of a run have met, or it is simulated, and the bag grows."""
+    until(lambda: simulated or "start" in run_log(folder), f"the run in {folder} has started")
+    bag = bag_file(folder)
+    until(bag.is_file, f"there is {bag}")
     size = bag.stat().st_size
-    until(lambda: bag.stat().st_size > size, f"the bag in {folder} grows", 60.0)
+    until(lambda: bag.stat().st_size > size, f"{bag} grows")
 
 
 def named_processes(mark: str) -> dict[str, int]:
     """Return the process ids of a run's nodes by node name, as far as the kernel's 15 characters tell it."""
     known = {name[:15]: name for name in COORDINATORS}
-    found = {}
-    for pid, name in marked_processes(mark).items():
-        if name in known or name.startswith("agent_"):
-            assert name not in found, f"two processes {name}"
-            found[known.get(name, name)] = pid
-    return found
+    names = [(known.get(name, name), pid) for pid, name in marked_processes(mark).items()]
+    found = [(name, pid) for name, pid in names if name in COORDINATORS or name.startswith("agent_")]
+    assert len(dict(found)) == len(found), f"two processes of a node: {found}"
+    return dict(found)
 
 
 def signal_process(mark: str, name: str, number: signal.Signals) -> int:
-    """Send a signal to the process of a node; return its id."""
     pid = named_processes(mark)[name]
     os.kill(pid, number)
     return pid
 
 
-# Runs within this process
+FOREVER = seconds(100_000.0)
 
 
 def lockstep(
-    folder: Path,
-    scenario: str = "pd_het_4",
-    *overrides: str,
-    arrange: Arrange = tuple,
-    **options: Any,
+    folder: Path, scenario: str = "pd_het_4", *overrides: str, arrange: Arrange = tuple, **options: Any
 ) -> Outcome:
     """Run a scenario as processes, with these `RunOptions`."""
     loaded = find_scenario(scenario, overrides).resolved()
     return LockstepRun(loaded, new_run_folder(folder), RunOptions(**options), arrange).run()
+
+
+def realtime(folder: Path, *overrides: str, **options: Any) -> Outcome:
+    """Run a scenario as processes in real time, with these `RunOptions`."""
+    loaded = find_scenario("pd_het_4", overrides).resolved()
+    return RealtimeRun(loaded, new_run_folder(folder), RunOptions(**options)).run()
+
+
+def at(acts: Mapping[int, Callable[[], object]]) -> Callable[[Progress], None]:
+    """Return what acts as soon as so many steps of a run are recorded: to be given as `RunOptions.on_progress`."""
+    waiting = sorted(acts.items())
+
+    def watch(progress: Progress) -> None:
+        while waiting and progress.phase == "running" and progress.step >= waiting[0][0]:
+            waiting.pop(0)[1]()
+
+    return watch
+
+
+def interrupt() -> None:
+    """Do as Ctrl-C does to a run within this process."""
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 @cache
@@ -161,9 +178,6 @@ def simulated_digest(scenario: str, *overrides: str) -> str:
     for step in Simulation(find_scenario(scenario, overrides)).steps():
         digest.update(step)
     return digest.hexdigest()
-
-
-# Bags
 
 
 class BagMessage(NamedTuple):
@@ -182,12 +196,10 @@ _HEAD = struct.Struct("<4siII6s6xQ")
 
 
 def bag_file(folder: Path) -> Path:
-    """Return the MCAP file of a run."""
     return folder / "bag" / "bag_0.mcap"
 
 
 def bag_messages(folder: Path) -> list[BagMessage]:
-    """Return all messages of a run's bag in the order of the file."""
     found = []
     with bag_file(folder).open("rb") as stream:
         for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
@@ -203,6 +215,12 @@ def bag_messages(folder: Path) -> list[BagMessage]:
     return found
 
 
+def events(folder: Path) -> list[SwarmEvent]:
+    found = [decode(SwarmEvent, message.payload) for message in bag_messages(folder) if message.topic == "swarm/events"]
+    assert all(isinstance(event, SwarmEvent) for event in found)
+    return found  # type: ignore[return-value]
+
+
 def bag_digest(messages: Sequence[BagMessage]) -> str:
     """Return the digest of a run as its definition says, from what stands in the bag."""
     total = hashlib.sha256()
@@ -213,14 +231,10 @@ def bag_digest(messages: Sequence[BagMessage]) -> str:
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """Return the content of a run's summary.json."""
-    document = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=_no_constant)
-    assert isinstance(document, dict)
-    return document
+    return parsed((folder / "summary.json").read_text(encoding="utf-8"))
 
 
 def domain_of(folder: Path) -> int:
-    """Return the ROS domain of a run."""
     found = re.search(r"ROS domain (\d+)", run_log(folder))
     assert found is not None
     return int(found[1])

@@ -1,10 +1,9 @@
-"""A robot whose process ends at once the first time that it is started."""
-
-from __future__ import annotations
+"""A robot, or several in a process, which ends at once the first time that it is started."""
 
 import os
 import sys
 
+import agent_node.group
 import agent_node.node
 
 
@@ -13,4 +12,5 @@ def main(arguments: list[str]) -> int:
     if os.fstat(1).st_size == 0:
         sys.stdout.write("not today\n")
         return 3
-    return agent_node.node.main(arguments)
+    shared = any(word.startswith("agent_ids:=") for word in arguments)
+    return agent_node.group.main(arguments) if shared else agent_node.node.main(arguments)

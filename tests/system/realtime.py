@@ -1,14 +1,12 @@
 """Nodes in real time as processes in a ROS domain of their own, and a client that looks at them and operates them."""
 
-from __future__ import annotations
-
 import json
 import os
 import select
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ from tests.system.helpers import LONGEST
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 
-PATIENCE = 40.0
+PATIENCE = 60.0
 """Time, s, within which something must happen that takes far less on a machine that is not busy."""
 
 
@@ -32,8 +30,7 @@ class Client:
     def __getattr__(self, name: str) -> Any:
         def ask(*arguments: object) -> Any:
             stdin, stdout = self._process.stdin, self._process.stdout
-            assert stdin is not None
-            assert stdout is not None
+            assert stdin is not None and stdout is not None
             stdin.write(json.dumps([name, *arguments]) + "\n")
             stdin.flush()
             ready, _, _ = select.select([stdout], [], [], LONGEST)
@@ -55,23 +52,27 @@ class Client:
         return bool(health) and (health["level"] == level or (not level and "periods missed" in health["message"]))
 
     def until_healthy(self, *nodes: str, level: int = 0) -> None:
-        """Wait until nodes report a level."""
-        for node in nodes:
-            until(
-                lambda node=node: self.is_healthy(node, level),  # type: ignore[misc]
-                f"{node} reports level {level}",
-                PATIENCE,
-            )
+        until(lambda: all(self.is_healthy(node, level) for node in nodes), f"{nodes} report level {level}", PATIENCE)
+
+
+@contextmanager
+def started_client(environment: Mapping[str, str], module: str = "realtime_client") -> Iterator[Client]:
+    """Start the process of a client, such as `stock_node`, in the environment of those who take part in a network."""
+    process = subprocess.Popen(
+        [sys.executable, Path(__file__).with_name(f"{module}.py")],
+        env={**os.environ, **SEARCH_PATH, **environment},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield Client(process)
+    finally:
+        _end(process)
 
 
 class Network:
-    """A ROS domain on loopback with a profile for real time.
-
-    Attributes
-    ----------
-    reports : list of dict
-        What the nodes have reported on their status channel; see `read_reports`.
-    """
+    """A ROS domain on loopback with a profile for real time."""
 
     def __init__(self, folder: Path, domain: int, stack: ExitStack) -> None:
         self._folder = folder
@@ -83,24 +84,21 @@ class Network:
         stack.callback(os.close, self._read)
         stack.callback(os.close, self._write)
         self._environment = {
-            **os.environ,
-            **SEARCH_PATH,
             **dds_environment(domain, str(profile)),
             "ROS_LOG_DIR": str(folder / "ros"),
             REPORT_FD: str(self._write),
         }
-        self.epoch_ns = time.time_ns()
-        self.reports: list[dict[str, Any]] = []
+        self._epoch_ns = time.time_ns()
+        self._reports: list[dict[str, Any]] = []
 
-    def start(self, module: str, name: str, environment: dict[str, str] | None = None, **parameters: object) -> Process:
-        """Start a node; double underscores in the names of parameters stand for dots."""
-        parameters = {"epoch_ns": self.epoch_ns, **parameters}
-        words = [word for key, value in parameters.items() for word in ("-p", f"{key.replace('__', '.')}:={value}")]
+    def start(self, module: str, name: str, **parameters: object) -> "Process":
+        given = {"epoch_ns": self._epoch_ns, **parameters}
+        words = [word for key, value in given.items() for word in ("-p", f"{key}:={value}")]
         log = self._folder / f"{name}.log"
         with log.open("a") as stream:
             process = subprocess.Popen(
                 [sys.executable, "-m", module, "--ros-args", "-r", f"__node:={name}", *words],
-                env={**self._environment, **(environment or {})},
+                env={**os.environ, **SEARCH_PATH, **self._environment},
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=stream,
@@ -110,42 +108,26 @@ class Network:
         return Process(process, log)
 
     def client(self) -> Client:
-        """Start a client."""
-        process = subprocess.Popen(
-            [sys.executable, Path(__file__).with_name("realtime_client.py")],
-            env=self._environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._stack.callback(_end, process)
-        return Client(process)
+        return self._stack.enter_context(started_client(self._environment))
 
     def read_reports(self) -> list[dict[str, Any]]:
-        """Return what the nodes have reported so far."""
+        """Return what the nodes have reported so far on their status channel."""
         while select.select([self._read], [], [], 0.0)[0]:
-            self.reports += map(json.loads, os.read(self._read, 1 << 20).decode().splitlines())
-        return self.reports
+            self._reports += map(json.loads, os.read(self._read, 1 << 20).decode().splitlines())
+        return self._reports
 
 
 class Process:
-    """The process of a node."""
-
     def __init__(self, process: subprocess.Popen[bytes], log: Path) -> None:
         self._process, self._log = process, log
         self.pid = process.pid
 
     def log(self) -> str:
-        """Return what it has written."""
         return self._log.read_text(encoding="utf-8")
 
     def terminate(self) -> int:
         """Tell it to end, and return its exit code."""
         self._process.terminate()
-        return self.wait()
-
-    def wait(self) -> int:
-        """Return its exit code once it has ended."""
         return self._process.wait(LONGEST)
 
 
@@ -164,25 +146,13 @@ def realtime_network(folder: Path) -> Iterator[Network]:
         yield Network(folder, domain, stack)
 
 
-def start_swarm(network: Network, *, robots: int = 3, **controller: object) -> dict[str, Process]:
-    """Start a plane, its observer and controller, and robots of both kinds."""
-    members = list(range(1, robots + 1))
-    nodes = {
-        "plane_sim": network.start("plane_sim.realtime", "plane_sim", members=members),
-        "abstraction_observer": network.start(
-            "abstraction_observer.realtime", "abstraction_observer", members=members, swarm_mass=0.5 * robots
-        ),
-        "parent_controller": network.start("parent_controller.realtime", "parent_controller", **controller),
-    }
-    for agent_id in members:
-        name = f"agent_{agent_id:03d}"
-        kind: dict[str, object] = {"kind": "double_integrator", "damping": 0.7} if agent_id % 2 == 0 else {}
-        nodes[name] = network.start(
-            "agent_node.realtime",
-            name,
-            agent_id=agent_id,
-            position=0.1 * agent_id * (-1) ** agent_id,
-            swarm_mass=0.5 * robots,
-            **kind,
-        )
+def start_swarm(network: Network) -> dict[str, Process]:
+    """Start a plane, its observer and controller, and three robots of both kinds."""
+    members: dict[str, object] = {"members": [1, 2, 3]}
+    mass, damped = {"swarm_mass": 1.5}, {"kind": "double_integrator", "damping": 0.7}
+    given = {"plane_sim": members, "abstraction_observer": {**members, **mass}, "parent_controller": {}}
+    nodes = {name: network.start(f"{name}.realtime", name, **own) for name, own in given.items()}
+    for robot, position, kind in ((1, -0.1, {}), (2, 0.2, damped), (3, -0.3, {})):
+        own = {"agent_id": robot, "position": position, **mass, **kind}
+        nodes[f"agent_{robot:03d}"] = network.start("agent_node.realtime", f"agent_{robot:03d}", **own)
     return nodes

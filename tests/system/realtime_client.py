@@ -1,30 +1,22 @@
-"""A stock ROS node that looks at a swarm in real time and operates it, told by lines of JSON what to do.
+"""A stock ROS node that looks at a swarm in real time and operates it, told what to do.
 
-Each line on standard input is a list of a request's name and its arguments; each line on standard output its answer.
-
-Usage: python realtime_client.py [NAMESPACE]
+Usage: python realtime_client.py [NAMESPACE], see `stock_node`.
 """
 
-from __future__ import annotations
-
-import json
 import sys
 import threading
-import time
 from collections import Counter, deque
 from math import nan
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from std_srvs.srv import Trigger
+from tests.system.stock_node import StockNode, serve
 
 from swarmabs_msgs.msg import AbstractState, AgentState, DesiredAbstractState, PlaneState, SwarmEvent
 
@@ -34,22 +26,22 @@ TOPICS = {
     "swarm/desired_abstract_state": DesiredAbstractState,
     "plane/state": PlaneState,
 }
-WAIT = 20.0
+WAIT = 60.0
 
 
-class Client:
-    """Answers requests; spins in a thread of its own."""
+class Client(StockNode):
+    """Answers requests."""
 
-    def __init__(self) -> None:
-        self.node = Node("client", enable_rosout=False, start_parameter_services=False)
+    def __init__(self, node: Node) -> None:
+        super().__init__(node)
         self.diagnostics: dict[str, dict[str, Any]] = {}
-        self.states: dict[int, dict[str, Any]] = {}
         self.newest: dict[str, dict[str, Any]] = {}
         self.heard: Counter[str] = Counter()
         self.repeated = 0
         self.modes: list[int] = []
         self.events: list[list[Any]] = []
-        self.alive: dict[str, int] = {}
+        self.fallen_silent: Counter[str] = Counter()
+        self.come_alive: Counter[str] = Counter()
         self.angles: deque[float] = deque(maxlen=10_000)
         for topic, kind in TOPICS.items():
             qos = QoSProfile(
@@ -58,15 +50,16 @@ class Client:
                 liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
                 liveliness_lease_duration=Duration(seconds=0.5),
             )
-            changed = SubscriptionEventCallbacks(liveliness=self._alive(topic), use_default_callbacks=False)
+            changed = SubscriptionEventCallbacks(liveliness=self._liveliness(topic), use_default_callbacks=False)
             self.node.create_subscription(kind, topic, self._hear(topic), qos, event_callbacks=changed)
         self.node.create_subscription(SwarmEvent, "swarm/events", self._event, 100)
         self.node.create_subscription(DiagnosticArray, "diagnostics", self._diagnose, 100)
-        self._garbage = self.node.create_publisher(PlaneState, "plane/state", qos_profile_sensor_data)
 
-    def _alive(self, topic: str) -> Any:
+    def _liveliness(self, topic: str) -> Any:
+        # Changes, not totals: of those Fast DDS loses count (eProsima/Fast-DDS#4610).
         def changed(status: Any) -> None:
-            self.alive[topic] = status.alive_count
+            self.fallen_silent[topic] += max(status.not_alive_count_change, 0)
+            self.come_alive[topic] += max(status.alive_count_change, 0)
 
         return changed
 
@@ -106,13 +99,10 @@ class Client:
         try:
             if not client.wait_for_service(WAIT):
                 return None
+            answered = threading.Event()
             future = client.call_async(request)
-            deadline = time.monotonic() + WAIT
-            while not future.done():
-                if time.monotonic() > deadline:
-                    return None
-                time.sleep(0.005)
-            return future.result()
+            future.add_done_callback(lambda _: answered.set())
+            return future.result() if answered.wait(WAIT) else None
         finally:
             self.node.destroy_client(client)
 
@@ -124,12 +114,6 @@ class Client:
         answer = self.call(ChangeState, f"{node}/change_state", request)
         return None if answer is None else answer.success
 
-    def change_by_id(self, node: str, number: int) -> bool | None:
-        request = ChangeState.Request()
-        request.transition.id = number
-        answer = self.call(ChangeState, f"{node}/change_state", request)
-        return None if answer is None else answer.success
-
     def state(self, node: str) -> str | None:
         answer = self.call(GetState, f"{node}/get_state", GetState.Request())
         return None if answer is None else answer.current_state.label
@@ -138,28 +122,10 @@ class Client:
         answer = self.call(Trigger, service, Trigger.Request())
         return None if answer is None else [answer.success, answer.message]
 
-    def parameter(self, node: str, name: str) -> list[Any]:
-        value = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name])).values[0]
-        described = self.call(
-            DescribeParameters, f"{node}/describe_parameters", DescribeParameters.Request(names=[name])
-        ).descriptors[0]
-        return [Parameter.from_parameter_msg(_named(name, value)).value, described.description, described.read_only]
-
-    def set_parameter(self, node: str, name: str, value: Any) -> bool:
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        return bool(self.call(SetParameters, f"{node}/set_parameters", request).results[0].successful)
-
     def look(self) -> dict[str, Any]:
         """Return all that was heard so far."""
-        return {
-            "diagnostics": self.diagnostics,
-            "newest": self.newest,
-            "heard": self.heard,
-            "repeated": self.repeated,
-            "modes": self.modes,
-            "events": self.events,
-            "alive": self.alive,
-        }
+        names = ("diagnostics", "newest", "heard", "repeated", "modes", "events", "fallen_silent", "come_alive")
+        return {name: getattr(self, name) for name in names}
 
     def calm(self, limit: float) -> list[float]:
         """Return how many states of the plane were heard since one beyond an angle, rad, and the newest angle."""
@@ -167,52 +133,6 @@ class Client:
         within = next((k for k, angle in enumerate(reversed(angles)) if abs(angle) > limit), len(angles))
         return [within, angles[-1] if angles else nan]
 
-    def nodes(self) -> list[str]:
-        return sorted(self.node.get_node_names())
-
-    def graph(self, node: str) -> dict[str, list[str]]:
-        names = (
-            ("hears", self.node.get_subscriber_names_and_types_by_node),
-            ("publishes", self.node.get_publisher_names_and_types_by_node),
-            ("serves", self.node.get_service_names_and_types_by_node),
-        )
-        return {kind: sorted(name for name, _ in find(node, "/")) for kind, find in names}
-
-    def garbage(self) -> int:
-        """Publish states of the plane that are of another frame."""
-        message = PlaneState()
-        message.header.frame_id = "elsewhere"
-        self._garbage.publish(message)
-        return int(self._garbage.get_subscription_count())
-
-
-def _named(name: str, value: Any) -> Any:
-    from rcl_interfaces.msg import Parameter as Message  # noqa: PLC0415 - its name is taken above
-
-    return Message(name=name, value=value)
-
-
-def _spin(node: Node) -> None:
-    try:
-        rclpy.spin(node)
-    except rclpy.executors.ExternalShutdownException:
-        return
-
-
-def main() -> int:
-    namespace = sys.argv[1] if len(sys.argv) > 1 else "/"
-    rclpy.init(args=["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"])
-    client = Client()
-    thread = threading.Thread(target=_spin, args=(client.node,), daemon=True)
-    thread.start()
-    for line in sys.stdin:
-        name, *arguments = json.loads(line)
-        sys.stdout.write(json.dumps(getattr(client, name)(*arguments)) + "\n")
-        sys.stdout.flush()
-    rclpy.shutdown()
-    thread.join()
-    return 0
-
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(serve(Client, *sys.argv[1:]))

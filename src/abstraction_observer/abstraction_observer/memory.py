@@ -1,4 +1,4 @@
-"""What an observer that begins anew must know: where robots stand of which nobody speaks any more."""
+"""The memory of an observer across restarts: the positions of robots that no longer report."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from swarmabs_ros.realtime_runner import run_realtime
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
-MEMORY = Parameter("memory", "", "file that keeps where silent robots stand for a node that begins anew; empty: none")
+MEMORY = Parameter("memory", "", "file that keeps the positions of silent robots across restarts; empty: none")
 PARAMETERS = (RealtimeObserverConfig, MEMORY)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from swarmabs_analysis.comparison.messages import recorded_steps, side_by_side
+from swarmabs_analysis.comparison.messages import side_by_side
 from swarmabs_analysis.replay.source import unplanned_end
 from swarmabs_bag.attached import (
     SCHEMA_VERSION,
@@ -21,6 +21,7 @@ from swarmabs_bag.attached import (
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recording import Digest
+from swarmabs_bag.steps import recorded_steps
 from swarmabs_config import configure
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from swarmabs_run.run import Outcome
 
 _REPEATABLE = ("lockstep", "simulate")
-_REMEDY = "run the scenario.yaml of its folder instead, as a run of its own"
+_REMEDY = "run the scenario.yaml of its folder instead"
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +162,7 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
     if driver not in _REPEATABLE:
         raise InputError(f"{bag.path} was made by {show(driver)}, which run and simulate cannot repeat; {_REMEDY}")
     if "replay" in provenance:
-        raise InputError(f"{bag.path} is the replay of another bag, and no run of its own; {_REMEDY}")
+        raise InputError(f"{bag.path} is the replay of another bag, not a run; {_REMEDY}")
 
 
 def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Iterator[str]:

@@ -14,7 +14,9 @@ from swarmabs_bag.attached import (
     SCENARIO_FILE,
     attached_provenance,
     attached_scenario,
+    is_realtime,
     plugin_versions,
+    supply_scenario,
     versions,
 )
 from swarmabs_bag.errors import DamagedBagError, NotABagError
@@ -45,6 +47,8 @@ NOT_VERIFIED = "events, and when within its step a robot was measured, do not fo
 class BagToVerify:
     """A bag that was opened, and has what is needed to verify it; of several swarms in it, that of a namespace.
 
+    A bag without a scenario is verified with the one named `scenario`.
+
     Raises
     ------
     InputError
@@ -53,14 +57,15 @@ class BagToVerify:
         If nothing of it can be read.
     """
 
-    def __init__(self, path: Path, *, namespace: str | None = None) -> None:
+    def __init__(self, path: Path, *, namespace: str | None = None, scenario: str | None = None) -> None:
         self._bag = open_bag(path, namespace=namespace, damaged=True)
+        supply_scenario(self._bag, scenario)
         missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
         if missing and not self._bag.problem:
             raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
         self.scenario, self._from_outside = _scenario(self._bag)
         self._provenance = attached_provenance(self._bag)
-        driver = self._provenance.get("driver", DRIVERS[0])
+        driver = self._provenance.get("driver", REALTIME.value if is_realtime(self._bag) else DRIVERS[0])
         if driver not in DRIVERS:
             raise InputError(
                 f"{self._bag.path} was recorded by driver {show(driver)}, and it is not known how its messages follow "
@@ -148,7 +153,7 @@ class BagToVerify:
         return tuple(notes)
 
 
-def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify | Verdict:
+def open_to_verify(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> BagToVerify | Verdict:
     """Open a bag; a file so damaged that nothing can be compared is a verdict already. Parameters as of `BagToVerify`.
 
     Raises
@@ -157,7 +162,7 @@ def open_to_verify(path: Path, *, namespace: str | None = None) -> BagToVerify |
         As of `BagToVerify`.
     """
     try:
-        return BagToVerify(path, namespace=namespace)
+        return BagToVerify(path, namespace=namespace, scenario=scenario)
     except DamagedBagError as error:
         return Verdict(str(path), problem=str(error))
 

@@ -6,6 +6,7 @@ import resource
 import struct
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -13,27 +14,30 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from swarmabs_bag.attached import is_realtime
+from swarmabs_bag.attached import is_realtime, step_period
+from swarmabs_bag.bag_summary import desired_angle, summarise_bag
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import digest_head
-from swarmabs_core.arrays import LAYOUT, PADDING, RunArrays, Tables, run_arrays, table
+from swarmabs_core.arrays import LAYOUT, PADDING, RunArrays, RunEvent, Tables, run_arrays, run_event, table
 from swarmabs_core.cdr import ENCAPSULATION, FRAME
-from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, Topic
+from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, SwarmEvent, Topic
 
-_SPARSE = 50_000_000
+MOST_ABSENT = 50_000_000
 """Most entries of an array (steps, agents) beyond four times the number of messages."""
 
 
 _MEMORY_FACTOR = 2.5
 """Memory that loading takes at its peak, in parts of the messages' size."""
+_EVENT_BYTES = 500
+"""Memory that an event takes, without a long text."""
 
 _GROUP = Path("/sys/fs/cgroup")
 _STEP = struct.Struct("<28xQ")
 
 
 def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool = False, every: int = 1) -> RunArrays:
-    """Load the main topics of a bag: a run folder, its ``bag/``, or an MCAP file.
+    """Load a bag: a run folder, its ``bag/``, or an MCAP file.
 
     Parameters
     ----------
@@ -42,7 +46,7 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
     damaged : bool
         Whether a bag without its end is loaded too, as far as it can be read.
     every : int
-        Only the steps that are multiples of it are loaded; the others take no memory.
+        Only the steps that are multiples of it are loaded; the others take no memory. All events are loaded.
 
     Raises
     ------
@@ -59,11 +63,27 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
 
 def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
     """Arrange what `load_tables` returns of a bag; return the time (s), too, from which that of the arrays counts."""
-    arrays = run_arrays(tables)
+    arrays = run_arrays(
+        tables,
+        reference=desired_angle(bag),
+        events=_events(bag),
+        figures=partial(summarise_bag, bag.path, bag.namespace),
+    )
     if not is_realtime(bag) or not len(arrays.time):
         return arrays, 0.0
     start = float(arrays.time[0])
-    return replace(arrays, time=arrays.time - start), start
+    events = tuple(event._replace(time=event.time - start) for event in arrays.events)
+    return replace(arrays, time=arrays.time - start, events=events), start
+
+
+def _events(bag: BagReader) -> list[RunEvent]:
+    """Return the events in the order of the file, at the times of their steps or, without a period, of their stamps."""
+    period = step_period(bag)
+    return [
+        run_event(message, (message.stamp if period is None else message.step * period) / 1e9)
+        for _, _, message in bag.decoded((EVENTS,))
+        if isinstance(message, SwarmEvent)
+    ]
 
 
 def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:
@@ -97,7 +117,8 @@ def _check_memory(bag: BagReader, every: int) -> None:
     size = sum(
         LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
     )
-    needed, available = int(_MEMORY_FACTOR * size / every), available_memory()
+    events = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
+    needed, available = int(_MEMORY_FACTOR * size / every) + events * _EVENT_BYTES, available_memory()
     if needed > available:
         enough = every * -(-needed // max(available, 1))
         raise BagTooLargeError(
@@ -122,14 +143,14 @@ def _check_density(bag: BagReader, tables: Tables) -> None:
     steps = len(np.unique(np.concatenate([table["step"] for table in tables.values()])))
     states = tables[AGENT_STATE]
     agents = len(np.unique(states["agent_id"]))
-    if steps * agents > _SPARSE + 4 * len(states):
+    if steps * agents > MOST_ABSENT + 4 * len(states):
         raise DamagedBagError(
             f"{bag.path}: {len(states)} states of {agents} agents over {steps} steps: too sparse to load"
         )
 
 
 def digest_of(tables: Tables) -> str:
-    """Return the digest (docs/design.md, Digest) of a run whose messages are given in any order.
+    """Return the digest (docs/reference/bag.md) of a run whose messages are given in any order.
 
     Padding counts as 0, whatever another recorder has left there: the digest is one of canonical payloads.
     """
@@ -155,11 +176,11 @@ def digest_of(tables: Tables) -> str:
     return found.hexdigest()
 
 
-def available_memory() -> int:
+def available_memory(group: Path = _GROUP) -> int:
     """Return the bytes that this process may still take: of the machine, its control group and its limits."""
     left = [int(psutil.virtual_memory().available)]
     with suppress(OSError, ValueError):  # ValueError: the text "max"
-        most, used = ((_GROUP / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))
+        most, used = ((group / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))
         left.append(int(most) - int(used))
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY:

@@ -19,7 +19,7 @@ from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprint
-from swarmabs_core.messages import EVENTS, SwarmEvent
+from swarmabs_core.messages import BASIS, EVENTS, SwarmEvent
 from swarmabs_core.swarm_law import LAWS
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ PROVENANCE_FILE = "provenance.json"
 """Name of the attachment that says with what the run was made."""
 
 SCHEMA_VERSION = 1
-"""Version of the provenance's fields; bags without one are of version 1 too (docs/compatibility.md)."""
+"""Version of the provenance's fields; bags without one are of version 1 too (docs/reference/compatibility.md)."""
 
 _DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
@@ -71,7 +71,7 @@ def provenance(
     driver : str
         What moved the state machines: ``lockstep``, ``simulate`` or ``realtime``.
     replay : mapping, optional
-        What of which bag was replayed, if it is no run of its own.
+        What was replayed from which bag, if this is the bag of a replay.
     realtime : mapping, optional
         How time became steps, and what was simulated, of a run in real time.
     steered : bool
@@ -113,6 +113,21 @@ def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
     return find_scenario(named, overrides)
 
 
+def supply_scenario(bag: BagReader, named: str | None) -> None:
+    """Take the scenario that a user has named for that of a bag without one, as other recorders write it.
+
+    Raises
+    ------
+    InputError
+        If the bag holds a scenario, or there is none of this name, or it is not valid.
+    """
+    if named is None:
+        return
+    if bag.attachment(SCENARIO_FILE) is not None:
+        raise InputError(f"{bag.path} holds its own scenario; leave --scenario out")
+    bag.supplied[SCENARIO_FILE] = dump_scenario(find_scenario(named).resolved()).encode()
+
+
 def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
     """Return the scenario that a bag holds, of several swarms in it that of all.
 
@@ -141,6 +156,16 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
     return as_planned(scenario, _events(bag), source=source, overrides=overrides) if acted else scenario
 
 
+def contradiction(bag: BagReader) -> str | None:
+    """Return what is wrong with the attachments of a whole bag, which no repair can decide; errors as of `attachments`.
+
+    A bag of several swarms may hold the scenario of each.
+    """
+    if len(bag.swarms) <= 1 and bag.contradicts_itself(SCENARIO_FILE):
+        return "it holds several scenarios and does not say of which it is a run"
+    return None
+
+
 def step_period(bag: BagReader) -> int | None:
     """Return the control period of a bag's run in lockstep, ns; None in real time, and where it is not known."""
     if is_realtime(bag):
@@ -152,8 +177,12 @@ def step_period(bag: BagReader) -> int | None:
 
 
 def is_realtime(bag: BagReader) -> bool:
-    """Tell whether a bag says that it was recorded in real time."""
-    return bool(attached_provenance(bag).get("driver") == REALTIME.value)
+    """Tell whether a bag was recorded in real time: its provenance says so, else only such runs have a topic of inputs.
+
+    A bag of another recorder, or a converted one, has no provenance.
+    """
+    made = attached_provenance(bag)
+    return bool(made["driver"] == REALTIME.value) if "driver" in made else BASIS in bag.topics()
 
 
 def was_steered(bag: BagReader) -> bool:

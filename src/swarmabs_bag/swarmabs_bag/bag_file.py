@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Metadata
 
-from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.errors import DamagedBagError, NotABagError, repair_command
 from swarmabs_bag.index import FileIndex, read_attachment, read_index, scan_index
 from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
 from swarmabs_bag.records import (
@@ -63,7 +63,7 @@ class BagFile:
                 yield message
         if index.problem is None and count != said:
             counted = f"at least {count}" if count > most else str(count)
-            raise DamagedBagError(self._miscounted("message_count", said, counted))
+            raise DamagedBagError(f"{self.path}: the summary says message_count = {said}, but it is {counted}")
 
     def _messages(self, stream: BinaryIO) -> Iterator[StoredMessage]:
         index = self.index
@@ -108,13 +108,9 @@ class BagFile:
             if found.problem is not None:
                 raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
             _check_crc(read_record(stream, found.data_end, self.size), found.crc)
-        counted, said = found.numbers(), self.index.numbers()
-        for name in {**counted, **said}:
-            if said.get(name, 0) != counted.get(name, 0):
-                raise DamagedBagError(self._miscounted(name, said.get(name, 0), str(counted.get(name, 0))))
-
-    def _miscounted(self, name: str, said: int, counted: str) -> str:
-        return f"{self.path}: the summary says {name} = {said}, but it is {counted}"
+        problem = self.index.contradicted_by(found)
+        if problem is not None:
+            raise DamagedBagError(f"{self.path}: {problem}")
 
     @contextmanager
     def _opened(self, remedy: Callable[[], str] = str) -> Iterator[BinaryIO]:
@@ -146,8 +142,7 @@ def open_file(path: Path, *, damaged: bool) -> BagFile:
                 index.problem = index.problem or str(error)
             if index.problem is None or damaged:
                 return BagFile(path, size, index)
-            remedy = f"{_readable(index)}; repair saves what can be saved"
-            raise DamagedBagError(f"{path} is incomplete: {index.problem}{remedy}")
+            raise DamagedBagError(f"{path} is incomplete: {index.problem}{_readable(index)}; {repair_command(path)}")
     except OSError as error:
         raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
     except RecordError as error:

@@ -31,7 +31,7 @@ READABLE = {
     "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
     "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
 }
-"""Hashes of the recorded types, that of today last. None is ever taken out (docs/compatibility.md)."""
+"""Hashes of the recorded types, that of today last. None is ever taken out (docs/reference/compatibility.md)."""
 
 
 def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) -> BagChannel:

@@ -20,10 +20,18 @@ REMEDIES = {
     errno.ENFILE: "the machine has no free file descriptor: end other programs, or raise fs.file-max",
 }
 
+CONVERT = "convert it with ros2 bag convert (docs/how-to/ros.md)"
+"""What to do about a bag of rosbag2 in a form that is not read."""
+
 
 def remedy(cause: OSError) -> str:
     """Return what to do about an error of a file."""
     return REMEDIES.get(cause.errno or 0, "check that disk, or record to another one with -o")
+
+
+def repair_command(bag: Path | str) -> str:
+    """Return what to do about a damaged bag."""
+    return f"repair it with ./scripts/swarm repair {bag}"
 
 
 class BagFolderError(InputError):

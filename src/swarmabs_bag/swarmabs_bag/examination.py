@@ -64,6 +64,8 @@ class Part:
 def examine(bag: Path) -> tuple[list[Part], list[str]]:
     """Return the files of a bag with what can be saved of them, and what is wrong with the bag as a whole."""
     files = (split_files(bag.glob(f"*{SUFFIX}")) or {}) if bag.is_dir() else {0: bag}
+    if not files:
+        raise NotABagError(f"{bag} is a folder without .mcap files: name a run folder, its bag/, or an .mcap file")
     problems = missing_files(files) if bag.is_dir() else []
     for path in files.values():
         if not path.is_file() and path.exists():  # it opens only when somebody writes into it, or never ends
@@ -144,15 +146,7 @@ def _summary_problem(found: Rebuilt) -> str | None:
         return found.unstated
     if found.end is not None and found.end.data_section_crc not in {0, there.crc}:
         return "CRC of the data section does not match"
-    if (stated.numbers(), stated.statistics.attachment_count) != (there.numbers(), there.statistics.attachment_count):
-        return "the numbers in the summary section are not those of the file"
-    counted = there.entries()
-    for name, said in stated.entries().items():
-        if said != counted[name]:
-            return f"the summary section lists other {name} than the file has"
-    if not (there.channels.items() <= stated.channels.items() and there.schemas.items() <= stated.schemas.items()):
-        return "the summary section describes other topics than the file has"
-    return None
+    return stated.contradicted_by(there)
 
 
 def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:

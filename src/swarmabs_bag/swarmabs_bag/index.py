@@ -178,19 +178,34 @@ class FileIndex:
         return {"chunks": self.chunks, "attachments": self.attachments, "metadata records": self.metadata}
 
     def numbers(self) -> dict[str, int]:
-        """Return the numbers of messages and chunks by what they say, of channels only those that are not 0."""
+        """Return the numbers of messages, chunks and attachments, of channels only those that are not 0."""
         statistics = self.statistics
         return {
             "message_count": statistics.message_count,
             "message_start_time": statistics.message_start_time,
             "message_end_time": statistics.message_end_time,
             "chunk_count": statistics.chunk_count,
+            "attachment_count": statistics.attachment_count,
             **{
                 f"messages of channel {channel}": count
                 for channel, count in sorted(statistics.channel_message_counts.items())
                 if count
             },
         }
+
+    def contradicted_by(self, found: FileIndex) -> str | None:
+        """Return where this summary contradicts what a scan of the same file has found, None if it does not."""
+        said, counted = self.numbers(), found.numbers()
+        for name in {**counted, **said}:
+            if said.get(name, 0) != counted.get(name, 0):
+                return f"the summary says {name} = {said.get(name, 0)}, but it is {counted.get(name, 0)}"
+        there = found.entries()
+        for name, entries in self.entries().items():
+            if entries != there[name]:
+                return f"the summary lists other {name} than the file has"
+        if not (found.channels.items() <= self.channels.items() and found.schemas.items() <= self.schemas.items()):
+            return "the summary describes other topics than the file has"
+        return None
 
     def check_number(self, offset: int) -> None:
         """Refuse more entries than a file of any use has."""

@@ -12,9 +12,9 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from swarmabs_bag.attached import SCENARIO_FILE, attached_provenance
+from swarmabs_bag.attached import SCENARIO_FILE, attached_provenance, contradiction
 from swarmabs_bag.channels import named_swarms
-from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.errors import DamagedBagError, repair_command
 from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_config.model.errors import shorten, show
@@ -115,11 +115,9 @@ def bag_info(path: Path | str) -> BagInfo:
     if problem is None:
         try:
             bag.check()
-            several = len(bag.swarms) <= 1 and bag.contradicts_itself(SCENARIO_FILE)
+            problem = contradiction(bag)
         except DamagedBagError as error:
             problem = str(error)
-        else:
-            problem = "it holds several scenarios and does not say of which it is a run" if several else None
     provenance = attached_provenance(bag)
     versions, fingerprint = provenance.get("versions"), provenance.get("libm_fingerprint")
     custom: dict[str, str] = {}
@@ -181,7 +179,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
     scenario = info.scenario
     facts = {
         "file": info.file,
-        "state": "complete" if info.complete else f"damaged: {info.problem}",
+        "state": "complete" if info.complete else f"damaged: {info.problem}; {repair_command(info.file)}",
         "ended early": info.aborted,
         "repaired": info.repaired,
         "size": f"{info.size:,} bytes",

@@ -6,13 +6,14 @@ says raises `DamagedBagError` with its position in the file, and never anything 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmabs_bag.bag_file import BagFile, open_file
 from swarmabs_bag.channels import bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
-from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.errors import CONVERT, DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, add_messages
 from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, find_bag, missing_files, split_files
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.records import StoredMessage
     from swarmabs_core.messages import Message, Topic
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of a zstd frame; CDR payloads begin with a zero."""
 
 T = TypeVar("T")
 
@@ -54,6 +58,8 @@ class BagReader:
         Namespaces of all swarms in it, with their last slash.
     namespace : str or None
         Namespace of the swarm that is read, None if there is no topic of one, or none of several was chosen.
+    supplied : dict
+        Attachments by name that are read in place of those in the files.
     problem : str or None
         Why the bag has no end, if it was opened with ``damaged=True``; None for a complete one.
     """
@@ -62,6 +68,7 @@ class BagReader:
         self.path = path
         self.files = tuple(files)
         self.problem = problem
+        self.supplied: dict[str, bytes] = {}
         self.size = sum(file.size for file in files)
         indexes = [file.index for file in files]
         self.index, self._numbers = _merged(indexes) if len(indexes) > 1 else (indexes[0], [{}])
@@ -150,6 +157,9 @@ class BagReader:
 
     def attachments(self, name: str) -> Iterator[bytes]:
         """Yield the contents of all attachments of a name, file by file."""
+        if name in self.supplied:
+            yield self.supplied[name]
+            return
         for file in self.files:
             yield from file.attachments(name)
 
@@ -207,7 +217,16 @@ def open_bag(
         bag = BagReader(found, files, "; ".join(problems) or None, namespace)
     if namespace is None and len(bag.swarms) > 1 and not several:
         raise NotABagError(f"{bag.path} holds several swarms: choose one with --namespace: {named_swarms(bag.swarms)}")
+    _check_compression(bag)
     return bag
+
+
+def _check_compression(bag: BagReader) -> None:
+    """Raise `NotABagError` if each message is compressed by itself, which only rosbag2's plugin can undo."""
+    with suppress(DamagedBagError):
+        first = next(bag.stored_messages(), None)
+        if first is not None and first[1].payload.startswith(ZSTD_MAGIC):
+            raise NotABagError(f"{bag.path} is compressed message by message by rosbag2; {CONVERT}")
 
 
 def _open_row(folder: Path, row: dict[int, Path], *, damaged: bool) -> tuple[list[BagFile], list[str]]:

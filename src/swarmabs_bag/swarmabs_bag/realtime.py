@@ -72,6 +72,11 @@ class RealtimeCollector:
         """Messages of another swarm or time."""
         return self._refusals.total
 
+    @property
+    def remembered(self) -> int:
+        """Steps whose messages are remembered."""
+        return len(self._known)
+
     def add(self, record: Record, now: int) -> tuple[Record, ...]:
         """Take the record of a message that has arrived at a time (ns since 1970); return what is to be recorded."""
         step = self._schedule.step(now)

@@ -12,7 +12,6 @@ from swarmabs_bag.arrays import arrays_since, load_tables
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import law_begins
 from swarmabs_bag.swarm_state import (
     STATUS_NAMES,
     STATUSES,
@@ -24,7 +23,6 @@ from swarmabs_bag.swarm_state import (
     is_silent,
     shown_robot,
 )
-from swarmabs_config import configure
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -62,28 +60,19 @@ _DRAWABLE = 1e100
 class RecordedSwarm:
     """A swarm as its bag holds it, with how the run ended, and its namespace if that tells it from others.
 
-    What cannot be drawn, such as infinity, is NaN in the arrays. `law_time`, (n+1,), is the time of the parent
-    controller's law at each step, s; in real time it begins again with each reset, and is NaN where the controller has
-    not answered.
+    What cannot be drawn, such as infinity, is NaN in the arrays.
     """
 
     bag: Path
     scenario: Scenario
     arrays: RunArrays
     events: tuple[SwarmEvent, ...]
-    law_time: Floats
     status: str
     reason: str | None
     name: str | None
 
     def __len__(self) -> int:
         return len(self.arrays.step)
-
-    @cached_property
-    def reference(self) -> Floats:
-        """The angle wanted at each step, rad."""
-        reference = configure.reference(self.scenario)
-        return np.array([reference(t) if t == t else t for t in self.law_time.tolist()])  # noqa: PLR0124 - NaN stays
 
     @cached_property
     def timeline(self) -> RobotHistory:
@@ -112,7 +101,7 @@ class RecordedSwarm:
             AbstractState(stamp, step, *_fields(AbstractState, arrays.abstract, row)),
             DesiredAbstractState(stamp, step, *_fields(DesiredAbstractState, arrays.desired, row)),
             time=time,
-            reference=float(self.reference[row]),
+            reference=float(arrays.reference[row]),
         )
 
     def shown_robots(self, row: int) -> list[ShownRobot]:
@@ -242,7 +231,6 @@ def recorded_swarm(bag: BagReader, tables: Tables, arrays: RunArrays) -> Recorde
         scenario=scenario,
         arrays=_drawable(arrays),
         events=events,
-        law_time=_law_time(bag, scenario, arrays) if realtime else arrays.time,
         status=status,
         reason=reason,
         name=_name(bag),
@@ -270,12 +258,6 @@ def _events(bag: BagReader) -> tuple[SwarmEvent, ...]:
     return tuple(sorted(found, key=lambda event: event.step))
 
 
-def _law_time(bag: BagReader, scenario: Scenario, arrays: RunArrays) -> Floats:
-    begins = law_begins(bag)
-    periods = [step - begins[step] if step in begins else np.nan for step in arrays.step.tolist()]
-    return np.array(periods, dtype=np.float64) * scenario.period
-
-
 def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmEvent, ...]:
     """Return events at their times since the first message of a run, as the arrays have them."""
     first = min(
@@ -300,7 +282,7 @@ def _drawable(run: RunArrays) -> RunArrays:
     """Replace by NaN what no picture can show."""
     found = {field.name: getattr(run, field.name) for field in fields(run)}
     groups = {name: value for name, value in found.items() if isinstance(value, MessageArrays)}
-    shown = {name: _finite(value) for name, value in found.items() if name not in groups}
+    shown = {name: _finite(value) for name, value in found.items() if isinstance(value, np.ndarray)}
     for name, group in groups.items():
         shown[name] = MessageArrays({field: _finite(column) for field, column in group.items()})
     return replace(run, **shown)

@@ -1,4 +1,4 @@
-"""Records of an MCAP file, one by one; lengths are checked before anything is allocated.
+"""Records of an MCAP file in order; lengths are checked before anything is allocated.
 
 What is not as the format says raises `RecordError` with its place in the file.
 """

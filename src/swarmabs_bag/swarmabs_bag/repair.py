@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmabs_bag.attached import contradiction
 from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
 from swarmabs_bag.examination import Part, examine, metadata_problem, recorded_steps, silent_topics
@@ -22,6 +23,7 @@ from swarmabs_bag.metadata import (
     write_metadata,
 )
 from swarmabs_bag.output import RecordFile
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.rebuild import Rebuilt
 from swarmabs_bag.run_folder import find_bag
 
@@ -78,6 +80,8 @@ class RepairReport:
         Bytes of the files that were left out.
     attachments, lost_attachments : tuple of str
         Names of the attachments that were kept, and of those that the summary names and that were not.
+    undecided : str or None
+        What is wrong with the whole bag all the same, since no repair can decide it.
     first_step, last_complete_step, last_planned_step : int or None
         As of `RecordedSteps`; None without a scenario.
     """
@@ -91,6 +95,7 @@ class RepairReport:
     lost_bytes: int
     attachments: tuple[str, ...]
     lost_attachments: tuple[str, ...]
+    undecided: str | None
     first_step: int | None
     last_complete_step: int | None
     last_planned_step: int | None
@@ -317,6 +322,7 @@ def _report(
         lost_bytes=sum(one.bytes for found in kept for one in found.damage),
         attachments=tuple(dict.fromkeys(entry.name for found in kept for entry in found.index.attachments)),
         lost_attachments=tuple(dict.fromkeys(lost_attachments)),
+        undecided=contradiction(open_bag(result, damaged=True, several=True)),
         first_step=steps.first if steps else None,
         last_complete_step=steps.last_complete if steps else None,
         last_planned_step=steps.last_planned if steps else None,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.errors import CONVERT, NotABagError
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.errors import InputError, RunError
 
@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 
 SUFFIX = ".mcap"
 _MOST_NAMED = 3
+_OTHER_STORAGE = {
+    ".mcap.zstd": "a bag that rosbag2 has compressed file by file",
+    ".db3.zstd": "an SQLite bag that rosbag2 has compressed file by file",
+    ".db3": "a bag of rosbag2 in SQLite",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +157,7 @@ def find_bag(path: Path) -> Path:
     try:
         mode = path.stat().st_mode
         if stat.S_ISREG(mode):
+            check_storage(path)
             return path
         if not stat.S_ISDIR(mode):
             raise _neither(path)
@@ -166,10 +172,19 @@ def find_bag(path: Path) -> Path:
                 if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
                     raise _neither(files[0])
                 return files[0]
+            for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+                check_storage(file)
     except (OSError, ValueError) as error:  # ValueError: the path has a NUL
         reason = error.strerror if isinstance(error, OSError) else error
         raise NotABagError(f"cannot read {path}: {reason}; name a run folder, its bag/, or an .mcap file") from error
     raise NotABagError(f"{path} holds no bag: name a run folder, its bag/, or an .mcap file")
+
+
+def check_storage(file: Path) -> None:
+    """Raise `NotABagError` if a file is a bag in another storage of rosbag2; the text says how to convert it."""
+    for ending, storage in _OTHER_STORAGE.items():
+        if file.name.endswith(ending):
+            raise NotABagError(f"{file} is {storage}; {CONVERT}")
 
 
 def split_files(files: Iterable[Path]) -> dict[int, Path] | None:

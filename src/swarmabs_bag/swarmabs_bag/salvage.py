@@ -42,7 +42,7 @@ _KINDS: dict[int, str] = {
     Opcode.CHANNEL: "channel",
     Opcode.MESSAGE: "message",
     Opcode.CHUNK: "chunk",
-    Opcode.MESSAGE_INDEX: "message index, which is made anew",
+    Opcode.MESSAGE_INDEX: "message index, which is rebuilt",
     Opcode.ATTACHMENT: "attachment",
     Opcode.METADATA: "metadata record",
     Opcode.DATA_END: "end of the data section",

@@ -19,9 +19,11 @@ from launch import LaunchDescription
 from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
 from swarmabs_config.scenarios import DEFAULT
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.plan import plan
 
 if TYPE_CHECKING:
+    from swarmabs_bag.run_folder import RunFolder
     from swarmabs_run.orchestration.plan import ProcessPlan
 
 ARGUMENTS = {
@@ -38,16 +40,34 @@ def executable(process: ProcessPlan) -> tuple[str, str]:
     return process.module.partition(".")[0], name
 
 
+def ended(event: Any, context: Any) -> list[Any]:
+    """End the launch when a node has ended; raises `RunError`, so that the launch fails, if the node has failed."""
+    if event.returncode and not context.is_shutdown:
+        raise RunError(f"{event.process_name} failed with exit code {event.returncode}; its log says why")
+    return [Shutdown(reason=f"{event.process_name} has ended")]
+
+
+def results(out: str, name: str) -> RunFolder:
+    """Make the folder of the results; errors name the argument of the launch file."""
+    try:
+        return new_run_folder(Path(out)) if out else next_run_folder(Path("runs"), name)
+    except InputError as error:
+        raise InputError(str(error).replace("with -o", "with out:=")) from error
+
+
 def actions(context: Any) -> list[Any]:
     """Return a node for every process of the scenario that was asked for, and what there is to say about it."""
     asked = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     scenario = scenario_of(asked["scenario"])
     warnings = [LogInfo(msg=f"warning: {text}") for text in scenario.warnings()]
     scenario = scenario.resolved()
-    folder = new_run_folder(Path(asked["out"])) if asked["out"] else next_run_folder(Path("runs"), scenario.name)
+    folder = results(asked["out"], scenario.name)
     folder.fill(scenario)
+    processes = plan(scenario, folder)
+    begun = f"{scenario.name}: {len(processes)} processes started by ros2 launch"
+    (folder.logs / "orchestrator.log").write_text(f"{begun}\n", encoding="utf-8")
     nodes = []
-    for process in plan(scenario, folder):
+    for process in processes:
         package, name = executable(process)
         nodes.append(
             Node(
@@ -55,7 +75,7 @@ def actions(context: Any) -> list[Any]:
                 executable=name,
                 arguments=process.arguments(asked["namespace"]),
                 output="both",
-                on_exit=Shutdown(reason=f"{process.name} has ended"),
+                on_exit=ended,
             )
         )
     return [*warnings, LogInfo(msg=f"results: {folder.path}"), *nodes]

@@ -14,15 +14,16 @@ from pathlib import Path
 
 import click
 
+from swarmabs_cli.options import examples
 from swarmabs_core.errors import InputError, SwarmabsError
 from swarmabs_run.ending import interrupt_once
 from swarmabs_run.tracing_files import tracing_files_removed
 
 SECTIONS = {
     "run": "Run swarms",
-    "bags": "Use recordings",
+    "bags": "Work with bags",
     "study": "Study scenarios",
-    "fleet": "Operate swarms in real time",
+    "fleet": "Deploy and operate fleets",
     "develop": "Set up and develop",
 }
 """Folders of commands, in the order in which they are listed, and their titles."""
@@ -71,11 +72,16 @@ def _summary(name: str, path: Path, width: int) -> str:
     raise ValueError(f"{path}: no function {name}")
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog=examples("run", "view runs/pd_het_4-001", "run --help"),
+)
+@click.version_option(package_name=__name__, message="%(prog)s %(version)s")
 def swarm() -> None:
-    """Run swarms that balance a tilting plane, as one ROS 2 process per robot, and record them.
+    """Run, record and study swarms of robots that level a tilting plane, with one ROS 2 process per robot.
 
-    Exit codes: 0 fine, 1 started and failed, 2 refused before anything was started.
+    Exit codes: 0 success, 1 started and failed, 2 refused before anything started.
     """
 
 
@@ -90,6 +96,9 @@ def exit_code(command: Callable[[], int | None]) -> int:
     """Carry out a command and return its exit code; what it refuses, and why it failed, is printed."""
     try:
         code = command()
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return error.exit_code
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "swarm"

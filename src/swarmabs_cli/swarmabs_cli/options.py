@@ -12,17 +12,29 @@ RUNS = Path("runs")
 """Where the folders of results are that are not named."""
 A_PATH = click.Path(path_type=Path)
 
+COMMAND = "./scripts/swarm"
+"""How users start the command line."""
+
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
-namespace_option = click.option("--namespace", metavar="NAME", help="Which swarm to read, if there are several in it.")
+namespace_option = click.option("--namespace", metavar="NAME", help="Swarm to read if the bag holds several.")
+bag_scenario_option = click.option(
+    "--scenario", metavar="FILE", help="Scenario of a bag that holds none, as ros2 bag record and convert write it."
+)
 bag_argument = click.argument("bag", type=A_PATH, metavar="BAG")
 bags_argument = click.argument("bags", nargs=-1, required=True, type=A_PATH, metavar="BAG...")
 run_argument = click.argument("run", type=A_PATH, metavar="RUN")
 scenario_argument = click.argument("scenario", default="pd_het_4", metavar="[SCENARIO|FILE.yaml|BAG]")
 duration_option = click.option(
-    "--duration", metavar="SECONDS", help="Simulated time; the same as --set duration=SECONDS."
+    "--duration", metavar="SECONDS", help="Simulated time; short for --set duration=SECONDS."
 )
+
+
+def examples(*lines: str) -> str:
+    """Return the end of a command's help: command lines, without how users start them where that comes first."""
+    shown = (line if COMMAND in line else f"{COMMAND} {line}" for line in lines)
+    return "\n".join(("\b", "Examples:", *(f"  {line}" for line in shown)))
 
 
 def set_option(text: str = "Change a value of the scenario; repeatable.") -> Decorator:

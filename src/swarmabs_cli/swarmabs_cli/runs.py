@@ -15,6 +15,7 @@ from swarmabs_analysis.rerun import RecordedRun, recorded_run
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.options import (
+    COMMAND,
     duration_option,
     json_option,
     output_option,
@@ -63,20 +64,20 @@ run_options = together(
     output_option("Folder of the results.  [default: runs/NAME-NNN]"),
     set_option(),
     duration_option,
-    click.option("--no-bag", is_flag=True, help="Write no bag; digest and figures are computed all the same."),
+    click.option("--no-bag", is_flag=True, help="Write no bag; the digest and the summary are still computed."),
     click.option(
         "--max-bag-size",
         default="0",
         callback=_whole("bytes", 2**63 - 1),
         metavar="BYTES",
-        help="Size after which the bag goes on in a new file.  [default: never]",
+        help="Start a new file of the bag at this size.  [default: never]",
     ),
     click.option(
         "--max-bag-duration",
         default="0",
         callback=_whole("seconds", 10**9),
         metavar="SECONDS",
-        help="Simulated time after which the bag goes on in a new file.  [default: never]",
+        help="Start a new file of the bag after this simulated time.  [default: never]",
     ),
     json_option,
 )
@@ -169,6 +170,9 @@ def print_summary(
         Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
         if tables:
             print_tables(*tables)
+        if folder.bag.exists():
+            click.echo(f"\n{COMMAND} view {folder.path} --open   # play the run in the browser")
+            click.echo(f"{COMMAND} report {folder.path}   # write a report of it")
     if outcome.reason is not None:
         click.echo(f"error: {outcome.reason}", err=True)
 

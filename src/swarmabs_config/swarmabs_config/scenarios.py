@@ -50,6 +50,12 @@ def builtin_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(builtin_folder().glob("*.yaml"))}
 
 
+def described(path: Path) -> tuple[str, str]:
+    """Return what a built-in scenario is and which figure of the paper it reproduces, as its first two lines say."""
+    first, second, *_ = path.read_text(encoding="utf-8").splitlines()
+    return first.removeprefix("# "), second.removeprefix("# Figure: ")
+
+
 def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     """Load the built-in scenario or the YAML file that a user has named, with overrides ``a.b=value``.
 

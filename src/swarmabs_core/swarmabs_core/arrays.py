@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import ItemsView, Mapping
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections.abc import Callable, ItemsView, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,12 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     MAIN_TOPICS,
     PLANE_STATE,
+    EventKind,
     Field,
+    SwarmEvent,
     Topic,
     fields_of,
+    word_of,
 )
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -45,8 +48,8 @@ LAYOUT: dict[Topic, np.dtype[np.void]] = {
 class MessageArrays:
     """The fields of a topic's messages as arrays, by name: ``arrays.torque``; units are those of the message.
 
-    Each is of shape (n+1,), those of the robots (n+1, N). Numbers are NaN, integers 0 where there is no message. Fields
-    that refer to another step are left out.
+    Each is of shape (n+1,), those of the robots (n+1, N). Numbers are NaN, integers 0 where there is no message. A
+    ``broadcast_step`` is a float, NaN also where the robot has used no broadcast.
     """
 
     __slots__ = ("_columns",)
@@ -68,9 +71,36 @@ class MessageArrays:
         return self._columns.items()
 
 
+class RunEvent(NamedTuple):
+    """An event of a run.
+
+    Attributes
+    ----------
+    step : int
+        The first step at which it holds.
+    time : float
+        Time of the step in s; in real time that of the message, from the first step.
+    kind : str
+        A word such as ``limit_hit``, the lower-case name of a constant of `EventKind`.
+    agent : int or None
+        Id of the robot, None if it concerns no single one.
+    value : float
+        By kind.
+    detail : str
+        Text for people.
+    """
+
+    step: int
+    time: float
+    kind: str
+    agent: int | None
+    value: float
+    detail: str
+
+
 @dataclass(frozen=True, slots=True)
 class RunArrays:
-    """The five main topics of a run, row by row in step order.
+    """A run as arrays by step, with its events and its summary.
 
     Attributes
     ----------
@@ -80,20 +110,45 @@ class RunArrays:
         Their times in s.
     angle, angular_velocity : ndarray, (n+1,)
         Of the plane, in rad and rad/s.
+    reference : ndarray, (n+1,)
+        The desired angle in rad, with the offsets of faults and of steering; NaN where it is unknown.
     abstract, auxiliary, desired : MessageArrays
         The broadcasts.
     agents : MessageArrays
         The robots' states; ``agents.ids`` of shape (N,) has their ids, ascending, which are the columns of the others.
+    events : tuple of RunEvent
+        All events, by step.
+    figures : callable
+        Returns what `summary` returns; computed only when it is asked for.
     """
 
     step: Integers
     time: Floats
     angle: Floats
     angular_velocity: Floats
+    reference: Floats
     abstract: MessageArrays
     auxiliary: MessageArrays
     desired: MessageArrays
     agents: MessageArrays
+    events: tuple[RunEvent, ...]
+    figures: Callable[[], dict[str, Any]] = field(repr=False, compare=False)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures of the run under their names in ``summary.json``.
+
+        Returns
+        -------
+        dict
+            ``settled_at`` (s), the time from which the plane stays within 0.01 rad of its reference; ``final_error``
+            and ``rms_error`` (rad); ``max_abs_position`` (m) of any robot; ``messages``; ``digest``; and of a run in
+            real time ``realtime``. None is what is unknown or not finite.
+
+        Notes
+        -----
+        For arrays from a bag this reads all messages of the bag, whatever part of the steps was loaded.
+        """
+        return self.figures()
 
 
 Tables = Mapping[Topic, "NDArray[np.void]"]
@@ -105,8 +160,22 @@ def table(topic: Topic, payloads: bytes | bytearray) -> NDArray[np.void]:
     return np.frombuffer(payloads, dtype=LAYOUT[topic])
 
 
-def run_arrays(tables: Tables) -> RunArrays:
-    """Arrange the messages of a run, which `table` has returned in any order, by step, the robots' by step and id."""
+def run_event(event: SwarmEvent, time: float) -> RunEvent:
+    """Return an event as people and programs read it, with its time (s)."""
+    return RunEvent(event.step, time, word_of(EventKind, event.kind), event.agent_id or None, event.value, event.detail)
+
+
+def run_arrays(
+    tables: Tables,
+    *,
+    reference: Callable[[int], float],
+    events: Iterable[RunEvent],
+    figures: Callable[[], dict[str, Any]],
+) -> RunArrays:
+    """Arrange the messages of a run, which `table` has returned in any order, by step, the robots' by step and id.
+
+    The reference returns the desired angle (rad) of a step; events and figures are those of `RunArrays`.
+    """
     # The first message of a step tells its time; robots come last, since their clocks may be wrong.
     ordered = sorted(tables, key=lambda topic: topic is AGENT_STATE)
     step, first = np.unique(np.concatenate([tables[topic]["step"] for topic in ordered]), return_index=True)
@@ -119,10 +188,13 @@ def run_arrays(tables: Tables) -> RunArrays:
         time=stamps[first] / 1e9,
         angle=plane["angle"],
         angular_velocity=plane["angular_velocity"],
+        reference=np.array([reference(number) for number in step.tolist()], dtype=np.float64),
         abstract=MessageArrays(filled[ABSTRACT_STATE]),
         auxiliary=MessageArrays(filled[AUXILIARY_STATE]),
         desired=MessageArrays(filled[DESIRED_ABSTRACT_STATE]),
         agents=_agents(tables[AGENT_STATE], rows[AGENT_STATE], len(step)),
+        events=tuple(sorted(events, key=lambda event: event.step)),
+        figures=figures,
     )
 
 
@@ -131,12 +203,17 @@ def _columns(
 ) -> dict[str, NDArray[Any]]:
     """Return the fields of a topic's table, put into arrays of a shape at the places of its messages."""
     columns: dict[str, NDArray[Any]] = {}
-    for name, field in fields_of(topic.message).items():
-        if isinstance(field, Field) and field.ros_type not in {"time", "uint64"} and name != "agent_id":
-            real = field.ros_type == "float64"
+    for name, declared in fields_of(topic.message).items():
+        if isinstance(declared, Field) and name not in {"stamp", "step", "agent_id"}:
+            real = declared.ros_type == "float64" or declared.missing is not None
             columns[name] = np.full(shape, np.nan) if real else np.zeros(shape, dtype=np.int64)
-            columns[name][places] = table[name]
+            found = table[name]
+            columns[name][places] = found if declared.missing is None else _known(found, declared.missing)
     return columns
+
+
+def _known(values: NDArray[Any], missing: int) -> Floats:
+    return np.where(values == missing, np.nan, values.astype(np.float64))
 
 
 def _agents(table: NDArray[np.void], rows: Integers, steps: int) -> MessageArrays:

@@ -74,7 +74,7 @@ class Change:
 
 
 def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Change, ...]:
-    """Return the scheduled changes with ends that nobody had planned, which come before those planned."""
+    """Return the scheduled changes with unplanned ends, which come before the planned ones."""
     unplanned = tuple(ends)
     ended = {change.agent_id for change in unplanned}
     kept = (change for change in schedule if change.kind is ChangeKind.JOIN or change.agent_id not in ended)
@@ -85,7 +85,7 @@ def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Chang
 class Span:
     """First and last step (None: not known) at which a robot publishes, and whether its weight stays on the plane then.
 
-    The first is `UNPLANNED` if nobody knows it.
+    The first is `UNPLANNED` if it is not known.
     """
 
     first: int = 0

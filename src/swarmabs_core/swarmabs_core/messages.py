@@ -79,9 +79,22 @@ class Action(IntEnum):
     ADD = 6
 
 
+def word(value: IntEnum) -> str:
+    """Return a constant of a message as the word that tables and scenarios have for it: "double_integrator"."""
+    return value.name.lower()
+
+
+def word_of(constants: type[IntEnum], number: int) -> str:
+    """Return the word of a number that a message holds for a constant; of an unknown one its digits."""
+    try:
+        return word(constants(number))
+    except ValueError:
+        return str(number)
+
+
 def said(value: IntEnum) -> str:
     """Return a constant of a message in words, such as "double integrator"."""
-    return value.name.lower().replace("_", " ")
+    return word(value).replace("_", " ")
 
 
 FieldType = Literal["time", "uint8", "uint16", "uint64", "float64", "string", "uint8[]", "uint16[]", "uint64[]"]
@@ -90,7 +103,7 @@ FieldType = Literal["time", "uint8", "uint16", "uint64", "float64", "string", "u
 class Field(NamedTuple):
     """How a field is declared; CDR, arrays and tables follow from it, and a test holds it to the definition.
 
-    Parameters
+    Attributes
     ----------
     ros_type : str
         As in the definition; ``time`` for the stamp, which is in the header.
@@ -100,17 +113,20 @@ class Field(NamedTuple):
         What the name does not say.
     constants : type of IntEnum, optional
         The values that it may have.
+    missing : int, optional
+        The value that stands for none.
     """
 
     ros_type: FieldType
     unit: str = "1"
     meaning: str = ""
     constants: type[IntEnum] | None = None
+    missing: int | None = None
 
 
 Stamp: TypeAlias = Annotated[int, Field("time", "ns", "when it was made, by the clock of who made it")]
 StepNumber: TypeAlias = Annotated[int, Field("uint64", meaning="number of the control period")]
-EarlierStep: TypeAlias = Annotated[int, Field("uint64", meaning="a step, or `NEVER`")]
+EarlierStep: TypeAlias = Annotated[int, Field("uint64", meaning="a step", missing=NEVER)]
 Robot: TypeAlias = Annotated[int, Field("uint16", meaning="robot")]
 
 
@@ -132,7 +148,7 @@ class AgentState(NamedTuple):
 
     stamp: Stamp
     step: StepNumber
-    broadcast_step: Annotated[int, Field("uint64", "1", f"step of the broadcasts used; {NEVER}: none")]
+    broadcast_step: Annotated[int, Field("uint64", meaning="step of the broadcasts used", missing=NEVER)]
     agent_id: Robot
     kind: Annotated[int, Field("uint8", constants=Kind)]
     status: Annotated[int, Field("uint8", constants=Status)]

@@ -1,8 +1,8 @@
-r"""The torque of the swarm, seen from the plane alone: an observer of the disturbance (docs/parent_response.md).
+r"""The torque of the swarm, seen from the plane alone: a disturbance observer (docs/explanation/parent_response.md).
 
 Over a period the plane's angular momentum changes by all torques that act on it (eq. newDynamics, integrated),
 
-.. math:: (J + J_s) w \Big|_{k-1}^{k} = -\int (\cos\theta\,\tau_s + f_f(w) + \tau_d)\,dt
+.. math:: \left[ (J + J_s) w \right]_{k-1}^{k} = -\int (\cos\theta\,\tau_s + f_f(w) + \tau_d)\,dt
 
 so angle and angular velocity at both ends give the mean over the period of :math:`\tau_s + \tau_d/\cos\theta`: the
 swarm and what disturbs the plane cannot be told apart. A filter of first order takes the noise off.
@@ -30,7 +30,7 @@ class SumObserver:
 
 @dataclass(frozen=True, slots=True)
 class ParentResponse:
-    """The torque estimated from the plane's angle and angular velocity, see docs/parent_response.md."""
+    """The torque estimated from the plane's angle and angular velocity, see docs/explanation/parent_response.md."""
 
     type: ClassVar[str] = "parent_response"
     description: ClassVar[str] = "the torque is estimated from the plane's motion"

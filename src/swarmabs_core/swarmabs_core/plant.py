@@ -133,7 +133,7 @@ class Friction(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """The torque on the plane that nobody measures, tau_d = amplitude sin(angular_frequency t)."""
+    """The unmeasured torque on the plane, tau_d = amplitude sin(angular_frequency t)."""
 
     amplitude: float = setting(0.0, "amplitude of the disturbance torque, N m")
     angular_frequency: float = setting(0.5, "angular frequency of the disturbance, rad/s")

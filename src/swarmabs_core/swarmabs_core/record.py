@@ -14,7 +14,7 @@ _new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` is a Python func
 
 
 class Record(NamedTuple):
-    """A message with its bytes: whoever has both decodes once, and never encodes again.
+    """A message with its bytes: decoded once and never encoded again.
 
     The robot that it is about is 0 for none; the payload is canonical CDR but for what `read` returns. Where a bag's
     own times are to be judged, there are its log time and when it was published by the bag, ns.

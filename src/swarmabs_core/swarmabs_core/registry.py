@@ -148,6 +148,11 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         self.find(name)
         return self._packages.get(name)
 
+    def forget(self) -> None:
+        """Forget the parts that packages have brought: each is loaded again when it is next asked for."""
+        self._loaded.clear()
+        self._packages.clear()
+
     def _brought(self) -> dict[str, list[EntryPoint]]:
         """Return the entry points of all installed packages by name."""
         from importlib.metadata import entry_points  # noqa: PLC0415 - built-in parts do without
@@ -175,7 +180,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         if not isinstance(part, self._shape):
             found = f"is an object of type {type(part).__name__}, not a {self._shape.__name__}"
             raise PluginError(f"{what} {found}", _REMEDY)
-        if problem := _problem(name, part):
+        if problem := problem_of(name, part):
             raise PluginError(f"{what} {problem}", _REMEDY)
         if point.dist is not None:
             self._packages[name] = (point.dist.name, point.dist.version)
@@ -186,7 +191,7 @@ def _origin(point: EntryPoint) -> str:
     return "a package" if point.dist is None else f"package {point.dist.name} {point.dist.version}"
 
 
-def _problem(name: str, part: Any) -> str:
+def problem_of(name: str, part: Any) -> str:
     """Say what is wrong with the content of a part of the right type; empty if nothing is."""
     if part.name != name or not _NAME.fullmatch(name):
         return f"is named {part.name!r}; entry point and object need the same name of small letters, digits and _"

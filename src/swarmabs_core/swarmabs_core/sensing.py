@@ -78,7 +78,7 @@ class PlaneSensor(Sensor):
 
 @dataclass(frozen=True, slots=True)
 class RobotSensor(Sensor):
-    """What a robot knows of its own position and velocity: rounded, after noise is added."""
+    """A robot's measurement of its position and velocity: noise is added, then the sum is rounded."""
 
     noise: Pair = setting(
         (0.0, 0.0),

@@ -26,7 +26,7 @@ from swarmabs_fleet.node_files import node_files
 from swarmabs_fleet.parameters import parameter_file, parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from swarmabs_config.fleet.loader import LoadedFleet
     from swarmabs_fleet.keys import Keys
@@ -138,13 +138,13 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         data = json.loads(text)
         if isinstance(data, dict) and isinstance(data.get("bundle"), int) and data["bundle"] > FORMAT:
-            raise InputError(f"{path} is of a newer format than this one reads ({FORMAT}); update swarmabs")
+            raise InputError(f"{path} has a newer format than this version reads ({FORMAT}); update swarmabs")
         return Manifest.model_validate(data)
     except (ValueError, RecursionError, ValidationError) as error:
-        raise InputError(f"{path} is no manifest of a bundle; deploy again") from error
+        raise InputError(f"{path} is not the manifest of a bundle; deploy again") from error
 
 
-def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
+def deploy(loaded: LoadedFleet, output: Path, keys: Path | None, revoke: Sequence[str] = ()) -> list[Path]:
     """Write the bundles of a fleet, and return the folders of its hosts.
 
     Parameters
@@ -155,6 +155,8 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
         Folder to write, which must not exist or be empty; it appears whole or not at all.
     keys : Path, optional
         Folder of keys, needed with security by a tunnel or by sros2.
+    revoke : sequence of str, optional
+        With sros2: hosts and enclaves whose certificates are revoked first.
 
     Raises
     ------
@@ -166,6 +168,11 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None) -> list[Path]:
     part = _beside(output)
     try:
         store = _keys(loaded, output, keys)
+        if revoke:
+            if store is None or loaded.fleet.security.level != "sros2":
+                level = loaded.fleet.security.level
+                raise InputError(f"security {level} has no certificates to revoke; leave out --revoke")
+            store.revoke(loaded.fleet, revoke)
         _write(part / FLEET_FILE, BundleFile(loaded.fleet_text.encode()))
         _write(part / SCENARIO_FILE, BundleFile(loaded.scenario_text.encode()))
         hosts = [host for host in (HostPlan(loaded.fleet, each.name) for each in loaded.fleet.hosts) if host.nodes]

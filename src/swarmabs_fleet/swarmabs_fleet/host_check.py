@@ -251,7 +251,7 @@ def _systemd(manifest: Manifest) -> Verdict:
         return "bad", "there is none; bundles are for hosts with systemd"
     if int(found[1]) < _NEEDED_SYSTEMD:
         text = f"version {found[1]} cannot lock nodes in one interface, {_NEEDED_SYSTEMD} can"
-        return "note", f"{text}; what else protects the network: docs/security.md"
+        return "note", f"{text}; what else protects the network: docs/how-to/security.md"
     running = "; the fleet's nodes are running" if _active(manifest) else ""
     return "ok", f"version {found[1]}{running}"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import os
+import shutil
 import stat
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
@@ -20,24 +21,39 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key, pkcs7
-from cryptography.x509 import Certificate, load_pem_x509_certificate
+from cryptography.x509 import Certificate, CertificateRevocationList, load_pem_x509_certificate
 from cryptography.x509.oid import NameOID
 
 from swarmabs_bag.run_folder import write_whole
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.fleet.parts import Sros2Security
+from swarmabs_config.model.fields import nearest
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.permissions import host_rights
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from swarmabs_fleet.host_plan import HostPlan
+    from swarmabs_config.fleet.checked import Fleet
 
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _CA_KEY, _CA_CERTIFICATE = "sros2/ca.key.pem", "sros2/ca.cert.pem"
-_RESTORE = "restore it, or remove it and deploy anew"
+_REVOKED = "sros2/crl.pem"
+_OF_AUTHORITY = x509.KeyUsage(
+    digital_signature=True,
+    content_commitment=False,
+    key_encipherment=False,
+    data_encipherment=False,
+    key_agreement=False,
+    key_cert_sign=True,
+    crl_sign=True,
+    encipher_only=False,
+    decipher_only=False,
+)
+"""What the authority's key signs: permissions, certificates, and the list of revoked ones."""
+_RESTORE = "restore it from a backup, or remove it and deploy again"
 
 
 class Keys:
@@ -57,7 +73,7 @@ class Keys:
         except OSError as error:
             raise InputError(f"the folder of keys {folder} cannot be used: {error.strerror}; name another") from error
         if mode & _OTHERS:
-            raise InputError(f"others may enter the folder of keys {folder}; close it: chmod 700 {folder}")
+            raise InputError(f"other accounts can enter the folder of keys {folder}; run: chmod 700 {folder}")
 
     def kept(self, name: str, make: Callable[[], bytes]) -> bytes:
         """Return what is kept under a name, made if it is not there yet.
@@ -69,18 +85,11 @@ class Keys:
         RunError
             If it cannot be written.
         """
-        path = self.folder / name
-        try:
-            with path.open("rb") as file:
-                if os.fstat(file.fileno()).st_mode & _OTHERS:
-                    raise InputError(f"others may read the key {path}; take it for known, remove it and deploy anew")
-                return file.read()
-        except FileNotFoundError:
+        content = self.read(name)
+        if content is None:
             content = make()
             self.write(name, content)
-            return content
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}; check the path and its permissions") from error
+        return content
 
     def write(self, name: str, content: bytes) -> None:
         """Keep something under a name, whole or not at all; a `RunError` is raised if it cannot be written."""
@@ -91,12 +100,58 @@ class Keys:
         except OSError as error:
             raise RunError(f"{path}: {error.strerror}; free space, then deploy again") from error
 
-    def read(self, name: str) -> bytes | None:
-        """Return what is kept under a name, None if there is nothing."""
+    def remove(self, name: str) -> None:
+        """Remove a folder with all that is kept in it; a `RunError` is raised if that fails."""
         try:
-            return (self.folder / name).read_bytes()
-        except OSError:
+            shutil.rmtree(self.folder / name)
+        except OSError as error:
+            raise RunError(f"{error.filename} cannot be removed: {error.strerror}; remove it by hand") from error
+
+    def read(self, name: str) -> bytes | None:
+        """Return what is kept under a name, None if there is nothing.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or others may read it.
+        """
+        path = self.folder / name
+        try:
+            with path.open("rb") as file:
+                if os.fstat(file.fileno()).st_mode & _OTHERS:
+                    raise InputError(f"other accounts can read {path}; it may be known: remove it and deploy again")
+                return file.read()
+        except FileNotFoundError:
             return None
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}; check the path and its permissions") from error
+
+    def revoke(self, fleet: Fleet, names: Sequence[str]) -> None:
+        """Revoke certificates of sros2; the next deployment makes new keys for the enclaves that still exist.
+
+        Parameters
+        ----------
+        fleet : Fleet
+            The fleet, with security by sros2.
+        names : sequence of str
+            Hosts of the fleet, which stand for all enclaves of their bundles, and single enclaves.
+
+        Raises
+        ------
+        InputError
+            If a name is neither, or what is kept is damaged; nothing is revoked.
+        RunError
+            If the list of revoked certificates cannot be written, or a revoked key cannot be removed.
+        """
+        kept = [path.parent.name for path in sorted(self.folder.glob("sros2/*/cert.pem"))]
+        hosts = {host.name: [*host_rights(HostPlan(fleet, host.name))] for host in fleet.hosts}
+        enclaves: list[str] = []
+        for name in names:
+            if not (found := [each for each in hosts.get(name, [name]) if each in kept]):
+                remedy = nearest(name, [*hosts, *(each for each in kept if each not in hosts)])
+                raise InputError(f"no certificate of '{name}' is among the keys in {self.folder}; {remedy}")
+            enclaves += found
+        _Authority.of(self, fleet).revoke([*dict.fromkeys(enclaves)])
 
     def files(self, host: HostPlan) -> dict[str, bytes]:
         """Return the files of a host's bundle that hold keys, by path; no other host's private keys are in them.
@@ -109,7 +164,7 @@ class Keys:
         security = host.fleet.security
         if host.fleet.tunnel is not None:
             return {f"wireguard/{host.fleet.tunnel.interface}.conf": _wireguard(self, host).encode()}
-        return _keystore(self, host, security.valid_days) if isinstance(security, Sros2Security) else {}
+        return _keystore(self, host) if isinstance(security, Sros2Security) else {}
 
 
 def _wireguard(keys: Keys, host: HostPlan) -> str:
@@ -136,9 +191,10 @@ def _in_base64(key: bytes) -> str:
     return base64.b64encode(key).decode()
 
 
-def _keystore(keys: Keys, host: HostPlan, valid_days: int) -> dict[str, bytes]:
-    """Return the files of a host's keystore by path; certificates that are made now are valid for some days."""
-    authority = _Authority(keys, f"swarmabs {host.fleet.name} CA", valid_days)
+def _keystore(keys: Keys, host: HostPlan) -> dict[str, bytes]:
+    """Return the files of a host's keystore by path."""
+    authority = _Authority.of(keys, host.fleet)
+    revoked = authority.revoked()
     rules = authority.signed("governance", host.render("governance.xml"))
     files: dict[str, bytes] = {}
     for name, rights in host_rights(host).items():
@@ -155,6 +211,8 @@ def _keystore(keys: Keys, host: HostPlan, valid_days: int) -> dict[str, bytes]:
             "permissions.xml": granted.encode(),
             "permissions.p7s": authority.signed(f"{name}/permissions", granted),
         }
+        if revoked is not None:
+            enclave["crl.pem"] = revoked.public_bytes(serialization.Encoding.PEM)
         files |= {f"keystore/enclaves{path}/{file}": content for file, content in enclave.items()}
     return files
 
@@ -169,6 +227,51 @@ class _Authority:
             _CA_CERTIFICATE, lambda: self._issue(name, self._key, None)
         )
 
+    @classmethod
+    def of(cls, keys: Keys, fleet: Fleet) -> _Authority:
+        """Return the authority of a fleet; certificates that it issues are valid for the fleet's number of days."""
+        days = fleet.security.valid_days if isinstance(fleet.security, Sros2Security) else 0
+        return cls(keys, f"swarmabs {fleet.name} CA", days)
+
+    def revoked(self) -> CertificateRevocationList | None:
+        """Return the list of revoked certificates, None if there are none."""
+        content = self._keys.read(_REVOKED)
+        if content is None:
+            return None
+        path = self._keys.folder / _REVOKED
+        try:
+            found = x509.load_pem_x509_crl(content)
+        except ValueError as error:
+            raise InputError(f"{path} is not a list of revoked certificates; restore it from a backup") from error
+        if not found.is_signature_valid(self._certificate.public_key()):  # type: ignore[arg-type]
+            raise InputError(f"{path} is not signed by the authority; restore the folder that holds both")
+        return found
+
+    def revoke(self, names: Sequence[str]) -> None:
+        """Add the certificates of enclaves to the list of revoked ones, and remove their keys."""
+        before = self.revoked()
+        today = _today()
+        builder = (
+            x509.CertificateRevocationListBuilder()
+            .issuer_name(self._certificate.subject)
+            .last_update(today - timedelta(days=1))
+            .next_update(_validity(self._certificate)[1])
+            .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False)
+        )
+        entries = {entry.serial_number: entry for entry in before or ()}
+        for name in names:
+            path = f"sros2/{name}/cert.pem"
+            serial = self._read_certificate(path, self._keys.read(path) or b"").serial_number
+            entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(today).build()
+            entries.setdefault(serial, entry)
+        for entry in entries.values():
+            builder = builder.add_revoked_certificate(entry)
+        made = builder.add_extension(x509.CRLNumber(len(entries)), critical=False).sign(self._key, hashes.SHA256())
+        # The list comes first: a certificate that is gone could not be revoked any more.
+        self._keys.write(_REVOKED, made.public_bytes(serialization.Encoding.PEM))
+        for name in names:
+            self._keys.remove(f"sros2/{name}")
+
     def entity(self, name: str, path: str) -> tuple[bytes, bytes, Certificate]:
         """Return the private key of an enclave in PEM, and its certificate in PEM and as it was read."""
         key, secret = self._kept_key(f"sros2/{name}/key.pem")
@@ -178,8 +281,8 @@ class _Authority:
         if certificate.public_key() != secret.public_key() or not self._has_issued(certificate):
             folder = self._keys.folder / "sros2"
             raise InputError(
-                f"{folder / name / 'cert.pem'} does not fit its key or the authority; restore the folder {folder}, "
-                "or remove it and deploy anew to all hosts"
+                f"{folder / name / 'cert.pem'} does not match its key or the authority; restore the folder {folder}, "
+                "or remove it and deploy to all hosts again"
             )
         return key, pem, certificate
 
@@ -212,13 +315,16 @@ class _Authority:
         except (TypeError, ValueError) as error:
             raise InputError(f"{self._keys.folder / name} holds no private key; {_RESTORE}") from error
         if not isinstance(key, EllipticCurvePrivateKey):
-            raise InputError(f"{self._keys.folder / name} holds a key of another kind; {_RESTORE}")
+            raise InputError(f"{self._keys.folder / name} holds a key that is not of an elliptic curve; {_RESTORE}")
         return content, key
 
     def _kept_certificate(self, name: str, make: Callable[[], bytes]) -> tuple[bytes, Certificate]:
         content = self._keys.kept(name, make)
+        return content, self._read_certificate(name, content)
+
+    def _read_certificate(self, name: str, content: bytes) -> Certificate:
         try:
-            return content, load_pem_x509_certificate(content)
+            return load_pem_x509_certificate(content)
         except ValueError as error:
             raise InputError(f"{self._keys.folder / name} holds no certificate; {_RESTORE}") from error
 
@@ -226,7 +332,7 @@ class _Authority:
         """Return a new certificate in PEM: of an enclave, or of the authority itself if there is no issuer."""
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         # From yesterday on: a robot whose clock is a little slow must not refuse it.
-        today = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
+        today = _today()
         last = today + timedelta(days=self._days)
         if issuer is not None:
             last = min(last, _validity(issuer)[1])
@@ -240,8 +346,16 @@ class _Authority:
             .not_valid_before(today - timedelta(days=1))
             .not_valid_after(last)
             .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=path_length), critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+            .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False)
         )
+        if issuer is None:
+            builder = builder.add_extension(_OF_AUTHORITY, critical=True)
         return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def _today() -> datetime:
+    return datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
 
 
 def _validity(certificate: Certificate) -> tuple[datetime, datetime]:

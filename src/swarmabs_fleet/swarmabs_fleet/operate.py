@@ -86,7 +86,7 @@ class Target:
     def check(self) -> None:
         """Refuse to speak into a network that may be another swarm's by now: whoever was found may belong to it."""
         if self.run is not None and not goes_on(self.run):
-            raise RunError(f"{self.name}: the run has ended meanwhile")
+            raise RunError(f"{self.name}: the run has ended; start it again")
 
 
 @contextmanager
@@ -144,13 +144,15 @@ class OperatorClient:
         who = f"{self._target.name}: {client.srv_name}"
         try:
             if not client.wait_for_service(patience):
-                raise RunError(f"{who} is not there; is the node running, and this the host of the parent controller?")
+                raise RunError(
+                    f"{who} was not found; check that its node runs, and start this on the controller's host"
+                )
             self._target.check()
             future = client.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(self._node, future, timeout_sec=patience)
             answer = future.result()
             if answer is None:
-                raise RunError(f"{who} has not answered within {patience:g} s")
+                raise RunError(f"{who} has not answered within {patience:g} s; check its node with 'swarm status'")
             if not answer.success:
                 raise RunError(f"{who}: {answer.message}")
         finally:
@@ -171,7 +173,7 @@ class OperatorClient:
             while not publisher.get_subscription_count():
                 if time.monotonic() > deadline:
                     raise RunError(
-                        f"{self._target.name}: nobody hears {publisher.topic_name}; is the observer running?"
+                        f"{self._target.name}: no node receives {publisher.topic_name}; check that the observer runs"
                     )
                 time.sleep(SLICE)
             self._target.check()

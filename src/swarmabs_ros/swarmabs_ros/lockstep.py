@@ -1,12 +1,16 @@
 """The loop that drives a node behaviour in lockstep over DDS, and repeats its messages where nothing comes.
 
 No quality of service is trusted, so whoever waits too long sends its last messages again.
+
+What the loop does and how it waits are apart: its activity does all that can be done and says what it waits for, so a
+test can be clock, network and scheduler of a whole swarm in one thread.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,7 +18,7 @@ from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPIC_OF
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Generator, Mapping
 
     from rclpy.publisher import Publisher
 
@@ -35,6 +39,10 @@ WINDOW = 128
 
 INTERRUPTED = "interrupted"
 """What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
+
+
+Wait = tuple[tuple["Topic", ...], float]
+"""What a loop waits for: a message of one of the topics, for so many s at most; without topics just the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +131,8 @@ class Repeater:
 class Lockstep:
     """Takes what the behaviour awaits, publishes what it answers, repeats itself when nothing comes.
 
-    Stalls are reported to `status`: silence of `stall_timeout`, s; 0 for never. Repetitions are as of `Repeater`.
+    Stalls are reported to `status`: silence of `stall_timeout`, s; 0 for never. Repetitions are as of `Repeater`. The
+    time is that of `clock`, s, which does not jump; `sleep` lets so many s of it pass.
     """
 
     def __init__(
@@ -136,7 +145,10 @@ class Lockstep:
         stall_timeout: float,
         repeat_after: float = FIRST,
         repeat_steps: int = WINDOW,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        self._clock, self._sleep = clock, sleep
         self._spec = spec
         self._behaviour = spec.behaviour
         self._receiver = receiver
@@ -162,29 +174,40 @@ class Lockstep:
         A lingering behaviour that has finished goes on repeating its last messages, in case somebody still lacks one.
         Raises `RunError` if the behaviour refuses to go on.
         """
-        behaviour, receiver = self._behaviour, self._receiver
-        repeater = Repeater(time.monotonic(), first=self._repeat_after, most=self._repeat_steps)
+        activity, wait, sleep = self.activity(), self._receiver.wait, self._sleep
+        go_on = activity.send
+        heard: bool | None = None
+        with suppress(StopIteration):
+            while True:
+                topics, seconds = go_on(heard)
+                if topics:
+                    heard = wait(topics, seconds)
+                else:
+                    sleep(seconds)
+                    heard = None
+
+    def activity(self) -> Generator[Wait, bool | None, None]:
+        """Do what `run` does, but leave the waiting to whoever drives this, and tells whether a message has come."""
+        behaviour, spec, clock = self._behaviour, self._spec, self._clock
+        repeater = Repeater(clock(), first=self._repeat_after, most=self._repeat_steps)
         self._repeater = repeater
         self._publish(behaviour.start())
         while not self._stopping:
             topics = behaviour.awaits()
-            if not topics and not self._spec.lingers:
+            if not topics and not spec.lingers:
                 return
             if self._drain(topics):
                 continue
-            if self._spec.on_idle is not None:
-                self._spec.on_idle()
-            now = time.monotonic()
+            if spec.on_idle is not None:
+                spec.on_idle()
+            heard = yield topics, min(SLICE, repeater.wait(clock()))
+            if heard:
+                if spec.gather:
+                    yield (), spec.gather
+                continue
+            now = clock()
             if topics:
-                if receiver.wait(topics, min(SLICE, repeater.wait(now))):
-                    if self._spec.gather:
-                        time.sleep(self._spec.gather)
-                    continue
-                now = time.monotonic()
                 self._check_stall(now)
-            else:
-                time.sleep(min(SLICE, repeater.wait(now)))
-                now = time.monotonic()
             self._repeat(repeater.due(now))
 
     def _drain(self, topics: tuple[Topic, ...]) -> bool:
@@ -196,7 +219,7 @@ class Lockstep:
                 found = True
                 answer = self._hear(topic, data)
                 if answer:
-                    self._progress(answer, time.monotonic())
+                    self._progress(answer, self._clock())
                 if behaviour.awaits() != topics:
                     return True
         return found

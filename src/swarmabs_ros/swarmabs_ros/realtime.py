@@ -1,6 +1,8 @@
 """The loop that drives a node behaviour by the clock: hear what has arrived, make the step that is due, publish.
 
-Everything that touches the behaviour happens in the thread that runs the loop; other threads hand in jobs.
+Everything that touches the behaviour happens in the thread that runs the loop; other threads hand in jobs. What is
+done and how it is waited for are apart: an `Activity` knows no thread, and reads the clocks that it is given, so a test
+can be clock, network and scheduler of a whole fleet.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import threading
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import MalformedMessageError, RunError
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_core.realtime.base import RealtimeBehaviour
     from swarmabs_ros.endpoints import Receiver
+    from swarmabs_ros.lockstep import Wait
 
 SLICE = 0.1
 """Longest time, s, for which the loop does not look for jobs, or whether it shall stop."""
@@ -36,6 +39,7 @@ HALTS_WITHIN = 5.0
 """Time, s, that halting may take, whatever asks for it: a drive that takes longer to stop is taken to hang."""
 TOLERATED = 0.01
 """Share of periods that may be missed from one report of health to the next without a warning."""
+_NOTHING: Wait = ((), 0.0)
 _PAIRED = 100_000
 """Longest time between the readings of two clocks, ns, that are one reading."""
 
@@ -82,6 +86,93 @@ class Engine:
     depths: Mapping[Topic, int]
     publishers: Mapping[Topic, Publisher]
     wakes: tuple[Topic, ...] = ()
+
+
+class Activity:
+    """What is done with an engine, each thing when it is asked for: steps, messages, commands, health.
+
+    Attributes
+    ----------
+    engine : Engine
+        What is driven.
+    active : bool
+        Whether steps are made.
+    refused : int
+        How many malformed messages were refused.
+    refusal : str
+        Why the last of them was.
+    """
+
+    def __init__(self, engine: Engine, read: Callable[[], Reading]) -> None:
+        self.engine = engine
+        self._read = read
+        self._reported = (0, 0)
+        self.active = False
+        self.refused = 0
+        self.refusal = ""
+
+    def activate(self) -> None:
+        """Begin to make steps."""
+        engine = self.engine
+        # What has waited until now is old; events are kept for those who come late, whatever their age.
+        for _ in arrived(engine.receiver, {t: n for t, n in engine.depths.items() if t is not EVENTS}):
+            pass
+        engine.clock.start(self._read())
+        self.active = True
+
+    def deactivate(self) -> None:
+        """Halt the behaviour, and be silent."""
+        if self.active:
+            self.active = False
+            self.engine.behaviour.halt()
+
+    def advance(self) -> Wait:
+        """Hear what has arrived and make the step if one is due; else say what is waited for."""
+        engine, now = self.engine, self._read()
+        if engine.clock.due(now) is not None:
+            self._hear(now.system)
+            self._publish(engine.behaviour.tick(now.system))
+            return _NOTHING
+        return engine.wakes, min(SLICE, engine.clock.wait(now) / 1e9)
+
+    def wake(self) -> None:
+        """Hear what has arrived between two steps."""
+        self._hear(self._read().system)
+
+    def command(self, work: Callable[[int], Messages]) -> None:
+        """Have an operator's command done, given the time in ns since 1970, and publish what it answers."""
+        self._publish(work(self._read().system))
+
+    def health(self) -> Health:
+        """Return how behaviour and timing are; what was missed counts since the last time this was asked."""
+        now, clock = self._read(), self.engine.clock
+        level, text, values = self.engine.behaviour.health(now.system)
+        missed, made = clock.missed - self._reported[0], clock.lateness.count - self._reported[1]
+        self._reported = clock.missed, clock.lateness.count
+        concerns = [text]
+        if missed > TOLERATED * (missed + made):
+            level = max(level, Level.WARN)
+            concerns.append(f"{missed} periods missed")
+        return Health(level, "; ".join(concerns), (*values, *clock.values(), *self._refusals()))
+
+    def _hear(self, now: int) -> None:
+        engine = self.engine
+        for topic, data in arrived(engine.receiver, engine.depths):
+            try:
+                message = decode(topic.message, data)
+            except MalformedMessageError as error:
+                self.refused += 1
+                self.refusal = str(error)
+            else:
+                self._publish(engine.behaviour.hear(message, now))
+
+    def _publish(self, messages: Messages) -> None:
+        for message in messages:
+            self.engine.publishers[TOPIC_OF[type(message)]].publish(encode(message))
+
+    def _refusals(self) -> tuple[tuple[str, str], ...]:
+        values = (("malformed messages", str(self.refused)),)
+        return (*values, ("last malformed", self.refusal)) if self.refused else values
 
 
 class Watchdog(threading.Thread):
@@ -150,14 +241,10 @@ class RealtimeLoop:
         self._hung: Future[None] = Future()
         self._read = read
         self._sleep = sleep
-        self._engine: Engine | None = None
-        self._active = False
+        self._activity: Activity | None = None
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._thread: int | None = None
         self._stopping = False
-        self._reported = (0, 0)
-        self.refused = 0
-        self.refusal = ""
 
     # From any thread
 
@@ -230,10 +317,10 @@ class RealtimeLoop:
         self._watchdog.start()
         while not self._stopping:
             self._on_pass(self._read().steady)
-            self._do_jobs(wait=not self._active)
-            if self._active:
+            self._do_jobs(wait=self._active is None)
+            if (activity := self._active) is not None:
                 try:
-                    self._pass()
+                    self._pass(activity)
                 except Exception as error:  # noqa: BLE001 - whatever goes wrong, the body must be left safe
                     self._fail(error)
         try:
@@ -256,58 +343,38 @@ class RealtimeLoop:
         except queue.Empty:
             return
 
-    def _pass(self) -> None:
-        engine = cast("Engine", self._engine)
-        now = self._read()
-        if engine.clock.due(now) is not None:
-            self._hear(engine, now.system)
-            self._publish(engine, engine.behaviour.tick(now.system))
-            return
-        rest = min(SLICE, engine.clock.wait(now) / 1e9)
-        if not engine.wakes:
-            self._sleep(rest)
-        elif engine.receiver.wait(engine.wakes, rest):
-            self._hear(engine, self._read().system)
+    @property
+    def _active(self) -> Activity | None:
+        """What is attached, if it is active."""
+        activity = self._activity
+        return activity if activity is not None and activity.active else None
 
-    def _hear(self, engine: Engine, now: int) -> None:
-        for topic, data in arrived(engine.receiver, engine.depths):
-            try:
-                message = decode(topic.message, data)
-            except MalformedMessageError as error:
-                self.refused += 1
-                self.refusal = str(error)
-            else:
-                self._publish(engine, engine.behaviour.hear(message, now))
-
-    @staticmethod
-    def _publish(engine: Engine, messages: Messages) -> None:
-        for message in messages:
-            engine.publishers[TOPIC_OF[type(message)]].publish(encode(message))
+    def _pass(self, activity: Activity) -> None:
+        topics, seconds = activity.advance()
+        if topics:
+            if activity.engine.receiver.wait(topics, seconds):
+                activity.wake()
+        elif seconds:
+            self._sleep(seconds)
 
     def _attach(self, engine: Engine | None) -> None:
         self._deactivate()
-        self._engine = engine
-        self._reported, self.refused, self.refusal = (0, 0), 0, ""
+        self._activity = None if engine is None else Activity(engine, self._read)
 
     def _activate(self) -> None:
-        if self._engine is None:
+        if self._activity is None:
             raise RunError("there is nothing to activate")
-        # What has waited until now is old; events are kept for those who come late, whatever their age.
-        for _ in arrived(self._engine.receiver, {t: n for t, n in self._engine.depths.items() if t is not EVENTS}):
-            pass
-        self._engine.clock.start(self._read())
+        self._activity.activate()
         # What is there now stays: the collector need not go through it again while steps are made.
         gc.collect()
         gc.freeze()
-        self._active = True
 
     def _deactivate(self) -> None:
         self._watchdog.expect(self._halts_within)
         try:
-            if self._active:
-                self._active = False
+            if (activity := self._active) is not None:
                 gc.unfreeze()
-                cast("Engine", self._engine).behaviour.halt()
+                activity.deactivate()
         finally:
             self._watchdog.expect(None)
 
@@ -319,30 +386,16 @@ class RealtimeLoop:
         self._on_failure(error)
 
     def _command(self, work: Callable[[int], Messages]) -> None:
-        if not self._active or self._engine is None:
+        if (activity := self._active) is None:
             raise RunError("this node is not active")
         try:
-            self._publish(self._engine, work(self._read().system))
+            activity.command(work)
         except Exception as error:
             self._fail(error)
             raise
 
     def _health(self) -> Health:
-        if self._engine is None:
-            return Health(Level.WARN, "nothing is configured")
-        now, clock = self._read(), self._engine.clock
-        level, text, values = self._engine.behaviour.health(now.system)
-        missed, made = clock.missed - self._reported[0], clock.lateness.count - self._reported[1]
-        self._reported = clock.missed, clock.lateness.count
-        concerns = [text]
-        if missed > TOLERATED * (missed + made):
-            level = max(level, Level.WARN)
-            concerns.append(f"{missed} periods missed")
-        return Health(level, "; ".join(concerns), (*values, *clock.values(), *self._refusals()))
-
-    def _refusals(self) -> tuple[tuple[str, str], ...]:
-        values = (("malformed messages", str(self.refused)),)
-        return (*values, ("last malformed", self.refusal)) if self.refused else values
+        return Health(Level.WARN, "nothing is configured") if self._activity is None else self._activity.health()
 
 
 def _text(error: Exception) -> str:

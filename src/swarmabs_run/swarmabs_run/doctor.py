@@ -26,6 +26,8 @@ from swarmabs_run.orchestration.network import claimed_domain
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+BUFFERS = Path("/proc/sys/net/core")
+"""Where the kernel says how large buffers of sockets may be."""
 _BUFFER = 4 * 2**20
 _AGENT_MEMORY = 15 * 2**20
 _DESCRIPTORS = 1024
@@ -46,7 +48,7 @@ Verdict: TypeAlias = tuple[Literal["ok", "note", "bad"], str]
 
 def examine() -> list[Finding]:
     """Carry out all checks; none of them changes anything or leaves anything behind."""
-    return [Finding(name, *check()) for name, check in _CHECKS.items()]
+    return [Finding(name, *check()) for name, check in CHECKS.items()]
 
 
 def _python() -> Verdict:
@@ -95,7 +97,7 @@ def _buffers() -> Verdict:
     sizes = {}
     for name in ("rmem_max", "wmem_max"):
         try:
-            sizes[name] = int(Path(f"/proc/sys/net/core/{name}").read_text(encoding="ascii"))
+            sizes[name] = int((BUFFERS / name).read_text(encoding="ascii"))
         except (OSError, ValueError):
             continue
     small = [f"net.core.{name}={_BUFFER}" for name, size in sizes.items() if size < _BUFFER]
@@ -146,11 +148,11 @@ def _scenarios() -> Verdict:
 
 
 def _visibility() -> Verdict:
-    text = f"a run lives on loopback in a domain of its own (up to {LARGEST_DOMAIN}); to look in: "
+    text = f"a run uses loopback and a separate ROS domain (up to {LARGEST_DOMAIN}); to inspect it: "
     return "note", f'{text}eval "$(./scripts/swarm env RUN)"'
 
 
-_CHECKS: dict[str, Callable[[], Verdict]] = {
+CHECKS: dict[str, Callable[[], Verdict]] = {
     "versions": _python,
     "rclpy": _ros,
     "messages": _messages,
@@ -164,3 +166,4 @@ _CHECKS: dict[str, Callable[[], Verdict]] = {
     "disk": _disk,
     "stock ROS tools": _visibility,
 }
+"""The checks by name."""

@@ -6,8 +6,11 @@ import ctypes
 import os
 import signal
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from math import inf
 from typing import TYPE_CHECKING, NoReturn
+
+from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -15,7 +18,21 @@ if TYPE_CHECKING:
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
+GRACE = "SWARMABS_END_GRACE"
+"""Variable with the time, s, that nodes get to end by themselves, as profilers in them need; without it, none."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def end_grace() -> float:
+    """Return the time, s, that nodes get to end by themselves.
+
+    Raises `InputError` if the variable `GRACE` does not say a time.
+    """
+    text = os.environ.get(GRACE) or "0"
+    with suppress(ValueError):
+        if 0.0 <= (seconds := float(text)) < inf:
+            return seconds
+    raise InputError(f"{GRACE}: {text!r} is no time in seconds; give a number such as 2.5, or unset the variable")
 
 
 @contextmanager

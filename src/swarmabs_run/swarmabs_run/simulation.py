@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_bag.attached import scenario_of
+from swarmabs_bag.figures import RunFigures
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
-from swarmabs_config.scenario import Scenario, load_scenario
-from swarmabs_core.arrays import RunArrays, run_arrays, table
+from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
+from swarmabs_config.scenarios import as_override
+from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
 from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import with_ends
@@ -20,7 +25,7 @@ from swarmabs_core.record import Record
 from swarmabs_run.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from os import PathLike
 
     from swarmabs_bag.recording import RecordedStep, Step
@@ -120,37 +125,55 @@ def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     yield from islice(Simulation(scenario).steps(), done, None)
 
 
-def simulate(scenario: Scenario | str | PathLike[str]) -> RunArrays:
+def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, object] | None = None) -> RunArrays:
     """Simulate a scenario in this process.
 
     Parameters
     ----------
     scenario : Scenario, str or path
-        A scenario, or the YAML file of one.
+        A scenario, the name of a built-in one, a YAML file, or a bag whose scenario is meant.
+    overrides : mapping, optional
+        Values by their dotted paths in the scenario, as of ``--set``; lists and mappings replace the old ones.
 
     Returns
     -------
     RunArrays
-        The messages of the run as arrays: angle, abstract, auxiliary and desired state by step, robots by step and id.
+        The run as arrays: angle, reference, abstract, auxiliary and desired state by step, robots by step and id;
+        events and summary.
 
     Raises
     ------
     InputError
-        If the file is not a valid scenario.
+        If there is no such scenario, or it is not valid.
     RunError
         If the run fails, such as by a plane that turns over.
 
     Examples
     --------
     >>> from swarmabs_core import simulate
-    >>> run = simulate("my_scenario.yaml")  # doctest: +SKIP
-    >>> run.angle[-1]  # doctest: +SKIP
+    >>> run = simulate("pd_het_4", {"plane.angle": 0.2})  # doctest: +SKIP
+    >>> run.angle[-1], run.summary()["settled_at"]  # doctest: +SKIP
     """
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario)
+    scenario = _changed(scenario, [as_override(path, value) for path, value in (overrides or {}).items()])
+    reference, period_ns = configure.reference(scenario), scenario.step_ns
+    figures = RunFigures(reference)
+    events: list[RunEvent] = []
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
     for step in simulated_steps(scenario):
+        figures.add(step)
+        events.extend(run_event(event, event.step * period_ns / 1e9) for event in step.events)
         for topic, _, payload in step.stored():
             if topic in gathered:
                 gathered[topic] += payload
-    return run_arrays({topic: table(topic, payloads) for topic, payloads in gathered.items()})
+    return run_arrays(
+        {topic: table(topic, payloads) for topic, payloads in gathered.items()},
+        reference=lambda step: reference(step * period_ns / 1e9),
+        events=events,
+        figures=partial(dict, figures.summary()),
+    )
+
+
+def _changed(scenario: Scenario | str | PathLike[str], overrides: list[str]) -> Scenario:
+    if not isinstance(scenario, Scenario):
+        return scenario_of(os.fspath(scenario), overrides)
+    return parse_scenario(dump_scenario(scenario), overrides=overrides) if overrides else scenario

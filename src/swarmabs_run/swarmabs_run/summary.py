@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.run import Outcome
 
-_SHOWN_FROM = 0.05
-"""Shortest set-up that the table shows, s: of a checkout that is set up, the look whether it is takes less."""
+AGES_SHOWN = 3
+"""How many ages of broadcasts the table lists by themselves."""
 FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
 
 
@@ -44,6 +44,7 @@ def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, A
         "real_time_factor": round(scenario.duration_ns / 1e9 / run, 3) if complete and run else None,
         "agents": len(scenario.agents),
         **{name: figures.get(name) for name in FIGURES},
+        "events": figures.get("events", []),
         "status": outcome.status,
         "reason": outcome.reason,
         "rerun_of": None,
@@ -75,8 +76,10 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
         "folder": str(folder.path),
     }
     if "realtime" in summary:
-        del rows["digest"]  # nobody expects one
+        del rows["digest"]  # it depends on timing
         rows |= _realtime_rows(summary["realtime"])
+    if summary["events"]:
+        rows["events"] = "\n".join(summary["events"])
     if summary["rerun_of"] is not None:
         rows["rerun of"] = _rerun(summary["rerun_of"])
     if (folder.bag / "metadata.yaml").exists():
@@ -87,14 +90,12 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
 
 
 def _wall_time(summary: Mapping[str, Any]) -> str:
-    """Return the time of the whole command and of its parts, as far as there were any."""
-    parts = {"set-up": summary["setup_time"], "start": summary["startup_time"], "run": summary["run_time"]}
-    if parts["set-up"] < _SHOWN_FROM:
-        del parts["set-up"]
+    """Return the time of the command without the set-up of the checkout, and of its parts as far as there were any."""
+    parts = {"start": summary["startup_time"], "run": summary["run_time"]}
     known = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
     if summary["real_time_factor"]:
         known.append(f"{summary['real_time_factor']:.1f} x real time")
-    return f"{summary['wall_time']:.1f} s" + (f": {', '.join(known)}" if known else "")
+    return f"{summary['wall_time'] - summary['setup_time']:.1f} s" + (f": {', '.join(known)}" if known else "")
 
 
 def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
@@ -106,12 +107,21 @@ def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
         "missed periods": ", ".join(f"{name} {n}" for name, n in missed.items() if n) or "none",
         "latest step": f"{max(longest.values()) / 1000:.1f} ms late" if longest else "-",
         "missing messages": ", ".join(f"{topic} {n}" for topic, n in missing.items()) or "none",
-        "broadcasts used": ", ".join(f"{n} after {age} steps" for age, n in ages.items()) or "none",
+        "broadcasts used": _ages(ages),
         "safe stops": str(realtime.get("safe_stops", 0)),
     }
     if realtime.get("died"):
         rows["died"] = ", ".join(f"{name} {how}" for name, how in realtime["died"].items())
     return rows
+
+
+def _ages(ages: Mapping[str, int]) -> str:
+    """Return how many broadcasts were used at which age in steps; ages beyond the first few in one sum."""
+    counts = [(int(age), count) for age, count in ages.items()]
+    shown = [f"{count} after {age} steps" for age, count in counts[:AGES_SHOWN]]
+    if rest := counts[AGES_SHOWN:]:
+        shown.append(f"{sum(count for _, count in rest)} after up to {max(age for age, _ in rest)} steps")
+    return ", ".join(shown) or "none"
 
 
 def _rerun(rerun: Mapping[str, Any]) -> str:

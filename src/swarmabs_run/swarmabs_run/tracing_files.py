@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - this is what POSIX shared memory is on Linux
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - this is what POSIX shared memory is on Linux
 _PATTERN = "lttng-ust-wait-*"
 
 
@@ -29,7 +29,7 @@ def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
     finally:
         left = set() if if_orphaned and os.getppid() == parent else _files()
         if left:
-            mapped, hidden = _mapped_by_others()
+            mapped, hidden = mapped_by_others()
             for path in left - mapped:
                 # A file that serves all users and was there already may be in use where this user cannot look.
                 if path in before and hidden and not path.name.endswith(f"-{os.getuid()}"):
@@ -41,27 +41,29 @@ def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
 def _files() -> set[Path]:
     """Return the files that belong to this user."""
     found = set()
-    for path in _SHARED_MEMORY.glob(_PATTERN):
+    for path in SHARED_MEMORY.glob(_PATTERN):
         with suppress(OSError):
             if path.stat().st_uid == os.getuid():
                 found.add(path)
     return found
 
 
-def _mapped_by_others() -> tuple[set[Path], bool]:
+def mapped_by_others() -> tuple[set[Path], bool]:
     """Return the files that other processes have mapped, and whether other users' processes cannot be examined."""
-    mapped, hidden = set[Path](), False
+    mapped, hidden, prefix = set[Path](), False, f"{SHARED_MEMORY}/"
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == os.getpid():
             continue
         try:
-            lines = (process / "maps").read_text(encoding="utf-8", errors="replace").splitlines()
+            maps = (process / "maps").read_text(encoding="utf-8", errors="replace")
         except PermissionError:
             with suppress(OSError):
                 hidden |= process.stat().st_uid != os.getuid()
             continue
         except OSError:  # it has ended
             continue
-        # The path is the sixth field; that of a file that was removed ends differently.
-        mapped |= {Path(fields[5]) for line in lines if len(fields := line.split(maxsplit=5)) == 6}
-    return {path for path in mapped if path.parent == _SHARED_MEMORY}, hidden
+        if prefix in maps:
+            # The path is the sixth field; that of a file that was removed ends differently.
+            fields = (line.split(maxsplit=5) for line in maps.splitlines() if prefix in line)
+            mapped |= {Path(words[5]) for words in fields if len(words) == 6}
+    return {path for path in mapped if path.parent == SHARED_MEMORY}, hidden

@@ -58,7 +58,7 @@ _DIGESTED = np.dtype([("head", f"V{len(_HEAD)}"), ("payload", _PAYLOAD)])
 
 
 class NotVectorisableError(Exception):
-    """A robot does something of its own from this step on; only the state machines can go on."""
+    """From this step on a robot behaves individually; only the state machines can continue."""
 
 
 def vectorisable(scenario: Scenario) -> bool:
@@ -221,7 +221,7 @@ class VectorSimulation:
     def steps(self) -> Iterator[ArrayStep]:
         """Run, and yield every step.
 
-        Raises `NotVectorisableError` if a robot has to do something of its own; the steps up to there are right. Raises
+        Raises `NotVectorisableError` if a robot has to behave individually; the steps before it are right. Raises
         `RunError` if the run fails, such as by a plane that turns over.
         """
         scenario, swarm = self._scenario, self._swarm

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from swarmabs_view.facts import Shading
-from swarmabs_view.protocol import Curves, Event, Events, Frame, Hello, Robot, Session, Sets, State
+from swarmabs_view.protocol import Curves, Event, Events, Frame, Hello, Placed, Positions, Robot, Session, Sets, State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from swarmabs_bag.swarm_state import Instant, SwarmState
     from swarmabs_core.messages import Message
@@ -24,6 +24,10 @@ RATE_WINDOW = 2.0
 """Time, s, over which the step rate is taken."""
 SILENCE = 3.0
 """Time, s, without a new step after which the swarm counts as silent."""
+MOST_PLACES = 1000
+"""Points of each robot's position that are kept."""
+ROBOTS_A_STEP = 10
+"""Robots whose positions are noted in each step; of more robots fewer steps are."""
 MOST_POINTS = 4000
 """Points of the curves that are kept, no more than a screen can show; when there are more, every second one goes."""
 
@@ -61,36 +65,64 @@ class StepRate:
             self._seen.popleft()
 
 
-class CurveBuffer:
+class _Point(Protocol):
+    @property
+    def step(self) -> int: ...
+
+
+Kept = TypeVar("Kept", bound=_Point)
+
+
+class CurveBuffer(Generic[Kept]):
     """Keeps the points of curves that grow: those whose step is a multiple of a stride that doubles when needed.
 
     `epoch` changes whenever points that were there are gone.
     """
 
-    def __init__(self, most: int = MOST_POINTS) -> None:
+    def __init__(self, most: int = MOST_POINTS, stride: int = 1) -> None:
         self._most = most
-        self._stride = 1
-        self._points: list[Instant] = []
+        self._stride = stride
+        self._points: list[Kept] = []
         self.epoch = 0
 
     def __len__(self) -> int:
         return len(self._points)
 
-    def add(self, point: Instant) -> None:
+    @property
+    def first(self) -> int | None:
+        """The first step that is kept, None before there is one."""
+        return self._points[0].step if self._points else None
+
+    def wants(self, step: int) -> bool:
+        """Return whether a point of a step would be kept."""
+        return step % self._stride == 0 and not (self._points and step <= self._points[-1].step)
+
+    def add(self, point: Kept) -> None:
         """Take a point; one that is not later than the last is left out."""
-        if point.step % self._stride or (self._points and point.step <= self._points[-1].step):
-            return
-        self._points.append(point)
-        if len(self._points) > self._most:
+        if self.wants(point.step):
+            self._points.append(point)
+            self._thin()
+
+    def begin(self, points: Iterable[Kept]) -> None:
+        """Take the points that lie before the first."""
+        first = self.first
+        earlier = [one for one in points if one.step % self._stride == 0 and (first is None or one.step < first)]
+        if earlier:
+            self._points = earlier + self._points
+            self.epoch += 1
+            self._thin()
+
+    def _thin(self) -> None:
+        while len(self._points) > self._most:
             self._stride *= 2
             self._points = [kept for kept in self._points if kept.step % self._stride == 0]
             self.epoch += 1
 
-    def since(self, epoch: int, count: int) -> Curves | None:
-        """Return what someone lacks who has this many points of an epoch; None if nothing."""
+    def since(self, epoch: int, count: int) -> tuple[list[Kept], bool] | None:
+        """Return what someone lacks who has this many points of an epoch, and whether it replaces them; or None."""
         replace = epoch != self.epoch
         missing = self._points if replace else self._points[count:]
-        return Curves.of(missing, replace=replace) if missing or replace else None
+        return (missing, replace) if missing or replace else None
 
 
 class LiveView:
@@ -111,7 +143,12 @@ class LiveView:
 
     def learn(self, hello: Hello, state: SwarmState) -> None:
         """Begin again, with what has become known."""
-        self._hello, self.state, self.curves, self.shading = hello, state, CurveBuffer(), Shading(hello)
+        self._hello, self.state, self.shading = hello, state, Shading(hello)
+        self.curves: CurveBuffer[Instant] = CurveBuffer()
+        # Of many robots fewer steps: a page is sent as much, and this has as much to do.
+        stride = 1 + len(state.robots) // ROBOTS_A_STEP
+        self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
+        self._complete: list[Instant] = []
         self.facts += 1
 
     def hello(self) -> Hello:
@@ -132,9 +169,12 @@ class LiveView:
         complete = self.state.add(message)
         if complete is not None:
             self.curves.add(complete)
+            if self.positions.wants(complete.step):
+                self._complete.append(complete)
 
     def look(self, now: float) -> None:
         """Conclude from the steps that have come how the swarm is doing."""
+        self._place()
         self.rate.take(now, self.state.step)
         silence = self.rate.silent_for(now)
         if silence is None:
@@ -143,6 +183,19 @@ class LiveView:
             self.phase, self.text = "running", ""
         else:
             self.phase, self.text = "silent", f"no step since {self.state.step}"
+
+    def begin(self, instants: Iterable[Instant], places: Iterable[Placed]) -> None:
+        """Take what was recorded before the first step that was heard."""
+        self.curves.begin(instants)
+        self.positions.begin(places)
+
+    def _place(self) -> None:
+        """Note where the robots were in the steps that are complete: they are heard after the rest of a step."""
+        for instant in self._complete:
+            shown = self.state.shown_robots(instant.step)
+            places = {robot.id: one.position for robot, one in zip(self.state.robots, shown, strict=True)}
+            self.positions.add(Placed(instant.step, instant.time, places))
+        self._complete.clear()
 
     async def listen(self, listener: Listener, over: Callable[[], bool]) -> None:
         """Listen until it is over, and some time longer for what is still on its way."""
@@ -165,13 +218,14 @@ class LiveSession(Session):
         self._make_after = after
         self._after: Session | None = None
         self._known = (-1, -1)
-        self._curves = (-1, 0)
+        self._curves = self._positions = (-1, 0)
         self._events = 0
 
     def hello(self) -> list[protocol.Message]:
         """Return what a page needs first."""
         live = self._live
-        self._known, self._curves, self._events = (live.facts, len(live.state.robots)), (-1, 0), 0
+        self._known, self._events = (live.facts, len(live.state.robots)), 0
+        self._curves = self._positions = (-1, 0)
         self._sent = {Sets: live.shading.first}
         return [live.hello(), Events(replace=True, events=[])]
 
@@ -185,7 +239,7 @@ class LiveSession(Session):
             return self._after.poll(now)
         live = self._live
         messages = self.hello() if self._known != (live.facts, len(live.state.robots)) else []
-        messages += [*self._new_curves(), *self._new_events()]
+        messages += [*self._new_curves(), *self._new_positions(), *self._new_events()]
         sets, state = live.shading.of(live.state.members()), State(phase=live.phase, text=live.text)
         return [*messages, *self.new(now, live.frame(now), sets, live.health, state)]
 
@@ -198,7 +252,14 @@ class LiveSession(Session):
         buffer = self._live.curves
         found = buffer.since(*self._curves)
         self._curves = (buffer.epoch, len(buffer))
-        return [] if found is None else [found]
+        return [] if found is None else [Curves.of(found[0], replace=found[1])]
+
+    def _new_positions(self) -> list[Positions]:
+        buffer = self._live.positions
+        found = buffer.since(*self._positions)
+        self._positions = (buffer.epoch, len(buffer))
+        robots = [robot.id for robot in self._live.state.robots]
+        return [] if found is None or not len(buffer) else [Positions.of(robots, found[0], replace=found[1])]
 
     def _new_events(self) -> list[Events]:
         state = self._live.state

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_bag.recorded_swarm import column_points, read_swarm
-from swarmabs_bag.swarm_state import MOST_EVENTS
+from swarmabs_bag.swarm_state import MOST_EVENTS, finite
 from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.ports import bound, need_web_server
 from swarmabs_view.protocol import (
@@ -20,7 +20,9 @@ from swarmabs_view.protocol import (
     Hello,
     Message,
     Pause,
+    Placed,
     Play,
+    Positions,
     Seek,
     Session,
     Sets,
@@ -29,13 +31,31 @@ from swarmabs_view.protocol import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from swarmabs_bag.recorded_swarm import RecordedSwarm
 
 COLUMNS = 1000
 """Columns of a picture of a curve; of each the first, lowest, highest and last point of every curve are sent."""
+
+
+def evenly(count: int, most: int) -> Sequence[int]:
+    """Return rows that are evenly spread over all, of which there are so many."""
+    return range(0, count, -(-count // most) or 1)
+
+
+def places(swarm: RecordedSwarm, rows: Iterable[int]) -> list[Placed]:
+    """Return where the robots are at rows of the arrays."""
+    arrays, ids = swarm.arrays, swarm.arrays.agents.ids.tolist()
+    return [
+        Placed(
+            int(arrays.step[row]),
+            float(arrays.time[row]),
+            dict(zip(ids, map(finite, swarm.positions[row].tolist()), strict=True)),
+        )
+        for row in rows
+    ]
 
 
 class Recording:
@@ -69,7 +89,7 @@ class Recording:
         arrays = self.swarm.arrays
         abstract, desired = arrays.abstract, arrays.desired
         columns = (
-            *(arrays.angle, self.swarm.reference, abstract.torque, desired.torque),
+            *(arrays.angle, arrays.reference, abstract.torque, desired.torque),
             *(abstract.inertia, desired.inertia),
         )
         chosen = np.arange(len(self))
@@ -79,9 +99,17 @@ class Recording:
         return Curves.of([self.swarm.instant(row) for row in chosen.tolist()], replace=True)
 
     @cached_property
+    def positions(self) -> Positions:
+        """The positions, at some `COLUMNS` steps."""
+        points = places(self.swarm, evenly(len(self), COLUMNS))
+        return Positions.of([robot.id for robot in self.hello.robots], points, replace=True)
+
+    @cached_property
     def events(self) -> Events:
         """The latest events."""
-        return Events(replace=True, events=[Event.of(one) for one in self.swarm.timed_events()[-MOST_EVENTS:]])
+        found = self.swarm.timed_events()
+        left_out = max(0, len(found) - MOST_EVENTS)
+        return Events(replace=True, events=[Event.of(one) for one in found[left_out:]], left_out=left_out)
 
     def frame(self, row: int, step_rate: float | None = None) -> Frame:
         """Return what is to be seen at a row of the arrays."""
@@ -123,7 +151,8 @@ class PlaybackSession(Session):
 
     def hello(self) -> list[Message]:
         """Return what a page needs first."""
-        return [self.recording.hello, self.recording.curves, self.recording.events]
+        recording = self.recording
+        return [recording.hello, recording.curves, recording.positions, recording.events]
 
     def poll(self, now: float) -> list[Message]:
         """Return what is new at a time (s) of the clock."""
@@ -182,6 +211,6 @@ def view_bag(path: Path, *, namespace: str | None, port: int, ready: Callable[[s
     from swarmabs_view.server import serve  # noqa: PLC0415 - needs aiohttp
 
     recording = open_recording(path, namespace=namespace)
-    _ = recording.hello, recording.curves, recording.events  # made before the first page asks
+    _ = recording.hello, recording.curves, recording.positions, recording.events  # made before the first page asks
     with bound(port) as listener:
         serve(listener, lambda: PlaybackSession(recording), ready=ready)

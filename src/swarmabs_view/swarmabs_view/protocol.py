@@ -6,7 +6,7 @@ number keeps every bit on its way: the page shows what stands in the bag.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import models_json_schema
@@ -15,7 +15,7 @@ from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from typing_extensions import Self
 
@@ -31,7 +31,19 @@ FASTEST = 1000.0
 """Highest speed of a playback, in parts of real time."""
 STATE_INTERVAL = 1.0
 """Longest time, s, between two states of the source."""
+MOST_LINES = 24
+"""Robots whose positions are drawn as a line each."""
+BANDS = {"lowest": 0.0, "10 %": 0.1, "median": 0.5, "90 %": 0.9, "highest": 1.0}
+"""Parts of the robots whose positions are not above a band."""
 _KINDS = {kind.value: kind.name for kind in EventKind}
+
+
+class Placed(NamedTuple):
+    """Where the robots are in a step: time (s) and positions (m) by id; None is who is not on the plane."""
+
+    step: int
+    time: float
+    places: Mapping[int, float | None]
 
 
 class Part(BaseModel):
@@ -184,6 +196,37 @@ class Curves(Message):
         )
 
 
+class Positions(Message):
+    """Positions over time; they follow those sent before, or replace them.
+
+    A line is a robot, or of more than `MOST_LINES` robots a band: how the positions of all are distributed.
+    """
+
+    type: Literal["positions"] = "positions"
+    replace: bool
+    bands: bool
+    labels: list[str] = Field(description="of the lines")
+    time: list[float] = Field(description="s")
+    lines: list[list[Number]] = Field(description="m; null of a robot that is not on the plane")
+
+    @classmethod
+    def of(cls, robots: Sequence[int], points: Sequence[Placed], *, replace: bool) -> Self:
+        """Return points of the lines of these robots, or of bands of all."""
+        bands = len(robots) > MOST_LINES
+        rows = [[point.places.get(robot) for robot in robots] for point in points]
+        if bands:
+            rows = [_distribution(row) for row in rows]
+        labels = list(BANDS) if bands else [f"robot {robot}" for robot in robots]
+        lines = [[row[index] for row in rows] for index in range(len(labels))]
+        return cls(replace=replace, bands=bands, labels=labels, time=[point.time for point in points], lines=lines)
+
+
+def _distribution(positions: Sequence[Number]) -> list[Number]:
+    """Return the quantiles of `BANDS`, each a position that a robot has."""
+    known = sorted(position for position in positions if position is not None)
+    return [known[round(part * (len(known) - 1))] if known else None for part in BANDS.values()]
+
+
 class Event(Part):
     """An event of the swarm."""
 
@@ -209,6 +252,7 @@ class Events(Message):
     type: Literal["events"] = "events"
     replace: bool
     events: list[Event]
+    left_out: int = Field(default=0, description="earlier ones that are not sent")
 
 
 class Process(Part):
@@ -302,8 +346,15 @@ class Speed(Request):
     speed: float = Field(gt=0.0, le=FASTEST, allow_inf_nan=False)
 
 
+class Unlock(Request):
+    """Ask whether a token is right, which changes nothing."""
+
+    type: Literal["unlock"]
+    token: str = Field(max_length=100)
+
+
 class Steer(Request):
-    """Change the run; only for those who know the token. Values as of the run's socket (docs/steering.md)."""
+    """Change the run; only for those who know the token. Values as of the run's socket (docs/how-to/steering.md)."""
 
     type: Literal["steer"]
     token: str = Field(max_length=100)
@@ -315,13 +366,16 @@ class Steer(Request):
     agent: int | None = Field(default=None, ge=1, le=65535, description="of the others")
 
 
-Control: TypeAlias = Play | Pause | Seek | Speed | Steer
+Control: TypeAlias = Play | Pause | Seek | Speed | Unlock | Steer
 """What a page may ask for."""
 
 CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="type")])
 
-FROM_SERVER: tuple[type[Message], ...] = (Hello, Frame, Sets, Curves, Events, Health, State, Steering, Answer)
-FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Steer)
+FROM_SERVER: tuple[type[Message], ...] = (
+    *(Hello, Frame, Sets, Curves, Positions, Events),
+    *(Health, State, Steering, Answer),
+)
+FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)
 
 
 class Session:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import psutil
 
 from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.recorded_swarm import read_swarm
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenarios import find_scenario
@@ -25,8 +26,8 @@ from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, goes_on, read_processes
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
-from swarmabs_view.live import LiveSession, LiveView
-from swarmabs_view.playback import PlaybackSession, open_recording
+from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
+from swarmabs_view.playback import PlaybackSession, evenly, open_recording, places
 from swarmabs_view.protocol import Health, Hello, Process, Seek
 from swarmabs_view.server import serve
 from swarmabs_view.steering_bridge import SteeredSession, SteeringBridge
@@ -40,12 +41,17 @@ with tracing_files_removed():
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from swarmabs_bag.swarm_state import Instant
     from swarmabs_view.playback import Recording
-    from swarmabs_view.protocol import Session
+    from swarmabs_view.protocol import Placed, Session
 
 NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 HEALTH_INTERVAL = 2.0
 """Time, s, between two looks at the processes."""
+FETCH_INTERVAL = 1.0
+"""Time, s, between two looks for the beginning of a run in its bag; a step is in the bag a second later at most."""
+LARGEST_FETCH = 2**28
+"""Bytes of a bag beyond which the beginning is left out until the run is over: to read it would take too long."""
 WAIT_INTERVAL = 0.1
 """Time, s, between two looks whether a run has begun, or its summary is written."""
 NICENESS = 5
@@ -114,11 +120,12 @@ class RunView:
         if processes is not None and environment is not None:
             os.environ.update(environment)
             os.nice(NICENESS)
-            watch = asyncio.ensure_future(self._watch(processes))
+            beside = [asyncio.ensure_future(one) for one in (self._watch(processes), self._fetch())]
             try:
                 await listen(self._live, "/", self._over)
             finally:
-                watch.cancel()
+                for task in beside:
+                    task.cancel()
         self._live.phase, self._live.text = "ended", "the run has ended"
         await self._end()
         await asyncio.Event().wait()
@@ -145,6 +152,35 @@ class RunView:
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
         self._live.learn(hello, SwarmState.of(scenario))
+
+    async def _fetch(self) -> None:
+        """Fetch from the bag that is being written what happened before the first step that was heard."""
+        while self._live.curves.first != 0:
+            await asyncio.sleep(FETCH_INTERVAL)
+            first = self._live.curves.first
+            if first is None:
+                continue
+            with suppress(InputError, DamagedBagError, OSError):  # not written so far
+                if sum(file.stat().st_size for file in self._folder.bag.iterdir()) > LARGEST_FETCH:
+                    return
+                found = await asyncio.to_thread(self._recorded, first)
+                if found is not None:
+                    self._live.begin(*found)
+                    return
+
+    def _recorded(self, first: int) -> tuple[list[Instant], list[Placed]] | None:
+        """Return what was recorded before a step, None if that has not been written yet."""
+        swarm = read_swarm(self._folder.path)
+        steps, period = swarm.arrays.step, swarm.scenario.period
+        if not len(swarm) or steps[-1] < first - 1:
+            return None
+        # Times are those of the steps, as for what is heard.
+        instants = [swarm.instant(row) for row in evenly(len(swarm), MOST_POINTS)]
+        placed = places(swarm, evenly(len(swarm), MOST_PLACES))
+        return (
+            [one._replace(time=one.step * period) for one in instants],
+            [one._replace(time=one.step * period) for one in placed],
+        )
 
     async def _watch(self, processes: Mapping[str, int]) -> None:
         watch = ProcessWatch(processes)
@@ -175,7 +211,7 @@ class RunView:
             self._live.text = f"the run has ended: {json.loads(self._folder.summary.read_bytes())['status']}"
             if self._folder.bag.exists():
                 recording = await asyncio.to_thread(open_recording, self._folder.path)
-                await asyncio.to_thread(lambda: (recording.hello, recording.curves))
+                await asyncio.to_thread(lambda: (recording.hello, recording.curves, recording.positions))
                 self._recording = recording
         except (InputError, DamagedBagError, OSError, ValueError, KeyError) as error:
             self._live.text = f"the run has ended; its bag cannot be shown: {error}"

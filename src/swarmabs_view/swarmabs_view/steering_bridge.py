@@ -9,9 +9,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_run.steering.client import LONGEST_ANSWER, SOCKET, STATUS, short_path
-from swarmabs_view.protocol import Answer, Hello, Session, Steer, Steering
+from swarmabs_view.protocol import Answer, Hello, Session, Steer, Steering, Unlock
 
 if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
     from pathlib import Path
 
     from swarmabs_view.protocol import Control, Message
@@ -27,12 +28,21 @@ WRONG = "the token is wrong: it stands in the terminal of the run"
 OVER = "the run takes no requests: it has not begun, or is over"
 
 
-class SteeringBridge:
-    """What steers a run on behalf of all pages that know the token; `status` is what holds now."""
+async def pause() -> None:
+    """Wait until the next look."""
+    await asyncio.sleep(LOOK_INTERVAL)
 
-    def __init__(self, folder: Path, token: str) -> None:
+
+class SteeringBridge:
+    """What steers a run on behalf of all pages that know the token; `status` is what holds now.
+
+    It waits by `pause` between two looks.
+    """
+
+    def __init__(self, folder: Path, token: str, pause: Callable[[], Awaitable[None]] = pause) -> None:
         self._folder = folder
         self._token = token.encode()
+        self._pause = pause
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
         self._turn = asyncio.Lock()
         self.status = Steering(open=False)
@@ -42,20 +52,24 @@ class SteeringBridge:
         while self._streams is None:
             with suppress(OSError):
                 await self._connect()
-            await asyncio.sleep(LOOK_INTERVAL)
+            await self._pause()
         _, writer = self._streams
         try:
             while (found := await self._exchange({"action": STATUS})) is not None:
                 self.status = Steering(open=True, **{name: found[name] for name in _HELD})
-                await asyncio.sleep(LOOK_INTERVAL)
+                await self._pause()
         finally:
             writer.close()
         self.status = Steering(open=False)
         await asyncio.Event().wait()
 
+    def knows(self, token: str) -> bool:
+        """Return whether a token is that of the run."""
+        return hmac.compare_digest(token.encode(), self._token)
+
     async def ask(self, request: Steer) -> Answer:
         """Ask the run for something; the answer comes when it is decided, some steps later."""
-        if not hmac.compare_digest(request.token.encode(), self._token):
+        if not self.knows(request.token):
             return Answer(request=request.request, ok=False, known=False, text=WRONG)
         asked = request.model_dump(include={"action", "value", "agent", "request"}, exclude_none=True)
         found = await self._exchange(asked)
@@ -112,7 +126,10 @@ class SteeredSession(Session):
 
     def control(self, request: Control) -> None:
         """Do what the page asks for."""
-        if not isinstance(request, Steer):
+        if isinstance(request, Unlock):
+            if not self._bridge.knows(request.token) and len(self._answers) < MOST_WAITING:
+                self._answers.append(Answer(request="", ok=False, known=False, text=WRONG))
+        elif not isinstance(request, Steer):
             self._session.control(request)
         elif len(self._waiting) >= MOST_WAITING:
             self._answers.append(Answer(request=request.request, ok=False, text="too many requests wait already"))

@@ -32,6 +32,8 @@ _TERMINAL_INTERVAL, _LINE_INTERVAL = 0.2, 5.0
 LEAST_WIDTH, LEAST_HEIGHT = 50, 9
 """Smaller terminals get one line."""
 WIDEST = 100
+ECHO = "^C"
+"""What a terminal writes after the panel when it is interrupted; in a full line it would begin another one."""
 LANES = 8
 """More robots than these share one lane."""
 _BINS = 400
@@ -129,10 +131,12 @@ class RunPanel:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw it into the space that there is now."""
-        width, height = options.max_width, console.size.height
+        width, height = options.max_width - len(ECHO), console.size.height
         progress = self._progress
         if width < LEAST_WIDTH or height < LEAST_HEIGHT or progress is None or progress.phase == "starting":
-            yield Text(self._line, no_wrap=True, overflow="ellipsis", end="")
+            line = Text(self._line, end="")
+            line.truncate(max(width, 1), overflow="ellipsis")
+            yield line
             return
         width = min(width, WIDEST)
         yield Panel(

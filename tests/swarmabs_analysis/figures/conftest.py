@@ -1,7 +1,5 @@
 """Short runs of the paper's scenarios, and what an independent reader finds in their bags."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -43,9 +41,8 @@ class ReadBag:
     def __init__(self, run: Path) -> None:
         self._messages: dict[str, list[Any]] = defaultdict(list)
         with (run / "bag" / "bag_0.mcap").open("rb") as stream:
-            for _, channel, _, message in make_reader(
-                stream, decoder_factories=[DecoderFactory()]
-            ).iter_decoded_messages():
+            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+            for _, channel, _, message in reader.iter_decoded_messages():
                 self._messages[channel.topic].append(message)
 
     def column(self, topic: str, field: str, agent: int | None = None) -> NDArray[np.float64]:
@@ -53,11 +50,14 @@ class ReadBag:
         messages = [m for m in self._messages[topic] if agent is None or m.agent_id == agent]
         return np.array([getattr(m, field) for m in sorted(messages, key=lambda m: m.step)])
 
+    @property
+    def count(self) -> int:
+        return sum(map(len, self._messages.values()))
+
     def times(self) -> NDArray[np.float64]:
         """Return the times of the steps, s."""
         stamps = [m.header.stamp for m in sorted(self._messages["/plane/state"], key=lambda m: m.step)]
         return np.array([stamp.sec + stamp.nanosec * 1e-9 for stamp in stamps])
 
     def agents(self) -> list[int]:
-        """Return the ids of the robots."""
         return sorted({m.agent_id for m in self._messages["/swarm/agent_state"]})

@@ -1,23 +1,88 @@
-"""The figures of runs show what is in the bags, and say what it is."""
+"""Runs are found or made whole; their figures show what is in the bags, in files that are the same bytes each time."""
 
-from __future__ import annotations
-
+import io
 import math
+import re
+import shutil
+import subprocess
+import sys
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from numpy.typing import NDArray
-from tests.swarmabs_analysis.figures.conftest import ReadBag, record
+from tests.swarmabs_analysis.figures.conftest import NAMES, ReadBag, record
 
-from swarmabs_analysis.figures import FIGURES
+from swarmabs_analysis.figures import FIGURES, draw_files
 from swarmabs_analysis.figures.responses import STRETCHED
-from swarmabs_analysis.figures.runs import RecordedRun, find_runs
-from swarmabs_analysis.figures.style import PAGE, styled
+from swarmabs_analysis.figures.runs import find_made, find_runs, make_run
+from swarmabs_analysis.figures.style import COLUMN, FORMATS, PAGE, styled
+from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.run_folder import RunFolder
+from swarmabs_bag.writer import BagWriter
+from swarmabs_config.scenario import Scenario, dump_scenario
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.errors import InputError, RunError, SwarmabsError
+from swarmabs_core.messages import MAIN_TOPICS
+from swarmabs_run.run import Outcome, RunOptions
+from swarmabs_run.simulated_run import simulate_run
+
+WIDTHS = {"mappingEx": COLUMN, "posMapping": COLUMN, "PD_res": PAGE, "ARISE_res": PAGE, "ARISE_lg_swarm": PAGE}
+pytestmark = pytest.mark.timeout(60)  # drawing takes 1 to 3 s for each file, and more where all cores are busy
+SCRIPT = """
+import hashlib, sys
+from pathlib import Path
+from swarmabs_analysis.figures import FIGURES, draw_files
+from swarmabs_analysis.figures.runs import find_runs
+for name in sys.argv[2:]:
+    found = find_runs([Path(sys.argv[1])], FIGURES[name].scenarios)
+    for file, content in draw_files(name, found, ("png", "svg")).items():
+        print(file, hashlib.sha256(content).hexdigest())
+assert "matplotlib.pyplot" not in sys.modules
+"""
+
+
+@cache
+def files(name: str, runs: Path) -> dict[str, bytes]:
+    return draw_files(name, find_runs([runs], FIGURES[name].scenarios), FORMATS)
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_files_are_pictures_of_the_printed_width(name: str, short_runs: Path) -> None:
+    found = files(name, short_runs)
+    assert found.keys() == {f"{name}.png", f"{name}.svg"}
+    picture = imread(io.BytesIO(found[f"{name}.png"]), format="png")
+    assert picture.shape[1] == pytest.approx(WIDTHS[name] * 300, abs=1)
+    assert picture.std() > 0.05
+    root = ET.fromstring(found[f"{name}.svg"])
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    assert float(root.attrib["width"].removesuffix("pt")) == pytest.approx(WIDTHS[name] * 72, abs=0.1)
+
+
+def test_a_file_depends_neither_on_other_formats_nor_on_the_users_own_style(short_runs: Path) -> None:
+    with mpl.rc_context({"lines.linewidth": 7.0, "font.size": 20.0, "axes.grid": True, "svg.fonttype": "path"}):
+        again = draw_files("posMapping", {}, ["svg"]) | draw_files("posMapping", {}, ["png"])
+        assert again == files("posMapping", short_runs)
+        assert mpl.rcParams["lines.linewidth"] == 7.0
+
+
+@pytest.mark.system
+@pytest.mark.timeout(120)
+def test_another_process_gives_the_same_bytes(short_runs: Path) -> None:
+    names = ("mappingEx", "posMapping", "PD_res")
+    words = [sys.executable, "-c", SCRIPT, short_runs, *names]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    contents = [each for name in names for each in files(name, short_runs).items()]
+    assert done.stdout.splitlines() == [f"{file} {sha256(content).hexdigest()}" for file, content in contents]
+
 
 Floats = NDArray[np.float64]
 ROWS = ("si", "di", "het")
@@ -25,10 +90,9 @@ ROWS = ("si", "di", "het")
 
 @cache
 def draw(name: str, runs: Path) -> Figure:
-    needed = FIGURES[name].scenarios
-    found = find_runs([runs], needed)
+    found = find_runs([runs], FIGURES[name].scenarios)
     with styled():
-        figure = FIGURES[name].draw([found[scenario].load() for scenario in needed])
+        figure = FIGURES[name].draw([found[scenario].load() for scenario in FIGURES[name].scenarios])
         figure.draw_without_rendering()
     return figure
 
@@ -51,11 +115,10 @@ def assert_same(found: tuple[Floats, Floats], times: Floats, values: Floats) -> 
 
 
 @pytest.mark.parametrize(("name", "controller"), [("PD_res", "pd"), ("ARISE_res", "arise")])
-def test_nine_panels_show_the_bags(name: str, controller: str, short_runs: Path) -> None:
-    figure = draw(name, short_runs)
-    rows, others = grid(figure, 3)
+def test_nine_panels_show_the_bags_and_any_reference(name: str, controller: str, short_runs: Path) -> None:
+    rows, others = grid(draw(name, short_runs), 3)
     assert len(rows) == 3
-    for number, (kind, (plane, robots, error)) in enumerate(zip(ROWS, rows, strict=True)):
+    for kind, (plane, robots, error) in zip(ROWS, rows, strict=True):
         bag = ReadBag(short_runs / f"{controller}_{kind}_4")
         times = bag.times()
         assert len(times) == 31
@@ -69,31 +132,16 @@ def test_nine_panels_show_the_bags(name: str, controller: str, short_runs: Path)
             wanted = bag.column("/swarm/desired_abstract_state", field)
             actual = bag.column("/swarm/abstract_state", field)
             assert_same(drawn(axes, label), times, unit * (wanted - actual))
-        texts = [text.get_text() for text in plane.texts]
-        assert texts == [("single integrators", "double integrators", "heterogeneous")[number]]
-        assert (plane.get_ylabel(), rate.get_ylabel()) == ("θ, rad", "ω, rad/s")
-        assert robots.get_ylabel() == "position p, m"
-        assert (error.get_ylabel(), inertia.get_ylabel()) == ("error of τ, N m", "error of J, 10⁻³ kg m²")
-    assert [axes.get_xlabel() for axes in rows[-1]] == ["time, s"] * 3
-
-
-def test_arise_shows_the_reference_and_pd_none(short_runs: Path) -> None:
-    (plane, *_), *_ = grid(draw("ARISE_res", short_runs), 3)[0]
-    times, wanted = drawn(plane, "θ wanted")
-    assert wanted == pytest.approx([0.7 * math.sin(0.015 * math.pi * t) for t in times], abs=1e-12)
-    (plane, *_), *_ = grid(draw("PD_res", short_runs), 3)[0]
-    assert "θ wanted" not in [line.get_label() for line in plane.lines]
+    plane = rows[0][0]
+    if controller == "arise":
+        times, wanted = drawn(plane, "θ wanted")
+        assert wanted == pytest.approx([0.7 * math.sin(0.015 * math.pi * t) for t in times], abs=1e-12)
+    else:
+        assert "θ wanted" not in [line.get_label() for line in plane.lines]
 
 
 def test_four_panels_show_the_large_swarms(short_runs: Path) -> None:
-    figure = draw("ARISE_lg_swarm", short_runs)
-    ((a, b, c, d),), others = grid(figure, 4)
-    assert [axes.get_title() for axes in (a, b, c, d)] == [
-        "a) 20 robots",
-        "b) 20 robots",
-        "c) 200 robots",
-        "d) 200 robots",
-    ]
+    ((a, b, c, d),), others = grid(draw("ARISE_lg_swarm", short_runs), 4)
     for plane, rate, robots, name in ((a, others[0], b, "arise_het_20"), (c, others[1], d, "arise_het_200")):
         bag = ReadBag(short_runs / name)
         times = bag.times()
@@ -101,11 +149,8 @@ def test_four_panels_show_the_large_swarms(short_runs: Path) -> None:
         assert_same(drawn(rate, "ω"), times, bag.column("/plane/state", "angular_velocity"))
         assert len(robots.lines) == len(bag.agents())
         for line, robot in zip(robots.lines, bag.agents(), strict=True):
-            assert_same(
-                (np.asarray(line.get_xdata()), np.asarray(line.get_ydata())),
-                times,
-                bag.column("/swarm/agent_state", "position", robot),
-            )
+            shown = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+            assert_same(shown, times, bag.column("/swarm/agent_state", "position", robot))
         kinds = [bag.column("/swarm/agent_state", "kind", robot)[0] for robot in bag.agents()]
         colours = [to_hex(line.get_color()) for line in robots.lines]
         legend = robots.get_legend()
@@ -113,38 +158,6 @@ def test_four_panels_show_the_large_swarms(short_runs: Path) -> None:
         names = [text.get_text() for text in legend.get_texts()]
         by_name = dict(zip(names, (to_hex(line.get_color()) for line in legend.get_lines()), strict=True))
         assert colours == [by_name["SI" if kind == 1 else "DI"] for kind in kinds]
-        labels = [axes.get_ylabel() for axes in (plane, rate, robots)]
-        assert labels == ["θ, rad", "ω, rad/s", "position p, m"]
-        assert plane.get_xlabel() == robots.get_xlabel() == "time, s"
-
-
-@pytest.mark.parametrize("name", ["PD_res", "ARISE_res", "ARISE_lg_swarm"])
-def test_what_is_compared_has_the_same_scale_and_nothing_is_cut_off(name: str, short_runs: Path) -> None:
-    figure = draw(name, short_runs)
-    columns = 4 if name == "ARISE_lg_swarm" else 3
-    rows, others = grid(figure, columns)
-    planes = rows[0][::2] if columns == 4 else [row[0] for row in rows]
-    assert len({axes.get_ylim() for axes in planes}) == 1
-    if columns == 3:
-        assert len({row[1].get_ylim() for row in rows}) == len({row[2].get_ylim() for row in rows}) == 1
-    for axes in (*(axes for row in rows for axes in row), *others):
-        low, high = axes.get_ylim()
-        for line in axes.lines:
-            assert np.min(line.get_ydata()) >= low and np.max(line.get_ydata()) <= high
-    heights = {round(float(-axes.get_ylim()[0] / np.ptp(axes.get_ylim())), 9) for axes in (*planes, others[0])}
-    assert len(heights) == 1  # both zeros of a panel are at one height
-
-
-def test_text_can_be_read_in_print_and_stays_clear_of_the_data(short_runs: Path) -> None:
-    figure = draw("ARISE_res", short_runs)
-    assert figure.get_figwidth() == PAGE
-    for axes in figure.axes:
-        texts = [*axes.get_xticklabels(), *axes.get_yticklabels(), axes.xaxis.label, axes.yaxis.label, axes.title]
-        legend = axes.get_legend()
-        if legend is not None:
-            texts += legend.get_texts()
-            assert legend.get_window_extent().y0 >= axes.bbox.y1
-        assert min(text.get_fontsize() for text in texts) >= 7.0
 
 
 def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:
@@ -153,19 +166,93 @@ def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:
         record(runs / kind, f"pd_{kind}_4", "duration=12.0")
     axes = grid(draw("PD_res", runs), 3)[0][0][0]
     left, right = axes.get_xlim()
-    places = axes.transAxes.inverted().transform(
-        axes.transData.transform([(t, 0.0) for t in (left, 2.5, STRETCHED, 8.5, right)])
-    )
+    shown = axes.transData.transform([(t, 0.0) for t in (left, 2.5, STRETCHED, 8.5, right)])
+    places = axes.transAxes.inverted().transform(shown)
     np.testing.assert_allclose(places[:, 0], [0.0, 0.25, 0.5, 0.75, 1.0], atol=1e-9)
     assert (left, right) == (0.0, 12.0)
 
 
-def test_a_robot_that_is_not_there_yet_is_not_drawn(tmp_path: Path) -> None:
-    fault = "faults=[{at: 0.1, kind: join, agent: 4}]"
-    run = find_runs([record(tmp_path / "run", "pd_het_4", fault)], ["pd_het_4"])["pd_het_4"].load()
-    assert isinstance(run, RecordedRun)
-    with styled():
-        figure = FIGURES["PD_res"].draw([run, run, run])
-        figure.draw_without_rendering()
-    robots = grid(figure, 3)[0][0][1]
-    assert np.isnan(drawn(robots, "p₄")[1]).sum() == 10
+def test_a_run_is_named_in_three_ways(short_runs: Path) -> None:
+    for part in ("pd_si_4", "pd_si_4/bag", "pd_si_4/bag/bag_0.mcap"):
+        found = find_runs([short_runs / part], NAMES)
+        assert found.keys() == {"pd_si_4"}
+        assert found["pd_si_4"].bag == short_runs / "pd_si_4" / "bag" / "bag_0.mcap"
+        assert found["pd_si_4"].altered  # it is shorter than the paper's
+        assert len(found["pd_si_4"].load().arrays.time) == 31
+
+
+def test_a_folder_of_runs_is_searched_by_what_the_bags_say(short_runs: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_runs / "arise_het_20", tmp_path / "any_name")
+    shutil.copy(short_runs / "pd_di_4" / "bag" / "bag_0.mcap", tmp_path / "loose.mcap")
+    shutil.copytree(short_runs / "pd_si_4", tmp_path / ".hidden")
+    (tmp_path / "notes.txt").write_text("no bag")
+    assert find_runs([tmp_path], NAMES).keys() == {"arise_het_20", "pd_di_4"}
+    assert find_runs([tmp_path], ["pd_di_4"]).keys() == {"pd_di_4"}
+    assert find_runs([short_runs], NAMES).keys() == set(NAMES)
+    # A bag that is named twice is one, and two bags of a scenario are refused.
+    assert len(find_runs([short_runs / "pd_si_4", short_runs], ["pd_si_4"])) == 1
+    shutil.copytree(short_runs / "pd_si_4", tmp_path / "more" / "pd_si_4-002")
+    with pytest.raises(InputError, match=r"pd_si_4/bag.* and .*pd_si_4-002/bag.* are both of pd_si_4; name one"):
+        find_runs([short_runs, tmp_path / "more"], NAMES)
+
+
+def test_a_bag_of_no_use_is_left_out_among_others_and_refused_alone(short_runs: Path, tmp_path: Path) -> None:
+    whole = (short_runs / "pd_si_4" / "bag" / "bag_0.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    with BagWriter(tmp_path / "foreign", topics=MAIN_TOPICS, attachments={}):
+        pass
+    scenario = dump_scenario(find_scenario("pd_di_4").resolved()).encode()
+    with BagWriter(tmp_path / "empty", topics=MAIN_TOPICS, attachments={"scenario.yaml": scenario}):
+        pass
+    (tmp_path / "stub.mcap").write_bytes(whole[:3])
+    (tmp_path / "whole.mcap").write_bytes(whole)
+    reasons: list[str] = []
+    assert find_runs([tmp_path], NAMES, reasons.append)["pd_si_4"].bag == tmp_path / "whole.mcap"
+    expected = (
+        "cut.mcap is not complete: ",
+        "bag_0.mcap is not complete: 0 of 3001 states",
+        "holds no scenario",
+        "3 byt",
+    )
+    assert all(text in reason for text, reason in zip(expected, reasons, strict=True))
+    for name, text in zip(("cut.mcap", "empty", "foreign", "stub.mcap"), expected, strict=True):
+        with pytest.raises(SwarmabsError, match=re.escape(text)):
+            find_runs([tmp_path / name], NAMES)
+
+
+def test_what_is_no_bag_is_refused_and_why_a_run_ended_stays_in_its_line(tmp_path: Path) -> None:
+    with pytest.raises(NotABagError, match="holds neither a bag nor folders of runs"):
+        find_runs([tmp_path], NAMES)
+    with pytest.raises(NotABagError, match=r"cannot read .*nothing"):
+        find_runs([tmp_path / "nothing"], NAMES)
+    with BagWriter(tmp_path / "bag", topics=MAIN_TOPICS, attachments={}) as writer:
+        writer.abort("\n\x1b[2J" * 9999)
+    with pytest.raises(InputError, match="is not complete: ") as error:
+        find_runs([tmp_path / "bag"], NAMES)
+    assert str(error.value).isprintable() and len(str(error.value)) < 3000
+
+
+def test_a_run_that_was_made_is_found_again_and_no_variant_or_leftovers(tmp_path: Path) -> None:
+    assert find_made(tmp_path, ["pd_si_4"]) == {}
+    made = make_run(find_scenario("pd_si_4"), tmp_path, simulate_run, RunOptions())
+    assert {path.name for path in (tmp_path / "pd_si_4").iterdir()} == {"bag", "logs", "scenario.yaml", "summary.json"}
+    assert [path.name for path in tmp_path.iterdir()] == ["pd_si_4"]
+    assert find_made(tmp_path, ["pd_si_4", "pd_di_4"]) == {"pd_si_4": made}
+    assert not made.altered
+    record(tmp_path / "pd_het_4", "pd_het_4")
+    (tmp_path / "pd_di_4").mkdir()
+    for name in ("pd_het_4", "pd_di_4"):
+        with pytest.raises(InputError, match=rf"{name}.*; remove .*, or name another -o"):
+            find_made(tmp_path, [name])
+
+
+def test_a_failed_run_leaves_nothing_and_can_be_made_again(tmp_path: Path) -> None:
+    def failing(scenario: Scenario, folder: RunFolder, options: RunOptions) -> Outcome:
+        simulate_run(scenario, folder, options)
+        return Outcome("failed", "the plane turns over", {})
+
+    scenario = find_scenario("pd_si_4", ["duration=0.1"])
+    with pytest.raises(RunError, match="pd_si_4: the plane turns over"):
+        make_run(scenario, tmp_path, failing, RunOptions())
+    assert list(tmp_path.iterdir()) == []
+    assert make_run(scenario, tmp_path, simulate_run, RunOptions()).bag.exists()

@@ -1,28 +1,37 @@
-"""Which topics of a bag can be played, and with which quality of service."""
+"""A playback: which topics of a bag can be played, when messages are due, and with which quality of service."""
 
-from __future__ import annotations
-
+from itertools import islice
 from pathlib import Path
+from typing import TypeAlias
 
 import pytest
 from mcap.writer import Writer
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
-from swarmabs_analysis.replay.playback import USUAL_QOS, choose_topics
+from swarmabs_analysis.replay.playback import USUAL_QOS, Pace, choose_topics, recorded_profiles
+from swarmabs_bag.metadata import dump_yaml, qos_profile
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.schemas import message_schema
+from swarmabs_config.graph import LOCKSTEP, OFFERED
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
+from swarmabs_ros.endpoints import profile
 
 TEXT = message_schema("std_msgs/msg/String")
 LATCHED = "- {history: keep_last, depth: 3, reliability: reliable, durability: transient_local}\n"
 WEAK = "- {history: keep_last, depth: 3, reliability: best_effort, durability: volatile}\n"
 
 
-def foreign_bag(
-    folder: Path, *channels: tuple[str, str, str, dict[str, str]], namespace: str | None = None
-) -> BagReader:
+Channel: TypeAlias = "tuple[str, str, str, dict[str, str]]"
+
+
+def of_text(topic: str, **metadata: str) -> Channel:
+    return (topic, TEXT.name, "cdr", metadata)
+
+
+def foreign_bag(folder: Path, *channels: Channel, namespace: str | None = None) -> BagReader:
     """Return a bag of another robot: topic, type, encoding and metadata of each channel."""
     path = folder / "foreign.mcap"
     with path.open("wb") as stream:
@@ -37,44 +46,39 @@ def foreign_bag(
 
 
 def test_topics_of_other_robots_are_played_with_their_recorded_qos(tmp_path: Path) -> None:
-    metadata = {"offered_qos_profiles": LATCHED, "topic_type_hash": TEXT.type_hash}
-    bag = foreign_bag(tmp_path, ("/chatter", TEXT.name, "cdr", metadata), ("/other", TEXT.name, "cdr", {}))
+    latched = of_text("/chatter", offered_qos_profiles=LATCHED, topic_type_hash=TEXT.type_hash)
+    bag = foreign_bag(tmp_path, latched, of_text("/other"))
     (chatter, other), warnings = choose_topics(bag)
     assert warnings == []
     assert chatter.message_class is String
     assert isinstance(chatter.qos, QoSProfile)
-    assert (chatter.qos.depth, chatter.qos.durability) == (3, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    assert (chatter.qos.depth, chatter.qos.durability) == (3, DurabilityPolicy.TRANSIENT_LOCAL)
     assert (other.channel.name, other.qos) == ("/other", USUAL_QOS)
 
 
 def test_what_cannot_be_played_is_left_out_and_named(tmp_path: Path) -> None:
     bag = foreign_bag(
         tmp_path,
-        ("/chatter", TEXT.name, "cdr", {"offered_qos_profiles": LATCHED + WEAK}),
+        of_text("/chatter", offered_qos_profiles=LATCHED + WEAK),
         ("/scan", "their_msgs/msg/Scan", "cdr", {}),
-        ("/old", TEXT.name, "cdr", {"topic_type_hash": "RIHS01_" + "0" * 64}),
+        of_text("/old", topic_type_hash="RIHS01_" + "0" * 64),
         ("/text", TEXT.name, "json", {}),
     )
     playable, warnings = choose_topics(bag)
     assert [topic.channel.name for topic in playable] == ["/chatter"]
-    told = "\n".join(warnings)
-    assert "/chatter: its publishers offered 2 different QoS; the first is taken" in told
-    assert "/scan is left out: message type their_msgs/msg/Scan: " in told
-    assert "install the package their_msgs" in told
-    assert "/old is left out: the installed definition of std_msgs/msg/String is not the one that was recorded" in told
-    assert "/text is left out: its messages are in the encoding 'json'" in told
+    for told in (
+        "/chatter: its publishers offered 2 different QoS; the first is taken",
+        "/scan is left out: message type their_msgs/msg/Scan: ",
+        "install the package their_msgs",
+        "/old is left out: the installed definition of std_msgs/msg/String is not the one that was recorded",
+        "/text is left out: its messages are in the encoding 'json'",
+    ):
+        assert told in "\n".join(warnings)
 
 
 def test_names_that_no_topic_of_ros_can_have(tmp_path: Path) -> None:
-    long = "std_msgs/msg/" + "S" * 500
-    bag = foreign_bag(
-        tmp_path,
-        ("/chatter", TEXT.name, "cdr", {}),
-        ("/a\n\x1b[2J", TEXT.name, "cdr", {}),
-        ("/" + "x" * 5000, TEXT.name, "cdr", {}),
-        ("/long_type", long, "cdr", {}),
-        ("/encoded", TEXT.name, "\x1b[2J" * 99, {}),
-    )
+    strange = (("/long_type", "std_msgs/msg/" + "S" * 500, "cdr", {}), ("/encoded", TEXT.name, "\x1b[2J" * 99, {}))
+    bag = foreign_bag(tmp_path, *map(of_text, ("/chatter", "/a\n\x1b[2J", "/" + "x" * 5000)), *strange)
     playable, warnings = choose_topics(bag)
     assert [topic.channel.name for topic in playable] == ["/chatter"]
     assert r"/a\n\x1b[2J is left out: no topic of ROS can have this name" in warnings
@@ -86,18 +90,14 @@ def test_names_that_no_topic_of_ros_can_have(tmp_path: Path) -> None:
 
 
 def test_a_topic_that_is_asked_for_is_not_left_out_in_silence(tmp_path: Path) -> None:
-    bag = foreign_bag(tmp_path, ("/chatter", TEXT.name, "cdr", {}), ("/scan", "their_msgs/msg/Scan", "cdr", {}))
+    bag = foreign_bag(tmp_path, of_text("/chatter"), ("/scan", "their_msgs/msg/Scan", "cdr", {}))
     assert [topic.channel.name for topic in choose_topics(bag, ["chatter"])[0]] == ["/chatter"]
     with pytest.raises(InputError, match="their_msgs/msg/Scan"):
         choose_topics(bag, ["/scan"])
+    with pytest.raises(InputError, match=r"has no topic that can be played; /scan is left out"):
+        choose_topics(foreign_bag(tmp_path, ("/scan", "their_msgs/msg/Scan", "cdr", {})))
     with pytest.raises(InputError, match=r"--topics: .* has no topic /nothing; it has /chatter, /scan"):
         choose_topics(bag, ["/nothing"])
-
-
-def test_a_bag_with_nothing_to_play_is_refused(tmp_path: Path) -> None:
-    bag = foreign_bag(tmp_path, ("/scan", "their_msgs/msg/Scan", "cdr", {}))
-    with pytest.raises(InputError, match=r"has no topic that can be played; /scan is left out"):
-        choose_topics(bag)
 
 
 def test_of_several_swarms_all_topics_are_played_or_those_of_one(tmp_path: Path) -> None:
@@ -113,3 +113,73 @@ def test_of_several_swarms_all_topics_are_played_or_those_of_one(tmp_path: Path)
     assert chosen("/west") == ["/west/plane/state", "/west/camera"]
     with pytest.raises(InputError, match=r"--topics: .* has no topic /camera; it has /west/camera, /west/plane/state"):
         choose_topics(foreign_bag(tmp_path, *channels, namespace="/west"), ["/camera"], one_swarm=True)
+
+
+SECOND = 1_000_000_000
+FIRST = 5 * SECOND
+BAG = [(FIRST + number * SECOND // 10, number) for number in range(11)]
+"""Eleven messages in one second of a bag that begins at 5 s."""
+
+
+@pytest.mark.parametrize(
+    ("pace", "expected"),
+    [
+        (Pace(0.5), [(number / 5, number) for number in range(11)]),
+        (Pace(4.0), [(number / 40, number) for number in range(11)]),
+        (Pace(2.0, start=0.3, duration=0.4), [(0.0, 3), (0.05, 4), (0.1, 5), (0.15, 6), (0.2, 7)]),
+        (Pace(start=0.9, loop=True), [((n + 1) // 2 / 10, 9 + n % 2) for n in range(3000)]),
+        (Pace(start=7.0, loop=True), []),
+    ],
+)
+def test_messages_are_due_at_their_recorded_times_over_the_rate(pace: Pace, expected: list[tuple[float, int]]) -> None:
+    found = list(islice(pace.schedule(FIRST, lambda: BAG), 3000))
+    assert [number for _, number in found] == [number for _, number in expected]
+    assert [due for due, _ in found] == pytest.approx([due for due, _ in expected])
+
+
+def test_times_that_go_back_do_not_reorder() -> None:
+    bag = [(FIRST + SECOND, "a"), (FIRST, "b"), (FIRST + 2 * SECOND, "c")]
+    assert list(Pace().schedule(FIRST, lambda: bag)) == [(1.0, "a"), (1.0, "b"), (2.0, "c")]
+
+
+def policies(made: QoSProfile) -> tuple[object, ...]:
+    durations = (made.deadline, made.lifespan, made.liveliness_lease_duration)
+    return made.history, made.depth, made.reliability, made.durability, made.liveliness, *map(str, durations)
+
+
+@pytest.mark.parametrize("topic", OFFERED[LOCKSTEP], ids=lambda topic: topic.name)
+def test_what_a_run_offers_comes_back_once(topic: object) -> None:
+    qos = OFFERED[LOCKSTEP][topic]  # type: ignore[index]
+    other = {**qos_profile(qos), "depth": 77}
+    found, second = recorded_profiles(dump_yaml([qos_profile(qos), other, qos_profile(qos)]))
+    assert second.depth == 77
+    assert policies(found)[:4] == policies(profile(qos))[:4]
+    assert policies(found)[4:] == (LivelinessPolicy.AUTOMATIC, *policies(QoSProfile(depth=1))[5:])
+
+
+NUMBERS = """
+- {history: 1, depth: 7, reliability: 2, durability: 1, liveliness: 3, avoid_ros_namespace_conventions: false,
+   deadline: {sec: 9223372036, nsec: 854775807}, lifespan: {sec: 0, nsec: 0},
+   liveliness_lease_duration: {sec: 2, nsec: 500000000}}
+"""
+
+
+def test_older_bags_have_numbers_for_policies_and_what_nobody_can_offer_is_left_as_usual() -> None:
+    (found,) = recorded_profiles(NUMBERS)
+    assert found == QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=7,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=2.5),
+    )
+    usual = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10)
+    for text in ("", "[]", "{}", "4", "[1, 2]"):
+        assert recorded_profiles(text) == []
+    for text in (
+        "- {history: unknown, depth: -3, reliability: best_available}",
+        "[{depth: 1e9}]",
+        "[{depth: 2147483648, history: true, deadline: {sec: 1}, lifespan: {sec: x, nsec: 1}}]",
+    ):
+        assert recorded_profiles(text) == [usual]

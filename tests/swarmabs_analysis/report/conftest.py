@@ -1,16 +1,17 @@
 """Short runs, their reports, and what a reader of the page finds in them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from markupsafe import Markup
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.sample_run import make_run, write_bag
 
 from swarmabs_analysis.report import Report, make_report
+from swarmabs_analysis.report.panels import Panel
 from swarmabs_core.messages import Message
 
 SCENARIO = """schema: 1
@@ -64,11 +65,6 @@ class Page(HTMLParser):
             if self._row is not None and "data" not in self._open:
                 self._row.append(data)
 
-    def labels(self) -> dict[str, str]:
-        """Return what the pictures tell to those who do not see them, by heading."""
-        labels = [attributes["aria-label"] or "" for tag, attributes in self.tags if tag == "svg"]
-        return dict(label.split(". ", maxsplit=1) for label in labels)
-
 
 def write(
     folder: Path, messages: Sequence[Message], *, scenario: str = SCENARIO, provenance: bytes = b"{}", aborted: str = ""
@@ -80,6 +76,16 @@ def write(
 
 def messages(steps: int) -> list[Message]:
     return make_run(steps)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have panels told on the page, and not drawn, which takes seconds."""
+
+    def told(panel: Panel) -> Markup:
+        return Markup('<svg aria-label="{}. {}"></svg>').format(panel.heading, panel.about)
+
+    monkeypatch.setattr(import_module("swarmabs_analysis.report.page"), "page_picture", told)
 
 
 @pytest.fixture(scope="session")

@@ -1,13 +1,14 @@
-"""Small sweeps, and the command as a process of its own."""
+"""Small sweeps, the command as a process of its own, and what tests look at in the folder of a sweep."""
 
-from __future__ import annotations
-
+import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import Any
 
+import psutil
 import pytest
 
 from swarmabs_analysis.sweep.study import Study, load_sweep
@@ -65,13 +66,19 @@ def start(nothing_survives: str, tmp_path: Path) -> Iterator[Start]:
         process.communicate()
 
 
-@pytest.fixture
-def sweep(start: Start) -> Callable[..., tuple[int, str, str]]:
-    """Run ``swarm sweep`` with arguments to its end; returns exit code, standard output and standard error."""
+def finished(folder: Path) -> int:
+    """Return how many cases of a sweep that goes on are finished."""
+    try:
+        return (folder / "cases.jsonl").read_bytes().count(b"\n")
+    except FileNotFoundError:
+        return 0
 
-    def sweep(*arguments: object) -> tuple[int, str, str]:
-        process = start(*arguments)
-        out, err = process.communicate()
-        return process.returncode, out, err
 
-    return sweep
+def summary(folder: Path) -> Any:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def workers(pid: int) -> list[psutil.Process]:
+    """Return the worker processes of a local sweep."""
+    children = psutil.Process(pid).children()
+    return [child for child in children if any("spawn_main" in part for part in child.cmdline())]

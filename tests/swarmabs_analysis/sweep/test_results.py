@@ -1,6 +1,4 @@
-"""The table and the picture of a sweep."""
-
-from __future__ import annotations
+"""The row of a case, however it ends; the table and the picture of a sweep."""
 
 import io
 import json
@@ -14,12 +12,85 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
+from tests.swarmabs_core.helpers import digest
 
-from swarmabs_analysis.sweep.evaluate import OUTCOMES, evaluate
+from swarmabs_analysis.sweep import evaluate as module
+from swarmabs_analysis.sweep.evaluate import LONGEST_REASON, OUTCOMES, Task, evaluate, lost
 from swarmabs_analysis.sweep.picture import LOOKS, MARKERS, pictures
 from swarmabs_analysis.sweep.run import parquet
 from swarmabs_analysis.sweep.study import Study, Sweep, load_sweep
+from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_run.simulation import Simulation, simulate
+
+TEXT = builtin_scenarios()["pd_het_4"].read_text()
+
+
+def row(*overrides: str) -> Any:
+    line = evaluate(Task(TEXT, 5, overrides, 0.2))
+    assert "\n" not in line
+    return json.loads(line)
+
+
+def test_row_of_a_run_that_ends_well() -> None:
+    scenario = parse_scenario(TEXT, overrides=["duration=5"])
+    run = simulate(scenario)
+    assert row("duration=5") == {
+        "case": 5,
+        "status": "ok",
+        "outcome": "settled",
+        "reason": None,
+        "digest": digest(Simulation(scenario).steps()),
+        "settled_at": 4.06,
+        "final_error": -run.angle[-1],
+        "rms_error": pytest.approx(float((run.angle**2).mean() ** 0.5), rel=1e-12),
+        "max_abs_position": float(np.max(np.abs(run.agents.position))),
+        "max_abs_angle": 0.1,
+        "messages": 8 * 501,
+        "initial_error_squared": pytest.approx(0.01233, abs=1e-5),
+        "in_printed_estimate": True,
+        "in_corrected_estimate": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("overrides", "status", "outcome"),
+    [
+        (("duration=1",), "ok", "unsettled"),
+        (("duration=5", "plane.angular_velocity=2"), "ok", "off_plane"),
+        (("plane.angular_velocity=40",), "failed", "failed"),
+    ],
+)
+def test_row_of_a_run_that_does_not_end_well(overrides: tuple[str, ...], status: str, outcome: str) -> None:
+    found = row(*overrides)
+    assert (found["status"], found["outcome"]) == (status, outcome)
+    assert outcome == "off_plane" or found["settled_at"] is None
+    assert (found["max_abs_position"] > 0.5) == (outcome == "off_plane")
+    assert found["in_corrected_estimate"] == (outcome == "unsettled")
+    if status == "failed":  # it has the figures up to there
+        assert "the plane's angle is" in found["reason"]
+        assert 0.1 < found["max_abs_angle"] < 1.5
+        assert found["digest"] and found["messages"] > 0
+
+
+def test_row_of_what_is_no_scenario_of_a_case_that_kills_its_workers_and_of_a_bug(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refused = row("plane.angle=7")
+    assert refused.pop("reason").startswith("--set plane.angle=7: plane.angle: 7 is out of range")
+    assert refused == {"case": 5, "status": "refused", "outcome": "refused"}
+    assert json.loads(lost(3, "why")) == {"case": 3, "status": "failed", "outcome": "failed", "reason": "why"}
+    # There are no estimates without state feedback.
+    assert "in_printed_estimate" not in row("controller={type: arise}", "duration=0.1")
+
+    def broken(_: object) -> None:
+        raise ZeroDivisionError("x" * 1000)
+
+    monkeypatch.setattr(module, "simulated_steps", broken)
+    found = row()
+    assert (found["status"], found["digest"], len(found["reason"])) == ("failed", None, LONGEST_REASON)
+    assert found["reason"].startswith("ZeroDivisionError: xxx")
+
 
 HEAD = "schema: 1\nscenario: pd_het_4\nset: {duration: 0.05}\n"
 
@@ -39,122 +110,91 @@ def pretended(study: Study) -> dict[int, dict[str, Any]]:
     return {index: {"outcome": OUTCOMES[index % len(OUTCOMES)]} for index in range(study.sweep.count)}
 
 
-def colours(png: bytes) -> NDArray[np.int64]:
-    """Return the colours of all points of a picture, as 0xRRGGBB."""
-    image: NDArray[np.int64] = (matplotlib.image.imread(io.BytesIO(png)) * 255).round().astype(np.int64)
-    return (image[:, :, 0] << 16) | (image[:, :, 1] << 8) | image[:, :, 2]
+def test_columns_and_rows_are_those_of_the_cases_and_results_that_are_asked_for(study: Study, tmp_path: Path) -> None:
+    rows = computed(study)
+    content = parquet(study, rows)
+    assert content == parquet(study, dict(reversed(rows.items())))  # in whatever order cases finish
+    table = pq.read_table(io.BytesIO(content))
+    assert table.column_names == [
+        *("case", "plane.angle", "plane.angular_velocity", "swarm.agents.0.mass", *study.sweep.results),
+        *("status", "outcome", "reason", "seed", "digest"),
+    ]
+    for case, found in zip(study.cases(), table.to_pylist(), strict=True):
+        expected = {**dict.fromkeys(table.column_names), **rows[case.index], **case.values, "seed": case.seed}
+        assert found == expected
+    assert table.schema.metadata[b"swarmabs.sweep"] == study.sweep_text.encode()
+    assert table.schema.metadata[b"swarmabs.scenario"] == study.scenario.encode()
+    study = loaded(tmp_path, "grid: {plane.angle: [0.1, 9]}\nresults: [rms_error]\n")
+    table = pq.read_table(io.BytesIO(parquet(study, computed(study))))
+    names = ("case", "plane.angle", "rms_error", "status", "outcome", "reason", "seed", "digest")
+    assert tuple(table.column_names) == names
+    assert table["status"].to_pylist() == ["ok", "refused"]
+    assert table["rms_error"].null_count == 1
 
 
-class TestTable:
-    def test_columns_and_rows(self, study: Study) -> None:
-        rows = computed(study)
-        table = pq.read_table(io.BytesIO(parquet(study, rows)))
-        assert table.column_names == [
-            *("case", "plane.angle", "plane.angular_velocity", "swarm.agents.0.mass", *study.sweep.results),
-            *("status", "outcome", "reason", "seed", "digest"),
-        ]
-        for case, found in zip(study.cases(), table.to_pylist(), strict=True):
-            expected = {**dict.fromkeys(table.column_names), **rows[case.index], **case.values, "seed": case.seed}
-            assert found == expected
-        assert table.schema.metadata[b"swarmabs.sweep"] == study.sweep_text.encode()
-        assert table.schema.metadata[b"swarmabs.scenario"] == study.scenario.encode()
-
-    def test_bytes_do_not_depend_on_the_order_in_which_cases_finish(self, study: Study) -> None:
-        rows = computed(study)
-        assert parquet(study, rows) == parquet(study, dict(reversed(rows.items())))
-
-    def test_only_the_results_that_are_asked_for(self, tmp_path: Path) -> None:
-        study = loaded(tmp_path, "grid: {plane.angle: [0.1, 9]}\nresults: [rms_error]\n")
-        table = pq.read_table(io.BytesIO(parquet(study, computed(study))))
-        assert table.column_names == [
-            "case",
-            "plane.angle",
-            "rms_error",
-            "status",
-            "outcome",
-            "reason",
-            "seed",
-            "digest",
-        ]
-        assert table["status"].to_pylist() == ["ok", "refused"]
-        assert table["rms_error"].null_count == 1
-
-    @pytest.mark.parametrize(
-        ("values", "kind", "found"),
-        [
-            ([1, 2], pa.int64(), [1, 2]),
-            ([1, 2.5], pa.float64(), [1.0, 2.5]),
-            ([None, 2.5], pa.float64(), [None, 2.5]),
-            ([2**63, 1], pa.float64(), [2.0**63, 1.0]),
-            ([True, False], pa.bool_(), [True, False]),
-            (["a", "b"], pa.string(), ["a", "b"]),
-            (["a", 1], pa.string(), ['"a"', "1"]),
-            ([[1, 2], {"a": None}], pa.string(), ["[1, 2]", '{"a": null}']),
-        ],
-    )
-    def test_type_of_a_parameter(self, values: list[object], kind: pa.DataType, found: list[object]) -> None:
-        study = Study(Sweep.model_validate({"schema": 1, "scenario": "s", "grid": {"a.b": values}}), "")
-        column = pq.read_table(io.BytesIO(parquet(study, pretended(study))))["a.b"]
-        assert (column.type, column.to_pylist()) == (kind, found)
+@pytest.mark.parametrize(
+    ("values", "kind", "found"),
+    [
+        ([1, 2], pa.int64(), [1, 2]),
+        ([1, 2.5], pa.float64(), [1.0, 2.5]),
+        ([None, 2.5], pa.float64(), [None, 2.5]),
+        ([2**63, 1], pa.float64(), [2.0**63, 1.0]),
+        ([True, False], pa.bool_(), [True, False]),
+        (["a", "b"], pa.string(), ["a", "b"]),
+        (["a", 1], pa.string(), ['"a"', "1"]),
+        ([[1, 2], {"a": None}], pa.string(), ["[1, 2]", '{"a": null}']),
+    ],
+)
+def test_type_of_a_parameter(values: list[object], kind: pa.DataType, found: list[object]) -> None:
+    study = Study(Sweep.model_validate({"schema": 1, "scenario": "s", "grid": {"a.b": values}}), "")
+    column = pq.read_table(io.BytesIO(parquet(study, pretended(study))))["a.b"]
+    assert (column.type, column.to_pylist()) == (kind, found)
 
 
-class TestPicture:
-    REGION = (
-        "grid:\n  plane.angle: {from: -1, to: 1, count: 9}\n  plane.angular_velocity: {from: -1, to: 1, count: 9}\n"
-    )
+REGION = "grid:\n  plane.angle: {from: -1, to: 1, count: 9}\n  plane.angular_velocity: {from: -1, to: 1, count: 9}\n"
 
-    def draw(self, folder: Path, text: str) -> dict[str, bytes]:
-        study = loaded(folder, text)
-        return pictures(study, pretended(study))
 
-    def test_region_with_the_estimates(self, tmp_path: Path) -> None:
-        files = self.draw(tmp_path, self.REGION)
-        assert set(files) == {"region.png", "region.svg"}
-        seen = set(np.unique(colours(files["region.png"])).tolist())
-        assert {int(colour[1:], 16) for colour, _ in LOOKS.values()} <= seen
-        text = files["region.svg"].decode()
-        for words in ("estimate printed in the paper", "estimate with the corrected", "≤ 0.02", "≤ 0.04", "rad/s"):
-            assert words in text
-        assert all(label in text for _, label in LOOKS.values())
+def draw(folder: Path, text: str) -> dict[str, bytes]:
+    study = loaded(folder, text)
+    return pictures(study, pretended(study))
 
-    def test_equal_sweeps_give_equal_bytes(self, tmp_path: Path) -> None:
-        assert self.draw(tmp_path, self.REGION) == self.draw(tmp_path, self.REGION)
 
-    def test_estimates_hold_for_one_swarm_only(self, tmp_path: Path) -> None:
-        text = self.REGION + "random: {swarm.agents.0.mass: {uniform: [0.3, 0.4]}}\nsamples: 2\n"
-        picture = self.draw(tmp_path, text)["region.svg"].decode()
-        assert "estimate" not in picture
-        assert "the worst of 2 cases per point" in picture
+def share(colour: str, png: bytes) -> float:
+    """Return which part of a picture has a colour."""
+    image = (matplotlib.image.imread(io.BytesIO(png)) * 255).round().astype(np.uint8)
+    return float(np.mean((image[:, :, :3] == list(bytes.fromhex(colour[1:]))).all(axis=2)))
 
-    def test_field_has_the_colour_of_its_worst_case(self, tmp_path: Path) -> None:
-        study = loaded(tmp_path, "grid: {plane.angle: [0, 1], plane.angular_velocity: [0, 1]}\nsamples: 5\n")
-        files = pictures(study, pretended(study))
-        assert LOOKS["refused"][1] in files["region.svg"].decode()
-        assert np.mean(colours(files["region.png"]) == int(LOOKS["refused"][0][1:], 16)) > 0.5
 
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "random:\n  plane.angle: {uniform: [0, 1]}\n  plane.inertia: {normal: [1, 0.1]}\nsamples: 20\n",
-            "random:\n  plane.angle: {uniform: [0, 1]}\ngrid: {limits.force: [1, 2, 3]}\nsamples: 20\n",
-            "grid: {controller.type: [pd, lqr], plane.angle: [0, 1], plane.inertia: [1, 2]}\n",
-            "picture: {x: plane.length, y: plane.angle}\ngrid: {plane.angle: [0, 1], plane.length: [1, 2]}\n",
-        ],
-    )
-    def test_any_two_numbers_will_do(self, tmp_path: Path, text: str) -> None:
-        assert set(self.draw(tmp_path, text)) == {"region.png", "region.svg"}
+def test_region_has_the_colours_of_the_outcomes_and_is_the_same_each_time(tmp_path: Path) -> None:
+    files = draw(tmp_path, REGION)
+    assert files == draw(tmp_path, REGION)
+    assert set(files) == {"region.png", "region.svg"}
+    for colour, label in LOOKS.values():
+        assert share(colour, files["region.png"]) > 0.0
+        assert label in files["region.svg"].decode()
+    assert "estimate printed in the paper" in files["region.svg"].decode()
 
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "grid: {plane.angle: [0, 1]}\n",
-            "grid: {plane.angle: [0, 1], plane.inertia: [1]}\n",
-            "grid: {plane.angle: [0, 1], controller.type: [pd, lqr], plane.robot_gravity: [true, false]}\n",
-            "grid: {plane.angle: [0, 1], controller.type: [pd, lqr]}\npicture: {x: plane.angle, y: controller.type}\n",
-        ],
-    )
-    def test_no_picture_without_two_numbers(self, tmp_path: Path, text: str) -> None:
-        assert self.draw(tmp_path, text) == {}
+
+def test_estimates_hold_for_one_swarm_only_and_a_field_has_the_colour_of_its_worst_case(tmp_path: Path) -> None:
+    files = draw(tmp_path, "grid: {plane.angle: [0, 1], plane.angular_velocity: [0, 1]}\nsamples: 5\n")
+    assert share(LOOKS["refused"][0], files["region.png"]) > 0.5
+    text = REGION + "random: {swarm.agents.0.mass: {uniform: [0.3, 0.4]}}\nsamples: 2\n"
+    picture = draw(tmp_path, text)["region.svg"].decode()
+    assert "estimate" not in picture
+    assert "the worst of 2 cases per point" in picture
+
+
+@pytest.mark.parametrize(
+    "swept",
+    [
+        "",
+        "plane.inertia: [1]",
+        "controller.type: [pd, lqr], plane.robot_gravity: [true, false]",
+        "controller.type: [pd, lqr]}\npicture: {x: plane.angle, y: controller.type",
+    ],
+)
+def test_no_picture_without_two_numbers(tmp_path: Path, swept: str) -> None:
+    assert draw(tmp_path, f"grid: {{plane.angle: [0, 1], {swept}}}\n") == {}
 
 
 def luminance(colour: str) -> float:

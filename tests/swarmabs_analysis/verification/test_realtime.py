@@ -1,155 +1,90 @@
 """Verification of runs in real time: right ones, changed bits, robots that cheat, and what cannot be known."""
 
-from __future__ import annotations
-
 import math
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from random import Random
 from typing import Any
 
 import pytest
 from hypothesis import given, settings, strategies as st
+from tests.swarmabs_analysis.verification.test_lockstep import changed, find, flipped, place
 from tests.swarmabs_core.helpers import builtin
-from tests.swarmabs_core.realtime.bags import WORLDS, Recorded, Stored, messages, record, world
-from tests.virtual_fleet import EPOCH, VirtualFleet
+from tests.swarmabs_core.realtime.bags import WORLDS, Stored, messages, record, world
+from tests.transport.fleet import EPOCH, VirtualFleet
 
-from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.base import Verdict
+from swarmabs_analysis.verification.history import WAIT
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER
 from swarmabs_config.scenario import Scenario
-from swarmabs_core.cdr import encode
-from swarmabs_core.messages import (
-    AGENT_STATE,
-    BASIS,
-    DESIRED_ABSTRACT_STATE,
-    EVENTS,
-    MAIN_TOPICS,
-    NEVER,
-    PLANE_STATE,
-    AgentState,
-    Basis,
-    DesiredAbstractState,
-    EventKind,
-    Mode,
-    PlaneState,
-    Source,
-    Status,
-    SwarmEvent,
-)
+from swarmabs_core import messages as msg
 from swarmabs_core.realtime import agent
-from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 
-SIMULATED_BY_THE_WORLD = {"clocks": (2, 3, 4)}
-"""Robots whose bodies follow the clock of their node; the virtual bodies follow that of the world."""
 
-
-def started(scenario: Scenario, schedule: Schedule, *, tolerance: float = 0.0, **differs: Any) -> RealtimeVerification:
+def verify(scenario: Scenario, bag: Iterable[Stored], *, tolerance: float = 0.0, **differs: Any) -> Verdict:
+    schedule = configure.schedule(scenario, EPOCH)
     simulated = replace(RealtimeWorld(schedule, members(scenario), plane=True), **differs)
-    return RealtimeVerification(scenario, simulated, tolerance=tolerance)
-
-
-def verify(scenario: Scenario, bag: Iterable[Stored], **options: Any) -> Verdict:
-    verification = started(scenario, configure.schedule(scenario, EPOCH), **options)
+    verification = RealtimeVerification(scenario, simulated, tolerance=tolerance)
     for stored in bag:
         verification.add(*stored)
     verification.finish()
     return verification.found
 
 
-def verified(name: str, **options: float) -> tuple[Recorded, Verdict]:
-    recorded = world(name, **options)
-    robots = SIMULATED_BY_THE_WORLD.get(name, members(recorded.scenario))
-    return recorded, verify(recorded.scenario, recorded.bag, robots=robots)
-
-
 def of_main_topics(bag: Iterable[Stored]) -> int:
-    return sum(stored.topic in MAIN_TOPICS for stored in bag)
+    return sum(stored.topic in msg.MAIN_TOPICS for stored in bag)
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_all_of_a_right_run_is_found_right(name: str) -> None:
-    recorded, found = verified(name)
+@pytest.mark.parametrize("way", [{}, {"loss": 0.03, "jitter": 0.012}], ids=["all is there", "lost or late"])
+def test_a_right_run_is_found_right_whatever_the_recorder_lost(name: str, way: dict[str, float]) -> None:
+    scenario, bag, *_ = world(name, **way)
+    # Bodies follow the clock of their node, but virtual ones that of the world: robot 1, whose clock is set, does not.
+    found = verify(scenario, bag, robots=(2, 3, 4) if name == "clocks" else members(scenario))
     assert found.difference is None
-    assert found.messages + found.not_checkable.total() == of_main_topics(recorded.bag)
-    # Where a clock is set back, steps come twice, and the bag has the first of each.
-    assert found.not_checkable.total() <= (500 if name == "clocks" else 0)
+    assert found.messages + found.not_checkable.total() == of_main_topics(bag)
+    if way:
+        assert 0 < found.not_checkable.total() < 0.5 * found.messages
+    else:  # where a clock is set back, steps come twice, and the bag has the first of each
+        assert found.not_checkable.total() <= (500 if name == "clocks" else 0)
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_what_was_lost_or_late_on_the_way_to_the_recorder_is_no_error(name: str) -> None:
-    recorded, found = verified(name, loss=0.03, jitter=0.012)
-    assert found.difference is None
-    assert found.messages + found.not_checkable.total() == of_main_topics(recorded.bag)
-    assert 0 < found.not_checkable.total() < 0.5 * found.messages
-
-
-def test_the_worlds_have_what_they_are_there_for() -> None:
-    def seen(name: str) -> set[EventKind]:
-        return {EventKind(m.kind) for m in messages(world(name).bag) if isinstance(m, SwarmEvent)}
-
-    def modes(name: str) -> set[int]:
-        return {m.mode for m in messages(world(name).bag) if isinstance(m, DesiredAbstractState)}
-
-    def robots(name: str) -> list[AgentState]:
-        return [m for m in messages(world(name).bag) if isinstance(m, AgentState)]
-
-    assert {EventKind.DEAD, EventKind.JOINED, EventKind.SAFE_STOP, EventKind.RECOVERED} <= seen("deaths")
-    assert {EventKind.LEFT, EventKind.JOINED} <= seen("operator")
-    assert modes("operator") == set(Mode)
-    assert EventKind.LIMIT_HIT in seen("limits") & seen("end stop")
-    assert {r.status for r in robots("operator")} == set(Status)
-    # Robots that keep still take part all the same.
-    assert any(r.broadcast_step == NEVER and r.status == Status.ACTIVE for r in robots("operator"))
-    ages = {r.step - r.broadcast_step for r in robots("bad network") if r.broadcast_step != NEVER}
-    assert max(ages) >= 6
-    assert world("clocks").collector.different > 0
-
-
-# A bit is changed
-
-
-def flipped(stored: Stored, bit: int) -> Stored:
-    data = bytearray(stored.payload)
-    data[bit // 8] ^= 1 << bit % 8
-    return stored._replace(payload=bytes(data))
-
-
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(st.data())
 def test_a_changed_bit_of_a_command_is_found_and_named(data: st.DataObject) -> None:
     recorded = world(data.draw(st.sampled_from(["brief", "brief on a bad network"])))
-    states = [n for n, stored in enumerate(recorded.bag) if stored.topic is AGENT_STATE]
+    states = [n for n, stored in enumerate(recorded.bag) if stored.topic is msg.AGENT_STATE]
     number = data.draw(st.sampled_from(states[4:]))
     stored = recorded.bag[number]
     bit = 8 * (len(stored.payload) - 8) + data.draw(st.integers(0, 63))
     state = stored.message
-    assert isinstance(state, AgentState)
+    assert isinstance(state, msg.AgentState)
     bag = [*recorded.bag[:number], flipped(stored, bit), *recorded.bag[number + 1 :]]
     found = verify(recorded.scenario, bag).difference
-    before = [m for m in messages(recorded.bag) if isinstance(m, AgentState) and m.agent_id == state.agent_id]
+    before = [m for m in messages(recorded.bag) if isinstance(m, msg.AgentState) and m.agent_id == state.agent_id]
     after_gap = before.index(state) == 0 or before[before.index(state) - 1].step < state.step - 1
     # A robot at rest may command 0 or -0.
     if not after_gap and state.command != 0.0:
         assert found is not None
-        assert (found.topic, found.step, found.agent) == (AGENT_STATE.name, state.step, state.agent_id)
+        assert (found.topic, found.step, found.agent) == (msg.AGENT_STATE.name, state.step, state.agent_id)
         assert found.field in {"command", "payload"}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50)
 @given(st.data())
 def test_a_changed_bit_anywhere_is_found(data: st.DataObject) -> None:
     recorded = world("brief")
     bag = list(recorded.bag)
-    number = data.draw(st.sampled_from([n for n, s in enumerate(bag) if s.topic is not EVENTS and s.message.step > 5]))
+    number = data.draw(
+        st.sampled_from([n for n, s in enumerate(bag) if s.topic is not msg.EVENTS and s.message.step > 5])
+    )
     bit = data.draw(st.integers(0, 8 * len(bag[number].payload) - 1))
-    if bag[number].topic is AGENT_STATE and 4 <= bit // 8 < 12:
+    if bag[number].topic is msg.AGENT_STATE and 4 <= bit // 8 < 12:
         return  # when within its step a robot has measured, nobody knows
     bag[number] = flipped(bag[number], bit)
     found = verify(recorded.scenario, bag)
@@ -157,23 +92,7 @@ def test_a_changed_bit_anywhere_is_found(data: st.DataObject) -> None:
         assert found.not_checkable.total() > 0
 
 
-def place(found: Difference | None) -> tuple[str, int | None, int | None, str]:
-    assert found is not None
-    return found.topic, found.step, found.agent, found.field
-
-
 # Robots and coordinators that cheat consistently
-
-
-def run_with(
-    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, replacement: Any, seconds: float = 1.0
-) -> Recorded:
-    scenario = builtin("pd_het_4")
-    with monkeypatch.context() as patch:
-        patch.setattr(owner, name, replacement)
-        fleet = VirtualFleet(scenario)
-        fleet.run(seconds)
-    return record(fleet, scenario)
 
 
 def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,100 +103,94 @@ def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.Monke
         higher = decision._replace(command=math.nextafter(decision.command, math.inf))
         return higher if heard.step == 60 else decision, limited
 
-    recorded = run_with(monkeypatch, agent.RealtimeLaw, "decide", decide)
-    found = verify(recorded.scenario, recorded.bag).difference
-    assert place(found) == (AGENT_STATE.name, 62, 1, "command")
-
-
-def test_a_robot_that_follows_what_is_too_old_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = builtin("pd_het_4")
     with monkeypatch.context() as patch:
-        patch.setattr(BroadcastInbox, "problem", lambda inbox, _: "" if inbox.newest else "nothing heard")
+        patch.setattr(agent.RealtimeLaw, "decide", decide)
         fleet = VirtualFleet(scenario)
-        fleet.run(0.5)
-        fleet.network.cut = {"agent_002"}
-        fleet.run(0.5)
-    recorded = record(fleet, scenario)
-    found = verify(recorded.scenario, recorded.bag).difference
-    assert place(found)[2:] == (2, "broadcast_step")
-    assert found is not None and "11 steps old" in found.reason
+        fleet.run(1.0)
+    assert place(verify(scenario, record(fleet, scenario).bag).difference) == (msg.AGENT_STATE.name, 62, 1, "command")
 
 
-def test_a_robot_that_does_not_stop_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("disturb", "robot", "reason"),
+    [
+        (lambda fleet: setattr(fleet.network, "cut", {"agent_002"}), 2, "11 steps old"),
+        (lambda fleet: fleet.call(CONTROLLER, "stop"), 1, "asked for STOP"),
+    ],
+)
+def test_a_robot_that_follows_what_is_too_old_or_does_not_stop_is_found(
+    monkeypatch: pytest.MonkeyPatch, disturb: Callable[[VirtualFleet], None], robot: int, reason: str
+) -> None:
     scenario = builtin("pd_het_4")
     with monkeypatch.context() as patch:
         patch.setattr(BroadcastInbox, "problem", lambda inbox, _: "" if inbox.newest else "nothing heard")
         fleet = VirtualFleet(scenario)
         fleet.run(0.505)
-        fleet.call(CONTROLLER, lambda node, now: node.stop(now))  # type: ignore[attr-defined]
-        fleet.run(0.3)
-    recorded = record(fleet, scenario)
-    found = verify(recorded.scenario, recorded.bag).difference
-    assert place(found)[2:] == (1, "broadcast_step")
-    assert found is not None and "asked for STOP" in found.reason
+        disturb(fleet)
+        fleet.run(0.5)
+    found = verify(scenario, record(fleet, scenario).bag).difference
+    assert place(found)[2:] == (robot, "broadcast_step")
+    assert found is not None and reason in found.reason
 
 
 def edited(
-    bag: Sequence[Stored], kind: type, of_step: int, source: Source | None = None, **fields: object
+    bag: Sequence[Stored], kind: type, of_step: int, source: msg.Source | None = None, **fields: object
 ) -> list[Stored]:
     """Return the bag with the first message of a class and step, if it is a basis of a source, changed."""
-    out = list(bag)
-    number = next(
-        n
-        for n, m in enumerate(messages(bag))
-        if isinstance(m, kind) and m.step == of_step and getattr(m, "source", None) == source
-    )
-    message: Any = out[number].message
-    out[number] = out[number]._replace(payload=encode(message._replace(**fields)))
-    return out
+    wanted = (True, of_step, source)
+    found = ((isinstance(m, kind), m.step, getattr(m, "source", None)) for m in messages(bag))
+    number = next(n for n, each in enumerate(found) if each == wanted)
+    return [*bag[:number], changed(bag[number], **fields), *bag[number + 1 :]]
 
 
 @pytest.mark.parametrize(
     ("kind", "fields", "named"),
     [
-        (AgentState, {"status": 2}, "status"),
-        (AgentState, {"mass": 1.0}, "mass"),
-        (AgentState, {"position": 0.2}, "position"),
-        (PlaneState, {"angle": 0.1}, "angle"),
-        (PlaneState, {"stamp": EPOCH}, "stamp"),
-        (DesiredAbstractState, {"torque": 0.1}, "torque"),
-        (DesiredAbstractState, {"mode": Mode.STOP}, "inertia"),
-        (Basis, {"source": Source.OBSERVER, "state_steps": (100, 100, 100, 99)}, "torque"),
-        (Basis, {"source": Source.OBSERVER, "state_steps": (100, 100, 100, 103)}, "state_steps"),
-        (Basis, {"source": Source.OBSERVER, "agent_ids": (1, 2, 4, 3)}, "agent_ids"),
-        (Basis, {"source": Source.PLANE, "state_steps": (100, 100, 100, 99)}, "angle"),
-        (Basis, {"source": Source.OBSERVER, "standing": (0, 1, 0, 0)}, "torque_rate"),
-        (Basis, {"source": Source.OBSERVER, "state_steps": (100, 50, 100, 100)}, "standing"),
-        (Basis, {"source": Source.PLANE, "begun": 50}, "begun"),
+        (msg.AgentState, {"status": 2}, "status"),
+        (msg.AgentState, {"mass": 1.0}, "mass"),
+        (msg.AgentState, {"position": 0.2}, "position"),
+        (msg.PlaneState, {"angle": 0.1}, "angle"),
+        (msg.PlaneState, {"stamp": EPOCH}, "stamp"),
+        (msg.DesiredAbstractState, {"torque": 0.1}, "torque"),
+        (msg.DesiredAbstractState, {"mode": msg.Mode.STOP}, "inertia"),
+        (msg.Basis, {"source": msg.Source.OBSERVER, "state_steps": (100, 100, 100, 99)}, "torque"),
+        (msg.Basis, {"source": msg.Source.OBSERVER, "state_steps": (100, 100, 100, 103)}, "state_steps"),
+        (msg.Basis, {"source": msg.Source.OBSERVER, "agent_ids": (1, 2, 4, 3)}, "agent_ids"),
+        (msg.Basis, {"source": msg.Source.PLANE, "state_steps": (100, 100, 100, 99)}, "angle"),
+        (msg.Basis, {"source": msg.Source.OBSERVER, "standing": (0, 1, 0, 0)}, "torque_rate"),
+        (msg.Basis, {"source": msg.Source.OBSERVER, "state_steps": (100, 50, 100, 100)}, "standing"),
+        (msg.Basis, {"source": msg.Source.PLANE, "begun": 50}, "begun"),
+        (msg.Basis, {"source": msg.Source.PLANE, "begun": 100}, "begun"),
+        (msg.AgentState, {"broadcast_step": msg.NEVER}, "status"),
+        (msg.AgentState, {"agent_id": 9}, "message"),
+        (msg.AgentState, {"step": 2**63}, "step"),
+        (msg.AgentState, {"step": 5000}, "step"),
+        (msg.AgentState, {"step": 50}, "message"),
     ],
 )
 def test_what_was_edited_is_named(kind: type, fields: dict[str, Any], named: str) -> None:
     recorded = world("quiet")
     found = verify(recorded.scenario, edited(recorded.bag, kind, 100, **fields)).difference
     assert found is not None
-    assert found.step in {100, 101}
-    assert found.field == named or (kind is DesiredAbstractState and "mode" in fields)
+    assert found.step in {100, 101, fields.get("step")}
+    assert found.field == named or (kind is msg.DesiredAbstractState and "mode" in fields)
 
 
-def test_a_message_that_stands_there_twice_is_found() -> None:
+@pytest.mark.parametrize(("step", "named"), [(101, "command"), (102, "status")])
+def test_a_robot_may_hold_still_while_the_swarm_may_have_no_spread(step: int, named: str) -> None:
     recorded = world("quiet")
-    number = next(n for n, s in enumerate(recorded.bag) if s.topic is PLANE_STATE and s.message.step == 50)
+    held = edited(recorded.bag, msg.AgentState, 100, broadcast_step=msg.NEVER)
+    bag = edited(held, msg.AuxiliaryState, step, s3=0.0)
+    assert place(verify(recorded.scenario, bag).difference) == (msg.AGENT_STATE.name, 100, 1, named)
+
+
+def test_a_message_that_stands_there_twice_is_found_and_with_a_tolerance_small_differences_pass() -> None:
+    recorded = world("quiet")
+    number = find(recorded.bag, msg.PLANE_STATE, 50)
     bag = [*recorded.bag[: number + 3], recorded.bag[number], *recorded.bag[number + 3 :]]
-    assert place(verify(recorded.scenario, bag).difference) == (PLANE_STATE.name, 50, None, "message")
-
-
-def test_a_robot_that_is_not_in_the_scenario_is_found() -> None:
-    recorded = world("quiet")
-    assert place(verify(recorded.scenario, edited(recorded.bag, AgentState, 50, agent_id=9)).difference)[2:] == (
-        9,
-        "message",
-    )
-
-
-def test_with_a_tolerance_small_differences_pass() -> None:
-    recorded = world("quiet")
-    state = next(m for m in messages(recorded.bag) if isinstance(m, PlaneState) and m.step == 100)
-    bag = edited(recorded.bag, PlaneState, 100, angle=state.angle + 1e-12)
+    assert place(verify(recorded.scenario, bag).difference) == (msg.PLANE_STATE.name, 50, None, "message")
+    state: Any = recorded.bag[find(recorded.bag, msg.PLANE_STATE, 100)].message
+    bag = edited(recorded.bag, msg.PlaneState, 100, angle=state.angle + 1e-12)
     assert verify(recorded.scenario, bag).difference is not None
     assert verify(recorded.scenario, bag, tolerance=1e-6).difference is None
 
@@ -285,44 +198,42 @@ def test_with_a_tolerance_small_differences_pass() -> None:
 # What cannot be known
 
 
-def without(bag: Iterable[Stored], kind: type, steps: range) -> list[Stored]:
-    return [s for s in bag if not (isinstance(s.message, kind) and s.message.step in steps)]
+def without(bag: Sequence[Stored], topic: msg.Topic, step: int) -> list[Stored]:
+    number = find(bag, topic, step)
+    return [*bag[:number], *bag[number + 1 :]]
 
 
-def test_without_bases_only_the_robots_are_checked() -> None:
+def test_without_bases_only_the_robots_are_checked_and_what_was_measured_is_not_recomputed() -> None:
     recorded = world("quiet")
-    found = verify(recorded.scenario, [s for s in recorded.bag if s.topic is not BASIS])
-    robots = sum(s.topic is AGENT_STATE for s in recorded.bag)
-    assert found.difference is None
-    assert (found.messages, found.not_checkable) == (
-        robots,
-        Counter({"what it was computed from is not in the bag": of_main_topics(recorded.bag) - robots}),
-    )
-
-
-def test_a_measured_plane_and_driven_robots_are_not_recomputed() -> None:
-    recorded = world("quiet")
-    bag = edited(recorded.bag, PlaneState, 150, stamp=EPOCH)
+    found = verify(recorded.scenario, [s for s in recorded.bag if s.topic is not msg.BASIS])
+    robots = sum(s.topic is msg.AGENT_STATE for s in recorded.bag)
+    unknown = {"what it was computed from is not in the bag": of_main_topics(recorded.bag) - robots}
+    assert (found.difference, found.messages, dict(found.not_checkable)) == (None, robots, unknown)
+    bag = edited(recorded.bag, msg.PlaneState, 150, stamp=EPOCH)
     found = verify(recorded.scenario, bag, robots=(), plane=False)
     assert found.difference is None
-    assert found.not_checkable["it was measured"] == sum(s.topic is PLANE_STATE for s in bag)
-    moved = edited(recorded.bag, AgentState, 150, position=0.2)
+    assert found.not_checkable["it was measured"] == sum(s.topic is msg.PLANE_STATE for s in bag)
+    moved = edited(recorded.bag, msg.AgentState, 150, position=0.2)
     found = verify(recorded.scenario, moved, robots=(), plane=False)
     assert place(found.difference)[3] == "torque"
+    left = edited(recorded.bag, msg.AgentState, 150, status=msg.Status.LEFT)
+    found = verify(recorded.scenario, left, robots=(), plane=False)
+    assert place(found.difference) == (msg.AGENT_STATE.name, 150, 1, "status")
 
 
 def test_a_law_with_memory_is_followed_again_after_a_reset() -> None:
-    recorded = world("operator")
     adaptive = world("adaptive")
-    lost = without(adaptive.bag, PlaneState, range(50, 51))
-    answers = sum(s.topic is DESIRED_ABSTRACT_STATE and s.message.step > 50 for s in lost)
+    lost = without(adaptive.bag, msg.PLANE_STATE, 50)
+    answers = sum(s.topic is msg.DESIRED_ABSTRACT_STATE and s.message.step > 50 for s in lost)
     found = verify(adaptive.scenario, lost)
     assert found.difference is None
     assert found.not_checkable["the answer from which it goes on is not in the bag"] >= answers
-    # A law without memory is found again at once.
-    found = verify(recorded.scenario, without(recorded.bag, PlaneState, range(50, 51)))
-    assert found.difference is None
-    assert found.not_checkable.total() <= 4
+    # A law without memory is found again at once, and so is a plane whose true state is not recorded.
+    for name in ("operator", "noisy plane"):
+        recorded = world(name)
+        found = verify(recorded.scenario, without(recorded.bag, msg.PLANE_STATE, 50))
+        assert found.difference is None
+        assert found.not_checkable.total() <= 4
 
 
 def test_what_comes_from_nowhere_gives_a_difference_and_no_error() -> None:
@@ -333,47 +244,26 @@ def test_what_comes_from_nowhere_gives_a_difference_and_no_error() -> None:
         number = draw.randrange(400)
         bag[number] = bag[number]._replace(payload=draw.randbytes(draw.randrange(120)))
         assert place(verify(recorded.scenario, bag).difference)[3] == "payload"
+    number = find(recorded.bag, msg.PLANE_STATE, 50)
+    between = flipped(recorded.bag[number], 8 * 24)  # bytes between fields, which mean nothing
+    bag = [*recorded.bag[:number], between, *recorded.bag[number + 1 :]]
+    assert place(verify(recorded.scenario, bag).difference) == (msg.PLANE_STATE.name, 50, None, "padding")
 
 
-@pytest.mark.parametrize("step", [2**63, 5000, 50])
-def test_a_wrong_step_is_found(step: int) -> None:
-    recorded = world("quiet")
-    assert verify(recorded.scenario, edited(recorded.bag, AgentState, 150, step=step)).difference is not None
-
-
-def test_the_epoch_of_1970_gives_large_steps() -> None:
-    recorded = world("quiet")
-    period = recorded.scenario.step_ns
-    first = EPOCH // period
-    moved: list[Stored] = []
-    for stored in recorded.bag:
-        message: Any = stored.message
-        changes = {"step": message.step + first}
-        for name in ("broadcast_step", "since", "begun"):
-            if getattr(message, name, NEVER) != NEVER:
-                changes[name] = getattr(message, name) + first
-        if isinstance(message, Basis):
-            changes["state_steps"] = tuple(step + first for step in message.state_steps)
-        moved.append(stored._replace(payload=encode(message._replace(**changes))))
-    verification = started(recorded.scenario, Schedule(period))
-    for stored in moved:
-        verification.add(*stored)
-    verification.finish()
-    assert verification.found.difference is None
-    assert verification.found.messages == of_main_topics(recorded.bag)
+def years_ahead(stored: Stored, steps: int = 10**10, period: int = 10**7) -> Stored:
+    """Return a message as of a clock that was set forward by many steps of a period (ns)."""
+    later = changed(stored, step=stored.message.step + steps, stamp=stored.message.stamp + steps * period)
+    return later._replace(time=stored.time + steps * period)
 
 
 def test_a_clock_that_is_set_years_ahead_takes_no_time() -> None:
     recorded = world("brief")
-    period = recorded.scenario.step_ns
-    jump = 10**12
-    moved: list[Stored] = []
-    for stored in recorded.bag:
-        message: Any = stored.message
-        if message.step < 30:
-            moved.append(stored)
-        else:
-            later = message._replace(step=message.step + jump, stamp=message.stamp + 10**16)
-            moved.append(stored._replace(time=stored.time + jump * period, payload=encode(later)))
-    found = verify(recorded.scenario, moved)
-    assert found.difference is not None  # nobody has said that the clock was set
+    moved = [years_ahead(stored) if stored.message.step >= 30 else stored for stored in recorded.bag]
+    assert verify(recorded.scenario, moved).difference is not None  # nobody has said that the clock was set
+    # What waits to be judged when the clock is set is judged.
+    recorded = world("operator")
+    last = recorded.bag[-1]
+    step = configure.schedule(recorded.scenario, EPOCH).step(last.time) - WAIT
+    bag = [*edited(recorded.bag, msg.AgentState, step, position=0.2), years_ahead(last)]
+    found = verify(recorded.scenario, bag).difference
+    assert place(found) == (msg.AGENT_STATE.name, step, 1, "position")

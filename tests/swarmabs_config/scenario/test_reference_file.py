@@ -1,7 +1,5 @@
 """References from a CSV file: what becomes of the file, and every way in which it can be wrong."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -46,22 +44,12 @@ def test_rows_take_the_place_of_the_file(tmp_path: Path, monkeypatch: pytest.Mon
     text = dump_scenario(scenario)
     assert "ref.csv" not in text
     assert parse_scenario(text) == scenario.resolved()
-
-
-def test_a_name_in_an_override_is_relative_to_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "s").mkdir()
-    file = folder(tmp_path / "s", "time,angle\n0,0\n1,9\n")
-    (tmp_path / "mine.csv").write_text(ROWS, encoding="utf-8")
+    # A name in an override is relative to the current folder.
+    (tmp_path / "mine.csv").write_text("\ufefftime, angle\r\n 0 , 0\r\n\r\n1e0, 0.5\r\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    folder(tmp_path, "time,angle\n0,0\n1,9\n")
     scenario = load_scenario(file, ["controller.trajectory.file=mine.csv"])
-    assert trajectory(scenario).angles == (0.0, 0.25, -0.125)
-
-
-def test_spaces_blank_lines_and_a_byte_order_mark_are_accepted(tmp_path: Path) -> None:
-    rows = "\ufefftime, angle\r\n 0 , 0\r\n\r\n1e0, 0.5\r\n"
-    assert trajectory(load_scenario(folder(tmp_path, rows))).times == (0.0, 1.0)
+    assert (trajectory(scenario).times, trajectory(scenario).angles) == ((0.0, 1.0), (0.0, 0.5))
 
 
 BAD_ROWS = [
@@ -96,14 +84,6 @@ def test_bad_rows_are_named_with_file_and_line(tmp_path: Path, rows: str | bytes
     load_scenario(file)
 
 
-def test_a_curve_that_swings_too_far_is_refused_where_the_file_is_named(tmp_path: Path) -> None:
-    file = folder(tmp_path, "time,angle\n0,-1.4\n1,1.4\n2,1.4\n3,-1.4\n")
-    with pytest.raises(
-        ScenarioError, match=r"s\.yaml:6: .*times\.1: the smooth curve through the rows is at 1\.\d+ rad"
-    ):
-        load_scenario(file)
-
-
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
@@ -124,12 +104,11 @@ def test_bad_fields(tmp_path: Path, line: str, expected: str) -> None:
     assert expected in str(caught.value)
 
 
-def test_a_text_without_a_folder_names_no_file() -> None:
+def test_where_there_can_be_no_file_and_a_curve_that_swings_too_far_it_is_named(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="in a scenario that is no file; give 'file', or 'times' and 'angles'"):
         parse_scenario(TEXT)
-
-
-def test_only_a_trajectory_of_type_csv_has_a_file(tmp_path: Path) -> None:
-    file = folder(tmp_path, text=TEXT.replace("type: csv", "type: constant"))
     with pytest.raises(ScenarioError, match=r"trajectory\.file: unknown key 'file'"):
-        load_scenario(file)
+        load_scenario(folder(tmp_path, text=TEXT.replace("type: csv", "type: constant")))
+    far = r"s\.yaml:6: .*times\.1: the smooth curve through the rows is at 1\.\d+ rad"
+    with pytest.raises(ScenarioError, match=far):
+        load_scenario(folder(tmp_path, "time,angle\n0,-1.4\n1,1.4\n2,1.4\n3,-1.4\n"))

@@ -1,89 +1,44 @@
-"""The scenarios that come with swarmabs, canonical texts, and the JSON Schema."""
+"""Canonical texts, the JSON Schema, and that no input does anything but load, and load back, or be refused."""
+
+from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from hypothesis import HealthCheck, assume, given, settings, strategies as st
+from tests.swarmabs_config.json_schema import fits
 
-from swarmabs_config.model.controllers import AriseConfig, PdConfig
-from swarmabs_config.scenario import Scenario, dump_scenario, json_schema, load_scenario, parse_scenario
-from swarmabs_core.trajectory import Sine
+from swarmabs_config.scenario import ScenarioError, dump_scenario, json_schema, load_scenario, parse_scenario, yaml_tree
+from swarmabs_config.scenarios import builtin_scenarios
 
-FOLDER = Path(__file__).parents[3] / "src" / "swarmabs_bringup" / "scenarios"
-NAMES = [
-    "pd_si_4",
-    "pd_di_4",
-    "pd_het_4",
-    "arise_si_4",
-    "arise_di_4",
-    "arise_het_4",
-    "arise_het_20",
-    "arise_het_200",
-]
-MASSES = (0.3552, 0.3532, 0.6762, 0.4596)
-DAMPINGS = (0.7290, 1.4133, 0.6524, 1.3258)
-
-
-def built_in(name: str) -> Scenario:
-    return load_scenario(FOLDER / f"{name}.yaml")
-
-
-# The paper's runs
-
-
-def test_there_are_the_papers_eight_runs() -> None:
-    assert sorted(path.name for path in FOLDER.iterdir()) == sorted(f"{name}.yaml" for name in NAMES)
-    assert all(built_in(name).name == name for name in NAMES)
-
-
-@pytest.mark.parametrize("parent", ["pd", "arise"])
-@pytest.mark.parametrize(("swarm", "singles"), [("si", 4), ("di", 0), ("het", 2)])
-def test_four_robots(parent: str, swarm: str, singles: int) -> None:
-    agents = built_in(f"{parent}_{swarm}_4").agents
-    assert tuple(agent.id for agent in agents) == (1, 2, 3, 4)
-    assert tuple(agent.mass for agent in agents) == MASSES
-    assert tuple(agent.position for agent in agents) == (0.125, -0.125, 0.125, -0.125)
-    assert all(agent.velocity == 0.0 for agent in agents)
-    assert [agent.kind for agent in agents] == ["single_integrator"] * singles + ["double_integrator"] * (4 - singles)
-    assert tuple(agent.damping for agent in agents) == (0.0,) * singles + DAMPINGS[singles:]
-
-
-@pytest.mark.parametrize(("count", "duration", "inertia"), [(20, 70.0, 0.15), (200, 40.0, 0.0288)])
-def test_larger_swarms(count: int, duration: float, inertia: float) -> None:
-    scenario = built_in(f"arise_het_{count}")
-    assert (
-        [agent.kind for agent in scenario.agents].count("single_integrator") == count // 2 == len(scenario.agents) // 2
-    )
-    assert scenario.duration == duration
-    assert math.fsum(a.mass * a.position**2 for a in scenario.agents) == pytest.approx(inertia, rel=0.1)
-    assert [math.copysign(1, agent.position) for agent in scenario.agents] == [1, -1] * (count // 2)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_parameters_of_the_paper(name: str) -> None:
-    scenario = built_in(name)
-    assert (scenario.step, scenario.plane.substep) == (0.01, 0.001)
-    if name.startswith("pd"):
-        assert scenario.controller == PdConfig(gains=(3.1623, 3.2859))
-        assert (scenario.duration, scenario.plane.angle, scenario.plane.disturbance.amplitude) == (
-            30.0,
-            0.1,
-            0.0,
-        )
-    else:
-        assert scenario.controller == AriseConfig()
-        assert (scenario.plane.angle, scenario.plane.disturbance.amplitude) == (0.075, 0.1)
-        assert scenario.plane.disturbance.angular_frequency == 0.5
-        assert Sine().angular_frequency == pytest.approx(0.015 * math.pi, rel=1e-14)
-
-
-# Canonical texts
-
-CANONICAL = """\
+GIVEN = """
+    {schema: 1, name: "on", duration: 2, step: 1e-5, seed: 7, lockstep: {on_stall: drop},
+     limits: {force: 2}, controller: {type: arise, trajectory: {type: constant}},
+     swarm: {agents: [{kind: double_integrator, id: 2, mass: 1, position: 0, damping: 0},
+                      {kind: single_integrator, id: 1, mass: 1, position: 0.1}]},
+     faults: [{agent: 1, at: 1, kind: kill}, {steps: 2, kind: delay}]}"""
+FILLED = """
+    {schema: 1, name: "on", duration: 2.0, step: 1.0e-05, seed: 7,
+     plane: {inertia: 0.5, length: 1.0, gravity: 9.81, friction: [0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0],
+             substep: 0.001, angle: 0.1, angular_velocity: 0.0, disturbance: {amplitude: 0.0, angular_frequency: 0.5},
+             robot_gravity: false, end_stop: null, sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}},
+     manifold: {curvature: 0.0125, offset: 0.025, torque_max: 5.0},
+     controller: {type: arise, ks: 1.0, alpha1: 1.0, alpha2: 2.0, beta: 0.5, gamma: [10.0, 1.0, 1.0, 10.0],
+                  smoothing: 0.03, adaptive_initial: [0.4566, 0.009, 0.01, 0.9],
+                  trajectory: {type: constant, angle: 0.0}},
+     swarm: {law: {type: paper}, gains: {k: [10.0, 10.0], kp: [10.0, 10.0], kd: [5.0, 5.0], ksd: 1.0},
+             agents: [{id: 1, kind: single_integrator, mass: 1.0, position: 0.1},
+                      {id: 2, kind: double_integrator, mass: 1.0, damping: 0.0, position: 0.0, velocity: 0.0}],
+             sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}, actuator_lag: 0.0},
+     observer: {type: sum}, limits: {velocity: null, force: 2.0}, lockstep: {on_stall: drop, stall_timeout: 5.0},
+     realtime: {broadcast_age_limit: 0.1, state_age_limit: 0.1, plane_age_limit: 0.1, clock_tolerance: 0.02,
+                lane_margin: 0.02, start: wait, quorum: null},
+     faults: [{kind: kill, at: 1.0, agent: 1}, {kind: delay, from: 0.0, to: null, agents: null, steps: 2}]}"""
+LINES = """\
 schema: 1
 name: "on"
 duration: 2.0
@@ -94,239 +49,216 @@ plane:
   length: 1.0
   gravity: 9.81
   friction: [0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0]
-  substep: 0.001
-  angle: 0.1
-  angular_velocity: 0.0
-  disturbance:
-    amplitude: 0.0
-    angular_frequency: 0.5
-  robot_gravity: false
-  end_stop: null
-  sensor:
-    noise: [0.0, 0.0]
-    resolution: [0.0, 0.0]
-manifold:
-  curvature: 0.0125
-  offset: 0.025
-  torque_max: 5.0
-controller:
-  type: arise
-  ks: 1.0
-  alpha1: 1.0
-  alpha2: 2.0
-  beta: 0.5
-  gamma: [10.0, 1.0, 1.0, 10.0]
-  smoothing: 0.03
-  adaptive_initial: [0.4566, 0.009, 0.01, 0.9]
-  trajectory:
-    type: constant
-    angle: 0.0
-swarm:
-  law:
-    type: paper
-  gains:
-    k: [10.0, 10.0]
-    kp: [10.0, 10.0]
-    kd: [5.0, 5.0]
-    ksd: 1.0
-  agents:
-    - {id: 1, kind: single_integrator, mass: 1.0, position: 0.1}
-    - {id: 2, kind: double_integrator, mass: 1.0, damping: 0.0, position: 0.0, velocity: 0.0}
-  sensor:
-    noise: [0.0, 0.0]
-    resolution: [0.0, 0.0]
-  actuator_lag: 0.0
-observer:
-  type: sum
-limits:
-  velocity: null
-  force: 2.0
-lockstep:
-  on_stall: drop
-  stall_timeout: 5.0
-realtime:
-  broadcast_age_limit: 0.1
-  state_age_limit: 0.1
-  plane_age_limit: 0.1
-  clock_tolerance: 0.02
-  lane_margin: 0.02
-  start: wait
-  quorum: null
-faults:
-  - {kind: kill, at: 1.0, agent: 1}
-  - {kind: delay, from: 0.0, to: null, agents: null, steps: 2}
 """
+HEAD = "schema: 1\nswarm: {generate: {single_integrator: 4}}\n"
 
 
-def test_every_default_is_filled_in() -> None:
-    text = """
-        {schema: 1, name: "on", duration: 2, step: 1e-5, seed: 7, lockstep: {on_stall: drop},
-         limits: {force: 2}, controller: {type: arise, trajectory: {type: constant}},
-         swarm: {agents: [{kind: double_integrator, id: 2, mass: 1, position: 0, damping: 0},
-                          {kind: single_integrator, id: 1, mass: 1, position: 0.1}]},
-         faults: [{agent: 1, at: 1, kind: kill}, {steps: 2, kind: delay}]}"""
-    assert dump_scenario(parse_scenario(text)) == CANONICAL
-    assert dump_scenario(parse_scenario(CANONICAL)) == CANONICAL
+@pytest.fixture(scope="module")
+def schema() -> dict[str, Any]:
+    return json_schema()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_texts_load_back(name: str) -> None:
-    scenario = built_in(name)
+def test_every_default_is_filled_in_and_names_are_quoted_where_needed() -> None:
+    canonical = dump_scenario(parse_scenario(GIVEN))
+    assert json.dumps(yaml.safe_load(canonical)) == json.dumps(yaml.safe_load(FILLED)), "in this order"
+    assert canonical.startswith(LINES)
+    assert "  agents:\n    - {id: 1, kind: single_integrator, mass: 1.0, position: 0.1}\n" in canonical
+    assert dump_scenario(parse_scenario(canonical)) == canonical == dump_scenario(parse_scenario(FILLED))
+    for name in ("yes", "null", "1e5", "a: b", "ä 'quoted' \"name\"", "x#y", "1.5", "_"):
+        text = dump_scenario(parse_scenario(HEAD, default_name=name))
+        assert parse_scenario(text).name == yaml.safe_load(text)["name"] == name
+
+
+@pytest.mark.parametrize("name", builtin_scenarios())
+def test_texts_load_back_fit_the_schema_and_mean_the_same_to_other_readers(name: str, schema: dict[str, Any]) -> None:
+    path = builtin_scenarios()[name]
+    scenario = load_scenario(path)
     text = dump_scenario(scenario)
     again = parse_scenario(text)
     assert again == scenario.resolved()
     assert dump_scenario(again) == text
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_other_yaml_readers_read_the_same(name: str) -> None:
-    scenario = built_in(name).resolved()
-    expected = json.loads(scenario.model_dump_json(by_alias=True))
+    expected = json.loads(again.model_dump_json(by_alias=True))
     del expected["swarm"]["generate"]
-    assert yaml.safe_load(dump_scenario(scenario)) == expected
+    assert yaml.safe_load(text) == expected
+    assert fits(expected, schema)
+    assert fits(yaml.safe_load(path.read_text(encoding="utf-8")), schema)
 
 
-@pytest.mark.parametrize("name", ["yes", "null", "1e5", "a: b", "ä 'quoted' \"name\"", "x#y", "1.5", "_"])
-def test_names_are_quoted_where_needed(name: str) -> None:
-    scenario = parse_scenario("schema: 1\nswarm: {generate: {single_integrator: 4}}", default_name=name)
-    assert parse_scenario(dump_scenario(scenario)).name == name
-    assert yaml.safe_load(dump_scenario(scenario))["name"] == name
-
-
-def test_the_largest_swarm_loads_back() -> None:
-    text = "schema: 1\nswarm: {generate: {single_integrator: 5000, double_integrator: 5000}}"
-    scenario = parse_scenario(text)
-    assert parse_scenario(dump_scenario(scenario)) == scenario.resolved()
-
-
-# JSON Schema
-
-
-def in_range(value: float, schema: dict[str, Any]) -> bool:
-    low, high = schema.get("minimum", -math.inf), schema.get("maximum", math.inf)
-    above, below = schema.get("exclusiveMinimum", -math.inf), schema.get("exclusiveMaximum", math.inf)
-    return bool(low <= value <= high and above < value < below)
-
-
-def of_type(value: object, name: str | None) -> bool:
-    match name:
-        case "number":
-            return isinstance(value, int | float) and not isinstance(value, bool)
-        case "integer":
-            return isinstance(value, int) and not isinstance(value, bool)
-        case None:
-            return True
-    kinds: dict[str, type] = {
-        "object": dict,
-        "array": list,
-        "string": str,
-        "null": type(None),
-        "boolean": bool,
-    }
-    return isinstance(value, kinds[name])
-
-
-def fits(value: object, schema: dict[str, Any], root: dict[str, Any]) -> bool:
-    """Say whether `value` fits, for the part of JSON Schema that is used here."""
-    choices = [fits(value, choice, root) for choice in schema.get("oneOf", ())]
-    checks = [
-        "$ref" not in schema or fits(value, root["$defs"][schema["$ref"].removeprefix("#/$defs/")], root),
-        value == schema.get("const", value),
-        value in schema.get("enum", [value]),
-        "oneOf" not in schema or choices.count(True) == 1,
-        "anyOf" not in schema or any(fits(value, choice, root) for choice in schema["anyOf"]),
-        of_type(value, schema.get("type")),
-    ]
-    if not all(checks):
-        return False
-    if isinstance(value, int | float):
-        return in_range(value, schema)
-    if isinstance(value, dict):
-        properties = schema.get("properties", {})
-        return (
-            (schema.get("additionalProperties", True) or value.keys() <= properties.keys())
-            and value.keys() >= set(schema.get("required", ()))
-            and all(fits(value[key], properties[key], root) for key in value.keys() & properties.keys())
-        )
-    if isinstance(value, list):
-        items = schema.get("prefixItems", [schema.get("items", {})] * len(value))
-        return schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf) and all(
-            fits(item, part, root) for item, part in zip(value, items, strict=True)
-        )
-    return True
-
-
-def fields(schema: object, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+def fields(schema: object) -> Iterator[tuple[str, dict[str, Any]]]:
     if isinstance(schema, dict):
-        for name, field in schema.get("properties", {}).items():
-            yield f"{path}.{name}", field
-        for key, part in schema.items():
-            yield from fields(part, f"{path}.{key}")
+        yield from schema.get("properties", {}).items()
+        for part in schema.values():
+            yield from fields(part)
     elif isinstance(schema, list):
-        for index, part in enumerate(schema):
-            yield from fields(part, f"{path}.{index}")
+        for part in schema:
+            yield from fields(part)
 
 
-def test_schema_is_of_2020_12_and_describes_every_field() -> None:
-    schema = json_schema()
+def test_schema_is_of_2020_12_and_describes_every_field(schema: dict[str, Any]) -> None:
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     assert json.loads(json.dumps(schema)) == schema
-    undescribed = [path for path, field in fields(schema) if not field.get("description")]
-    assert undescribed == []
+    assert [name for name, field in fields(schema) if not field.get("description")] == []
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_built_in_scenarios_fit_the_schema(name: str) -> None:
-    schema = json_schema()
-    assert fits(yaml.safe_load((FOLDER / f"{name}.yaml").read_text()), schema, schema)
-    assert fits(yaml.safe_load(dump_scenario(built_in(name))), schema, schema)
+LISTED = "schema: 1\nswarm: {{agents: [{}, {{id: 2, kind: single_integrator, mass: 1, position: 0}}]}}"
 
 
-HEAD = "schema: 1\nswarm: {generate: {single_integrator: 4}}\n"
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        CANONICAL,
+def test_schema_accepts_what_loads_and_refuses_what_does_not_load(schema: dict[str, Any]) -> None:
+    for text in (
+        FILLED,
         HEAD + "controller: {gains: [1, 2]}",
         HEAD + "controller: {type: lqr, r: 2}",
         HEAD + "controller: {type: arise, trajectory: {amplitude: 0.2}}",
         HEAD.replace("4", "4, position: 0.2"),
-        (
-            "schema: 1\nswarm: {agents: [{id: 1, kind: single_integrator, mass: 1, position: 0.1, velocity: 0}"
-            ", {id: 2, kind: single_integrator, mass: 1, position: 0}]}"
-        ),
-    ],
-)
-def test_schema_accepts_what_loads(text: str) -> None:
-    schema = json_schema()
-    parse_scenario(text)
-    assert fits(yaml.safe_load(text), schema, schema)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
+        LISTED.format("{id: 1, kind: single_integrator, mass: 1, position: 0.1, velocity: 0}"),
+    ):
+        parse_scenario(text)
+        assert fits(yaml.safe_load(text), schema), text
+    for text in (
         HEAD.replace("schema: 1", "schema: 2"),
         HEAD.replace("generate", "robots"),
         HEAD.replace("4", "4, position: far"),
-        HEAD + "plane: {angle: 2}",
         HEAD + "plane: {friction: [1]}",
         HEAD + "controller: {type: mpc}",
         HEAD + "controller: {q: [1, 1]}",
         HEAD + "controller: {type: pd, trajectory: {}}",
-        HEAD + "controller: {type: arise, smoothing: 0}",
         HEAD + "controller: {type: arise, trajectory: {type: constant, amplitude: 1}}",
         HEAD + "faults: [{kind: kill, at: 1}]",
         HEAD + "faults: [{at: 1, agent: 1}]",
-        HEAD + "lockstep: {on_stall: wait}",
-        "schema: 1\nswarm: {agents: [{id: 1, kind: single_integrator, mass: 1, position: 0, damping: 1}]}",
-        "schema: 1\nswarm: {agents: [{id: 1, kind: double_integrator, mass: 1, position: 0}]}",
-        "schema: 1\nswarm: {agents: [{id: 1, mass: 1, position: 0}]}",
+        LISTED.format("{id: 1, kind: single_integrator, mass: 1, position: 0.1, damping: 1}"),
+        LISTED.format("{id: 1, kind: double_integrator, mass: 1, position: 0.1}"),
+        LISTED.format("{id: 1, mass: 1, position: 0.1}"),
         "schema: 1\nswarm: {agents: [], generate: {}}",
-    ],
+    ):
+        with pytest.raises(ScenarioError):
+            parse_scenario(text)
+        assert not fits(yaml.safe_load(text), schema), text
+
+
+pytestmark = pytest.mark.timeout(60)
+
+
+@given(st.integers(1, 2**31 * 10**9 - 10**9))
+def test_every_time_that_a_float_can_tell_is_exact(nanoseconds: int) -> None:
+    seconds = nanoseconds / 10**9
+    assume(len(str(nanoseconds).rstrip("0")) <= 15)
+    text = f"schema: 1\nduration: {seconds!r}\nstep: {seconds!r}\nswarm: {{generate: {{single_integrator: 4}}}}"
+    assert parse_scenario(text).duration_ns == nanoseconds
+
+
+VALID = """\
+schema: 1
+name: pd_het_4          # comment
+duration: 30.0
+plane: {friction: [0.01, 1000, 700, 0.02, 1000, 1.0], angle: 0.1, disturbance: {amplitude: 0.0}}
+controller:
+  type: arise
+  trajectory: {type: sine, amplitude: 0.7}
+swarm:
+  gains: &g {k: [10, 10], ksd: 1.0}
+  agents:
+    - {id: 1, kind: single_integrator, mass: 0.6, position: 0.125}
+    - {id: 3, kind: double_integrator, mass: 0.6762, damping: 0.6524, position: -0.125, velocity: 0.0}
+limits: {velocity: null}
+faults: [{kind: loss, probability: .2}, {at: 5.0, kind: kill, agent: 3}]
+"""
+FRAGMENTS = [
+    "", " ", "\n", "\t", "-", "- ", ":", ": ", "{", "}", "[", "]", ",", "#", "&g ", "*g", "!", "!!",
+    "!!float ", "!!str ", "!!python/name:os.system ", "|\n", ">\n", "'", '"', "%", "@", "`", "---\n",
+    "...\n", "? ", "<<: ", "null", "~", "true", "yes", "0", "1", "-1", "-0", "007", "0x1F", "1e999", "1e-999",
+    "9" * 500, ".nan", "-.inf", "1:30", "\0", "\x1b", "\x7f", "\ufeff", "\u2028", "\x85", "\ud800",
+    "\U0010ffff", "é", "\r", "agents", "generate: {single_integrator: 9}",
+]  # fmt: skip
+edits = st.lists(
+    st.tuples(
+        st.integers(0, len(VALID)), st.integers(0, 12), st.one_of(st.sampled_from(FRAGMENTS), st.text(max_size=6))
+    ),
+    min_size=1,
+    max_size=4,
 )
-def test_schema_refuses_what_does_not_load(text: str) -> None:
-    schema = json_schema()
-    assert not fits(yaml.safe_load(text), schema, schema)
+
+
+def edited(changes: list[tuple[int, int, str]]) -> str:
+    text = VALID
+    for start, length, new in changes:
+        text = text[:start] + new + text[start + length :]
+    return text
+
+
+def refused(error: ScenarioError) -> ScenarioError:
+    assert str(error).isprintable()
+    assert error.problem
+    assert error.remedy
+    assert error.line is not None or error.source.startswith("--set ")
+    return error
+
+
+def loads_back(text: str, *overrides: str) -> bool:
+    """Tell whether a text with overrides loads; it then loads back from its canonical text, and else is refused."""
+    try:
+        found = parse_scenario(text, source="f", overrides=overrides)
+    except ScenarioError as exc:
+        refused(exc)
+        return False
+    canonical = dump_scenario(found)
+    again = parse_scenario(canonical)
+    assert again == found.resolved()
+    assert dump_scenario(again) == canonical
+    assert all(warning.isprintable() for warning in found.warnings())
+    return True
+
+
+def plain(text: str, loader: yaml_tree.Loader) -> yaml_tree.Plain | ScenarioError:
+    try:
+        return yaml_tree.read_tree(text, "f", loader=loader).plain()
+    except ScenarioError as exc:
+        return refused(exc)
+
+
+@given(edits)
+@settings(max_examples=250)
+def test_edited_files_load_or_are_refused_whatever_parser_reads_them(changes: list[tuple[int, int, str]]) -> None:
+    text = edited(changes)
+    loads_back(text)
+    fast, slow = plain(text, yaml.CSafeLoader), plain(text, yaml.SafeLoader)
+    assert fast == slow or ScenarioError in {type(fast), type(slow)}  # they differ in what they refuse
+
+
+@given(st.text())
+def test_any_text_is_refused(text: str) -> None:
+    assert not loads_back(text)
+
+
+@given(st.binary(max_size=60), st.integers(0, len(VALID)) | st.none())
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_bytes_load_or_are_refused(tmp_path: Path, data: bytes, start: int | None) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_bytes(data if start is None else VALID.encode()[:start] + data + VALID.encode()[start:])
+    try:
+        load_scenario(path)
+    except ScenarioError as exc:
+        refused(exc)
+
+
+numbers = st.sampled_from([0, 1, 2, 0.5, 1e-3, 1e-12, 1e12]) | st.floats(0, 1) | st.floats() | st.integers()
+values = st.recursive(
+    st.none() | st.booleans() | numbers | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+paths = st.sampled_from([
+    "schema", "name", "duration", "step", "seed", "plane", "plane.friction", "plane.friction.1",
+    "plane.inertia", "plane.substep", "plane.disturbance", "plane.end_stop", "manifold", "manifold.offset",
+    "controller", "controller.type", "controller.gamma", "controller.gamma.0", "controller.adaptive_initial.1",
+    "controller.trajectory", "controller.trajectory.type", "controller.trajectory.amplitude",
+    "swarm", "swarm.gains.k.1", "swarm.sensor.noise.0", "swarm.actuator_lag",
+    "swarm.agents", "swarm.agents.0", "swarm.agents.1.kind", "swarm.agents.1.velocity", "swarm.agents.2",
+    "swarm.generate", "swarm.generate.position", "limits.force", "lockstep.on_stall", "lockstep.stall_timeout",
+    "realtime.quorum", "faults", "faults.0", "faults.0.kind", "faults.0.agents", "faults.1.at", "faults.2",
+])  # fmt: skip
+
+
+@given(st.lists(st.tuples(paths, numbers | values | st.text(max_size=8)), min_size=1, max_size=3))
+@settings(max_examples=300)
+def test_any_override_is_taken_or_refused(changes: list[tuple[str, object]]) -> None:
+    loads_back(VALID, *(f"{path}={value}" for path, value in changes))

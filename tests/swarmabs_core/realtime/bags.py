@@ -1,14 +1,13 @@
 """What a recorder has of a virtual fleet."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import cache
+from operator import methodcaller
 from random import Random
 from typing import NamedTuple
 
 from tests.swarmabs_core.helpers import builtin
-from tests.virtual_fleet import EPOCH, Network, VirtualFleet
+from tests.transport.fleet import EPOCH, Network, VirtualFleet
 
 from swarmabs_bag.figures import RealtimeFigures
 from swarmabs_bag.realtime import RealtimeCollector
@@ -63,18 +62,7 @@ def record(fleet: VirtualFleet, scenario: Scenario, *, loss: float = 0.0, jitter
     return Recorded(scenario, tuple(bag), collector, figures)
 
 
-def quiet(fleet: VirtualFleet) -> None:
-    """Let nothing happen."""
-    fleet.run(2.0)
-
-
-def brief(fleet: VirtualFleet) -> None:
-    """Let nothing happen, not for long."""
-    fleet.run(0.5)
-
-
 def deaths(fleet: VirtualFleet) -> None:
-    """Let every kind of node die and come back."""
     for name in ("agent_002", OBSERVER, PLANE, CONTROLLER):
         fleet.run(0.6)
         fleet.kill(name)
@@ -84,20 +72,18 @@ def deaths(fleet: VirtualFleet) -> None:
 
 
 def operator(fleet: VirtualFleet) -> None:
-    """Stop, reset, let a robot leave and join."""
     fleet.run(0.7)
-    fleet.call(CONTROLLER, lambda node, now: node.stop(now))  # type: ignore[attr-defined]
+    fleet.call(CONTROLLER, "stop")
     fleet.run(0.5)
-    fleet.call(CONTROLLER, lambda node, now: node.reset(now))  # type: ignore[attr-defined]
+    fleet.call(CONTROLLER, "reset")
     fleet.run(1.5)
-    fleet.call("agent_003", lambda node, now: node.leave(now))  # type: ignore[attr-defined]
+    fleet.call("agent_003", "leave")
     fleet.run(0.4)
-    fleet.call("agent_003", lambda node, now: node.join(now))  # type: ignore[attr-defined]
+    fleet.call("agent_003", "join")
     fleet.run(0.7)
 
 
 def clocks(fleet: VirtualFleet) -> None:
-    """Set clocks forward and back."""
     for name in ("agent_001", OBSERVER, PLANE, CONTROLLER):
         for offset in (0.004, 0.3, -0.3, 0.0):
             fleet.run(0.25)
@@ -105,6 +91,7 @@ def clocks(fleet: VirtualFleet) -> None:
     fleet.run(1.0)
 
 
+quiet, brief = methodcaller("run", 2.0), methodcaller("run", 0.5)
 BAD = Network(jitter=0.012, loss=0.1, duplication=0.1, fading=0.02)
 WORLDS: dict[str, tuple[tuple[str, ...], Network, Callable[[VirtualFleet], None], Mode]] = {
     "quiet": (("pd_het_4",), Network(), quiet, Mode.RUN),
@@ -131,7 +118,6 @@ WORLDS: dict[str, tuple[tuple[str, ...], Network, Callable[[VirtualFleet], None]
 
 @cache
 def world(name: str, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
-    """Return the recording of a world."""
     named, network, story, mode = WORLDS[name]
     scenario = builtin(*named)
     fleet = VirtualFleet(scenario, network=network, start_mode=mode)
@@ -140,5 +126,4 @@ def world(name: str, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
 
 
 def messages(bag: Iterable[Stored]) -> list[Message]:
-    """Return the messages of a bag."""
     return [stored.message for stored in bag]

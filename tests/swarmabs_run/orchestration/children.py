@@ -1,10 +1,19 @@
-"""Processes for a launcher to fork: each does what its arguments say."""
+"""Processes for a launcher to fork, and ``python -m ... LOGS``: an orchestrator that starts two and then waits."""
 
-from __future__ import annotations
-
+import gc
+import os
 import signal
 import sys
-import time
+from pathlib import Path
+
+from swarmabs_ros.status import START_FD
+from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.plan import ProcessPlan
+
+
+def child(name: str) -> ProcessPlan:
+    """Return the plan of a process that does what its arguments say."""
+    return ProcessPlan(name, "tests.swarmabs_run.orchestration.children", 8, {}, (), ())
 
 
 def main(arguments: list[str]) -> int:
@@ -14,9 +23,23 @@ def main(arguments: list[str]) -> int:
         return int(rest[0])
     if action == "raise":
         raise RuntimeError(rest[0])
+    if action == "loaded":
+        return sum(name not in sys.modules for name in rest) + (gc.get_freeze_count() == 0)
+    if action == "start":
+        return len(os.read(int(os.environ[START_FD]), 100))
     if action == "ignore-sigterm":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if action == "end-in-order":
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.stdout.write("waiting\n")
     sys.stdout.flush()
     while True:
-        time.sleep(60.0)
+        signal.pause()
+
+
+if __name__ == "__main__":
+    logs = Path(sys.argv[1])
+    client = LauncherClient({}, logs / "launcher.log", processes=2)
+    for each in ("one", "two"):
+        client.spawn(child(each), ["ignore-sigterm"], logs / f"{each}.log")
+    signal.pause()

@@ -1,11 +1,13 @@
-"""The Fast DDS profile of a run, read as XML."""
-
-from __future__ import annotations
+"""The network of a run: claims on ROS domains, and the Fast DDS profile, read as XML."""
 
 import errno
 import ipaddress
 import os
+import signal
 import socket
+import subprocess
+import sys
+from contextlib import ExitStack, suppress
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -15,16 +17,9 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from tests.processes import until
 
+from swarmabs_config import ports
 from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES, Qos
-from swarmabs_config.ports import (
-    GUARD_OFFSET,
-    LARGEST_DOMAIN,
-    METATRAFFIC_OFFSET,
-    PARTICIPANT_GAIN,
-    SPACING,
-    metatraffic_port,
-    multicast_port,
-)
+from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_ros.endpoints import WaitSetReceiver, profile, ros_type
 from swarmabs_run.orchestration.network import (
@@ -32,7 +27,7 @@ from swarmabs_run.orchestration.network import (
     FROM_ENVIRONMENT,
     GROUP_VARIABLE,
     PARTICIPANT_VARIABLE,
-    dds_environment,
+    claimed_domain,
     multicast_group,
     multicast_works,
     profile_xml,
@@ -40,114 +35,76 @@ from swarmabs_run.orchestration.network import (
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 LARGE_SWARM = COORDINATORS + 195
+MULTICAST = {"multicast": True}
+HOLDER = """
+import sys
+from swarmabs_run.orchestration.network import claimed_domain
+with claimed_domain() as domain:
+    print(domain, flush=True)
+    sys.stdin.read()
+"""
 
 
-def parsed(domain: int = 5, **options: object) -> ET.Element:
-    return ET.fromstring(profile_xml(domain, **options))  # type: ignore[arg-type]
-
-
-def number(root: ET.Element, name: str) -> int:
-    element = root.find(f".//d:{name}", NAMESPACE)
-    assert element is not None
-    assert element.text is not None
-    return int(element.text)
+def said(path: str, domain: int = 5, **options: object) -> list[str]:
+    root = ET.fromstring(profile_xml(domain, **options))  # type: ignore[arg-type]
+    return [element.text or "" for element in root.findall(f".//d:{path}", NAMESPACE)]
 
 
 def used_ports(domain: int, participants: int) -> set[int]:
     """Return every port of a run, by the formula of the DDS standard with the profile's own numbers."""
-    root = parsed(domain)
-    base = number(root, "portBase") + number(root, "domainIDGain") * domain
-    gain = number(root, "participantIDGain")
-    multicast = {base + number(root, f"offsetd{index}") for index in (0, 2)}
-    unicast = {
-        base + number(root, f"offsetd{index}") + gain * participant
-        for index in (1, 3)
-        for participant in range(participants)
-    }
+    offsets = (f"offsetd{index}" for index in range(4))
+    base, by_domain, gain, d0, d1, d2, d3 = (
+        int(said(name, domain)[0]) for name in ("portBase", "domainIDGain", "participantIDGain", *offsets)
+    )
+    base += by_domain * domain
+    multicast = {base + d0, base + d2}
+    unicast = {base + offset + gain * participant for offset in (d1, d3) for participant in range(participants)}
     assert len(unicast) == 2 * participants, "two participants share a port"
     assert not multicast & unicast
     return multicast | unicast
 
 
-@pytest.mark.parametrize("domain", [5, 100, LARGEST_DOMAIN - SPACING])
+@pytest.mark.parametrize("domain", [5, 100, ports.LARGEST_DOMAIN - ports.SPACING])
 def test_ports_of_runs_side_by_side_are_disjoint(domain: int) -> None:
-    here, there = used_ports(domain, LARGE_SWARM), used_ports(domain + SPACING, LARGE_SWARM)
+    here, there = used_ports(domain, LARGE_SWARM), used_ports(domain + ports.SPACING, LARGE_SWARM)
     assert not here & there
     assert max(here | there) < 2**16
-    assert metatraffic_port(domain, 0) - 1 == metatraffic_port(domain, -1) + PARTICIPANT_GAIN - 1
+    guard = ports.metatraffic_port(domain, 0) - ports.METATRAFFIC_OFFSET + ports.GUARD_OFFSET
+    assert not {guard, ports.multicast_port(domain)} & here
+    assert ports.multicast_port(domain) != guard
+    assert ports.metatraffic_port(domain, 0) - 1 == ports.metatraffic_port(domain, -1) + ports.PARTICIPANT_GAIN - 1
+    assert ports.metatraffic_port(domain, 203) + 1 < 32768, "Linux gives away those above by default"
 
 
-def test_the_guard_is_no_port_of_a_participant() -> None:
-    base = metatraffic_port(5, 0) - 10
-    assert base + GUARD_OFFSET not in used_ports(5, LARGE_SWARM)
+LIVELINESS = ("use_WriterLivelinessProtocol", "leaseDuration/d:sec", "leaseAnnouncement/d:sec")
 
 
-def test_members_announce_themselves_to_the_coordinators_only() -> None:
-    ports = [int(port.text or "") for port in parsed().findall(".//d:initialPeersList//d:port", NAMESPACE)]
-    assert ports == [metatraffic_port(5, participant) for participant in range(COORDINATORS)]
-
-
-def test_a_tool_announces_itself_to_everybody() -> None:
-    ports = parsed(peers=range(30)).findall(".//d:initialPeersList//d:port", NAMESPACE)
-    assert len(ports) == 30
-
-
-def test_only_loopback_is_used() -> None:
-    root = parsed()
-    addresses = {element.text for element in root.findall(".//d:address", NAMESPACE)}
-    assert addresses == {"127.0.0.1"}
-    assert [element.text for element in root.findall(".//d:transport_descriptor/d:type", NAMESPACE)] == ["UDPv4"]
-    assert root.findtext(".//d:useBuiltinTransports", namespaces=NAMESPACE) == "false"
-
-
-def test_where_the_participant_id_comes_from() -> None:
-    assert parsed(participant=FROM_ENVIRONMENT).findtext(".//d:participantID", namespaces=NAMESPACE) == (
-        f"${{{PARTICIPANT_VARIABLE}}}"
-    )
-    assert parsed(participant=FIRST_FREE).find(".//d:participantID", NAMESPACE) is None
-
-
-def test_the_environment_puts_a_process_into_the_domain_and_no_transport_beside_the_profiles() -> None:
-    variables = dds_environment(15, "/somewhere/fastdds.xml")
-    assert variables["ROS_DOMAIN_ID"] == "15"
-    assert variables["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/somewhere/fastdds.xml"
-    assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
-
-
-def test_in_real_time_writers_assert_that_they_live_and_silent_participants_are_forgotten() -> None:
-    def settings(**options: object) -> tuple[str | None, int, int]:
-        root = parsed(**options)
-        asserted = root.findtext(".//d:use_WriterLivelinessProtocol", namespaces=NAMESPACE)
-        seconds = [
-            root.findtext(f".//d:{name}/d:sec", namespaces=NAMESPACE) for name in ("leaseDuration", "leaseAnnouncement")
-        ]
-        return asserted, int(seconds[0] or ""), int(seconds[1] or "")
-
-    assert settings() == ("false", 3600, 2)
-    asserted, lease, announcement = settings(realtime=True)
-    assert asserted == "true"
-    assert 3 * announcement <= lease <= 10
-
-
-def test_a_profile_without_multicast_names_no_group() -> None:
-    root = parsed()
-    assert root.find(".//d:defaultMulticastLocatorList", NAMESPACE) is None
-    assert root.find(".//d:defaultUnicastLocatorList", NAMESPACE) is None
-
-
-def test_a_profile_with_multicast_keeps_unicast_beside_the_group() -> None:
-    root = parsed(multicast=True)
-    group = root.find(".//d:defaultMulticastLocatorList/d:locator/d:udpv4", NAMESPACE)
-    assert group is not None
-    assert group.findtext("d:address", namespaces=NAMESPACE) == f"${{{GROUP_VARIABLE}}}"
-    assert int(group.findtext("d:port", namespaces=NAMESPACE) or "") == multicast_port(5)
-    unicast = root.findall(".//d:defaultUnicastLocatorList//d:address", NAMESPACE)
-    assert [address.text for address in unicast] == ["127.0.0.1"]
-
-
-def test_the_groups_port_is_nobody_elses() -> None:
-    assert multicast_port(5) not in used_ports(5, LARGE_SWARM)
-    assert multicast_port(5) != metatraffic_port(5, 0) - METATRAFFIC_OFFSET + GUARD_OFFSET
+@pytest.mark.parametrize(
+    ("options", "path", "words"),
+    [
+        ({}, "initialPeersList//d:port", [str(ports.metatraffic_port(5, peer)) for peer in range(COORDINATORS)]),
+        (
+            {"peers": range(30)},
+            "initialPeersList//d:port",
+            [str(ports.metatraffic_port(5, peer)) for peer in range(30)],
+        ),
+        ({}, "transport_descriptor/d:type", ["UDPv4"]),
+        ({}, "useBuiltinTransports", ["false"]),
+        ({"participant": FROM_ENVIRONMENT}, "participantID", [f"${{{PARTICIPANT_VARIABLE}}}"]),
+        ({"participant": FIRST_FREE}, "participantID", []),
+        *(({"realtime": False}, *each) for each in zip(LIVELINESS, (["false"], ["60"], ["2"]), strict=True)),
+        *(({"realtime": True}, *each) for each in zip(LIVELINESS, (["true"], ["5"], ["1"]), strict=True)),
+        ({}, "defaultMulticastLocatorList", []),
+        ({}, "defaultUnicastLocatorList", []),
+        (MULTICAST, "defaultMulticastLocatorList/d:locator/d:udpv4/d:address", [f"${{{GROUP_VARIABLE}}}"]),
+        (MULTICAST, "defaultMulticastLocatorList/d:locator/d:udpv4/d:port", [str(ports.multicast_port(5))]),
+        (MULTICAST, "defaultUnicastLocatorList//d:address", ["127.0.0.1"]),
+    ],
+)
+def test_the_profile_says_who_hears_whom_and_how(options: dict[str, object], path: str, words: list[str]) -> None:
+    assert said(path, **options) == words  # type: ignore[arg-type]
+    loopback = {"127.0.0.1"} | ({f"${{{GROUP_VARIABLE}}}"} if options is MULTICAST else set())
+    assert {*said("address", **options)} == loopback  # type: ignore[arg-type]
 
 
 def test_robots_the_controller_and_who_hears_the_robots_are_three_groups() -> None:
@@ -159,21 +116,17 @@ def test_robots_the_controller_and_who_hears_the_robots_are_three_groups() -> No
     assert all(ipaddress.ip_address(group).is_multicast for group in {controller} | gatherers | robots)
 
 
-def test_multicast_is_found_wanting_where_it_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
-    class NoMulticast(socket.socket):
-        def setsockopt(self, *arguments: object) -> None:
-            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+@pytest.mark.parametrize("arrived", [b"swarmabs", b"another", None])
+def test_multicast_works_where_the_datagram_arrives(monkeypatch: pytest.MonkeyPatch, arrived: bytes | None) -> None:
+    with monkeypatch.context() as patch:
+        for method, answer in (("setsockopt", None), ("sendto", 8), *([("recv", arrived)] if arrived else [])):
+            patch.setattr(socket.socket, method, lambda *_, answer=answer: answer)
+        assert multicast_works(timeout=0.01) == (arrived == b"swarmabs")
 
-    monkeypatch.setattr(socket, "socket", NoMulticast)
-    assert not multicast_works()
+    def unable(*_: object) -> None:
+        raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
-
-def test_multicast_that_never_arrives_is_found_wanting(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Swallowing(socket.socket):
-        def sendto(self, *arguments: object) -> int:
-            return 8
-
-    monkeypatch.setattr(socket, "socket", Swallowing)
+    monkeypatch.setattr(socket.socket, "setsockopt", unable)
     assert not multicast_works(timeout=0.01)
 
 
@@ -193,3 +146,58 @@ def test_as_many_messages_wait_for_a_reader_as_it_asks_for() -> None:
         assert publisher.wait_for_all_acked(Duration(seconds=10))
     assert sum(reader.take(AGENT_STATE) is not None for _ in range(messages)) == messages
     node.destroy_node()
+
+
+def guard_is_free(claimed: int) -> bool:
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind(("127.0.0.1", ports.PORT_BASE + ports.DOMAIN_GAIN * claimed + ports.GUARD_OFFSET))
+        return True
+    return False
+
+
+def test_claims_differ_and_are_five_apart() -> None:
+    with ExitStack() as stack:
+        domains = [stack.enter_context(claimed_domain()) for _ in range(5)]
+        assert len(set(domains)) == 5
+        assert all(claimed % ports.SPACING == 0 and 0 < claimed <= ports.LARGEST_DOMAIN for claimed in domains)
+        assert not any(guard_is_free(claimed) for claimed in domains)
+    assert all(guard_is_free(claimed) for claimed in domains)
+    with pytest.raises(KeyError), claimed_domain() as claimed:
+        raise KeyError
+    assert guard_is_free(claimed)
+
+
+def test_a_claim_over_many_ports_needs_them_all() -> None:
+    with claimed_domain(4 * ports.SPACING) as first:
+        pass
+    taken = first + 2 * ports.SPACING
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as foreign:
+        foreign.bind(("127.0.0.1", ports.PORT_BASE + ports.DOMAIN_GAIN * taken + ports.GUARD_OFFSET))
+        with claimed_domain(4 * ports.SPACING) as second:
+            assert not second <= taken < second + 4 * ports.SPACING
+
+
+def test_a_claim_ends_with_its_holder_however_that_ends() -> None:
+    words = [sys.executable, "-c", HOLDER]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        claimed = int(holder.stdout.readline())
+        with claimed_domain() as mine:
+            assert mine != claimed
+        assert not guard_is_free(claimed)
+        os.kill(holder.pid, signal.SIGKILL)
+        holder.wait()
+    assert guard_is_free(claimed)
+
+
+def test_no_domain_left_is_named_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def taken(_: object, address: tuple[str, int]) -> None:
+        tried.append((address[1] - ports.PORT_BASE - ports.GUARD_OFFSET) // ports.DOMAIN_GAIN)
+        raise OSError(errno.EADDRINUSE, "taken")
+
+    monkeypatch.setattr(socket.socket, "bind", taken)
+    with pytest.raises(RunError, match=r"no ROS domain is free on this machine: .* end other runs"), claimed_domain():
+        pytest.fail("a domain was claimed")
+    assert tried[0] == ports.SPACING and tried[-1] + ports.SPACING <= ports.LARGEST_DOMAIN

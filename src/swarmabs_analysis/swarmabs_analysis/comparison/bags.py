@@ -8,12 +8,13 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps, recorded_steps
+from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.difference import plain
 from swarmabs_bag.attached import attached_provenance, attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.figures import RealtimeFigures, RunFigures
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.steps import REALTIME_WINDOW, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS
@@ -230,8 +231,10 @@ class _Side:
     def steps(self) -> Iterator[RecordedStep]:
         """Yield the bag's steps as far as they can be read."""
         found, realtime = self.found, self._realtime is not None
+        # Another recorder receives topics independently of each other, as one in real time does.
+        window = None if attached_provenance(self.bag) else REALTIME_WINDOW
         try:
-            for step in recorded_steps(self._records(), found.file, realtime=realtime):
+            for step in recorded_steps(self._records(), found.file, realtime=realtime, window=window):
                 self._run.add(step)
                 if step.records[0].topic is not EVENTS:
                     found.first_step = step.step if found.first_step is None else found.first_step

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_analysis.export.tables import TABLES, row_of
+from swarmabs_analysis.export.tables import TABLES, WORD
 from swarmabs_bag.arrays import arrays_since, available_memory, load_tables
 from swarmabs_bag.attached import step_period
 from swarmabs_bag.errors import BagTooLargeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, Field, SwarmEvent, fields_of, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,16 +26,14 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_core.arrays import RunArrays
 
-_EVENT_BYTES = 500
-"""Memory that a decoded event takes, without a long text."""
-
 
 def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
-    """Write the arrays of a bag (`load_arrays`) and its events into a new ``.npz`` file, whole or not at all.
+    """Write the arrays of a bag (`load_arrays`), events and summary into a new ``.npz`` file, whole or not at all.
 
     Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape (n+1,
     N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape
-    (E,), texts as fixed-width unicode; ``units`` is a JSON text of the units. Nothing in it is pickled.
+    (E,), texts as fixed-width unicode. JSON texts are ``units``, the units; ``words``, the words of the numbers in
+    arrays of constants such as ``agents_kind``; and ``summary``. Nothing in it is pickled.
 
     Raises
     ------
@@ -52,11 +50,13 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     run, start = arrays_since(bag, load_tables(bag))
     arrays: dict[str, NDArray[Any]] = {**dict(_named(run)), **_events(bag, start)}
     units = {name: unit for name, unit in _units().items() if name in arrays}
+    described = {"units": units, "words": _words(), "summary": run.summary()}
+    texts = {name: np.array(json.dumps(content)) for name, content in described.items()}
     part = file.with_name(f".{file.name}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as stream:
-            np.savez(stream, units=np.array(json.dumps(units)), **arrays)  # type: ignore[arg-type]
+            np.savez(stream, **texts, **arrays)  # type: ignore[arg-type]
         part.replace(file)
     except OSError as error:
         raise RunError(f"cannot write {file}: {error.strerror or error}; name another file with -o") from error
@@ -70,28 +70,34 @@ def _named(run: RunArrays) -> Iterator[tuple[str, NDArray[Any]]]:
         value = getattr(run, field.name)
         if isinstance(value, MessageArrays):
             yield from ((f"{field.name}_{name}", array) for name, array in value.items())
-        else:
+        elif isinstance(value, np.ndarray):
             yield field.name, value
 
 
 def _events(bag: BagReader, start: float) -> dict[str, NDArray[Any]]:
     """Return the events' fields, each of shape (E,), times since `start` (s); a bag without the topic has none."""
-    (table,) = (table for table in TABLES if table.topic is EVENTS)
-    count = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
-    _check_memory(bag, count * _EVENT_BYTES)
-    row = row_of(table, step_period(bag))
-    rows = [row(message) for _, _, message in bag.decoded((EVENTS,))]
-    columns = zip(*rows, strict=True) if rows else ((),) * len(table.columns)
-    arrays = {}
-    for column, values in zip(table.columns, columns, strict=True):
-        kind: str = column.type
-        if kind == "string":
-            widest = max(map(len, values), default=0)
-            _check_memory(bag, len(rows) * widest * np.dtype("U1").itemsize)
-            kind = f"U{max(widest, 1)}"
-        arrays[f"events_{column.name}"] = np.array(values, dtype=kind)
-    arrays["events_time"] -= start
+    period = step_period(bag)
+    events = [message for _, _, message in bag.decoded((EVENTS,)) if isinstance(message, SwarmEvent)]
+    widest = max((len(event.detail) for event in events), default=1)
+    _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
+    stamps = np.array([event.stamp for event in events], dtype=np.float64) / 1e9
+    steps = [event.stamp if period is None else event.step * period for event in events]
+    arrays = {"events_stamp": stamps, "events_time": np.array(steps, dtype=np.float64) / 1e9 - start}
+    for name, field in fields_of(SwarmEvent).items():
+        if name != "stamp" and isinstance(field, Field):
+            kind = f"U{max(widest, 1)}" if field.ros_type == "string" else field.ros_type
+            arrays[f"events_{name}"] = np.array([getattr(event, name) for event in events], dtype=kind)
     return arrays
+
+
+def _words() -> dict[str, dict[int, str]]:
+    """Return the words of the numbers in arrays of constants."""
+    return {
+        f"{table.name}_{name}": {value.value: word(value) for value in field.constants}
+        for table in TABLES
+        for name, field in fields_of(table.topic.message).items()
+        if isinstance(field, Field) and field.constants is not None
+    }
 
 
 def _check_memory(bag: BagReader, needed: int) -> None:
@@ -111,5 +117,5 @@ def _units() -> dict[str, str]:
             if column.name == "stamp" and table.topic is not EVENTS:
                 continue
             plain = table.name == "plane" or (column.name in {"step", "time"} and table.topic is not EVENTS)
-            units[column.name if plain else f"{table.name}_{column.name}"] = column.unit
+            units[column.name if plain else f"{table.name}_{column.name}"] = "1" if column.type == WORD else column.unit
     return units

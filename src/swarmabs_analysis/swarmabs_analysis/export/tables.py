@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import json
 from contextlib import ExitStack, contextmanager
+from functools import cache, partial
+from math import isnan
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from swarmabs_bag.attached import step_period
+from swarmabs_bag.bag_summary import desired_angle, summarise_bag
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
@@ -22,7 +26,8 @@ from swarmabs_core.messages import (
     Field,
     Topic,
     fields_of,
-    said,
+    word,
+    word_of,
 )
 
 if TYPE_CHECKING:
@@ -34,7 +39,8 @@ if TYPE_CHECKING:
     AddRow = Callable[[Sequence[Any]], object]
 
 COLUMNS_FILE = "columns.csv"
-_PARQUET_ROWS = 16_384
+SUMMARY_FILE = "summary.json"
+PARQUET_ROWS = 16_384
 """Rows of a row group of Parquet; more are never in memory."""
 TableFormat = Literal["csv", "parquet"]
 
@@ -49,7 +55,10 @@ class Column(NamedTuple):
 
 
 class BagTable(NamedTuple):
-    """A topic as a table; the columns are time, stamp, and fields of the message by their names."""
+    """A topic as a table: time, stamp, and fields of the message by their names, of the plane also the reference.
+
+    Constants are words, and a value that stands for none is missing.
+    """
 
     name: str
     topic: Topic
@@ -57,12 +66,16 @@ class BagTable(NamedTuple):
 
 
 _TIME = Column("time", "float64", "s", "time of the step; in real time the stamp")
+_REFERENCE = Column("reference", "float64", "rad", "desired angle with its offsets; missing if unknown")
+WORD = "word"
+"""Type of the columns of constants: text, in Parquet a dictionary."""
 
 
 def _table(name: str, topic: Topic) -> BagTable:
     """Return a topic as a table: step, time, robot, then the fields of the message in their order, last the stamp."""
     stamp, *others = _columns(topic)
-    columns = {column.name: column for column in (_TIME, *others, stamp)}
+    added = (_REFERENCE,) if topic is PLANE_STATE else ()
+    columns = {column.name: column for column in (_TIME, *others, *added, stamp)}
     first = [columns.pop(key) for key in ("step", "time", "agent_id") if key in columns]
     return BagTable(name, topic, (*first, *columns.values()))
 
@@ -72,9 +85,11 @@ def _columns(topic: Topic) -> Iterator[Column]:
         assert isinstance(field, Field)  # noqa: S101 - no message that is recorded consists of others
         if field.ros_type == "time":
             yield Column(name, "float64", "s", field.meaning)
+        elif field.constants is not None:
+            yield Column(name, WORD, "", f"one of {', '.join(map(word, field.constants))}")
         else:
-            constants = ", ".join(f"{value.value}: {said(value)}" for value in field.constants or ())
-            yield Column(name, field.ros_type, field.unit, constants or field.meaning)
+            none = "; missing if none" if field.missing is not None else ""
+            yield Column(name, field.ros_type, field.unit, field.meaning + none)
 
 
 TABLES = (
@@ -88,32 +103,56 @@ TABLES = (
 """All tables, in the order of a bag."""
 
 
-def row_of(table: BagTable, period: int | None) -> Callable[[Message], Sequence[Any]]:
-    """Return what makes a row of a message.
+def _row_of(
+    table: BagTable, period: int | None, reference: Callable[[int], float]
+) -> Callable[[Message], Sequence[Any]]:
+    """Return what makes a row of a message; the reference returns the desired angle (rad) of a step.
 
     Its time is that of its step, for in lockstep a robot's clock may be wrong; where there is no period (ns), as in
     real time, it is the stamp.
     """
     fields = table.topic.message._fields
     names = [column.name for column in table.columns]
+    computed = {"time", "stamp", _REFERENCE.name}
+    pick = itemgetter(*(0 if name in computed else fields.index(name) for name in names))
     time, stamp = names.index("time"), names.index("stamp")
-    pick = itemgetter(*(0 if name in {"time", "stamp"} else fields.index(name) for name in names))
+    wanted = names.index(_REFERENCE.name) if _REFERENCE in table.columns else None
+    shown = [(names.index(name), show) for name, show in _shown(table.topic)]
 
     def row(message: Message) -> Sequence[Any]:
         picked = list(pick(message))
         picked[time] = (message.stamp if period is None else message.step * period) / 1e9
         picked[stamp] = message.stamp / 1e9
+        if wanted is not None:
+            angle = reference(message.step)
+            picked[wanted] = None if isnan(angle) else angle
+        for place, show in shown:
+            picked[place] = show(picked[place])
         return picked
 
     return row
 
 
+def _shown(topic: Topic) -> Iterator[tuple[str, Callable[[int], Any]]]:
+    """Yield the fields that are not shown as the numbers that they are, with what to show for a number."""
+    for name, field in fields_of(topic.message).items():
+        assert isinstance(field, Field)  # noqa: S101 - no message that is recorded consists of others
+        if field.constants is not None:
+            yield name, cache(partial(word_of, field.constants))
+        elif field.missing is not None:
+            yield name, partial(_unless, field.missing)
+
+
+def _unless(missing: int, value: int) -> int | None:
+    return None if value == missing else value
+
+
 def export_tables(
     path: Path | str, folder: Path, table_format: TableFormat, *, namespace: str | None = None
 ) -> tuple[Path, ...]:
-    """Write the tables of a bag into a new folder, whole or not at all, and return the files.
+    """Write the tables of a bag and its summary into a new folder, whole or not at all, and return the files.
 
-    Numbers in CSV have the digits that lead back to the same float64.
+    Numbers in CSV have the digits that lead back to the same float64; a missing value is empty in CSV, null in Parquet.
 
     Raises
     ------
@@ -127,12 +166,17 @@ def export_tables(
         raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
     opened = _parquet if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
-        period = step_period(bag)
-        files = {table.topic: (stack.enter_context(opened(part, table)), row_of(table, period)) for table in TABLES}
+        period, reference = step_period(bag), desired_angle(bag)
+        files = {
+            table.topic: (stack.enter_context(opened(part, table)), _row_of(table, period, reference))
+            for table in TABLES
+        }
         for topic, _, message in bag.decoded(tuple(files)):
             add, row = files[topic]
             add(row(message))
-        _write_columns(part / COLUMNS_FILE)
+        write_columns(part / COLUMNS_FILE)
+        summary = json.dumps(summarise_bag(bag.path, bag.namespace), indent=2)
+        (part / SUMMARY_FILE).write_text(summary + "\n", encoding="utf-8")
     return tuple(sorted(folder.iterdir()))
 
 
@@ -154,11 +198,13 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
         raise InputError(
             f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
         ) from error
+    optional = (name for name, field in fields_of(table.topic.message).items() if _may_be_missing(field))
+    nullable = {_REFERENCE.name, *optional}
     schema = pa.schema(
         pa.field(
             column.name,
-            pa.type_for_alias(column.type),
-            nullable=False,
+            pa.dictionary(pa.int32(), pa.string()) if column.type == WORD else pa.type_for_alias(column.type),
+            nullable=column.name in nullable,
             metadata={name: text for name, text in (("unit", column.unit), ("meaning", column.meaning)) if text},
         )
         for column in table.columns
@@ -174,7 +220,7 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
 
         def add(row: Sequence[Any]) -> None:
             rows.append(row)
-            if len(rows) == _PARQUET_ROWS:
+            if len(rows) == PARQUET_ROWS:
                 write()
 
         yield add
@@ -182,7 +228,12 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
             write()
 
 
-def _write_columns(path: Path) -> None:
+def _may_be_missing(field: Field | type[Message]) -> bool:
+    return isinstance(field, Field) and field.missing is not None
+
+
+def write_columns(path: Path) -> None:
+    """Write what the columns of all tables mean."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["table", "column", "type", "unit", "meaning"])

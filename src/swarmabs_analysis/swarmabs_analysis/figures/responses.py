@@ -31,7 +31,7 @@ KINDS = {Kind.SINGLE_INTEGRATOR: ("SI", ORANGE), Kind.DOUBLE_INTEGRATOR: ("DI", 
 SWARMS = ("single integrators", "double integrators", "heterogeneous")
 _POSITION = "position p, m"
 _MILLI = 1e3
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _MARGIN = 1.08
 
 
@@ -103,7 +103,7 @@ def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> Non
             values[:, column],
             color=colour,
             linestyle=dashes,
-            label=f"{symbol}{str(number).translate(_SUBSCRIPTS)}",
+            label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
         )
 
 
@@ -115,13 +115,13 @@ def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> None:
         axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
 
 
-def abstract_error(axes: Axes, run: RecordedRun) -> Pair:
-    """Draw the error of the abstract state, wanted minus actual; return both pairs of axes."""
+def abstract_error(axes: Axes, run: RecordedRun, colours: tuple[str, str] = (BLUE, VERMILION)) -> Pair:
+    """Draw the error of torque and inertia, wanted minus actual, in these colours; return both pairs of axes."""
     wanted, actual, other = run.arrays.desired, run.arrays.abstract, axes.twinx()
-    axes.plot(run.arrays.time, wanted.torque - actual.torque, color=BLUE, label="τ")
+    axes.plot(run.arrays.time, wanted.torque - actual.torque, color=colours[0], label="τ")
     inertia = _MILLI * (wanted.inertia - actual.inertia)
-    other.plot(run.arrays.time, inertia, color=VERMILION, linestyle=DASHED, label="J")
-    _label_pair(axes, other, "error of τ, N m", "error of J, 10⁻³ kg m²")
+    other.plot(run.arrays.time, inertia, color=colours[1], linestyle=DASHED, label="J")
+    _label_pair(axes, other, "error of τ, N m", "error of J, 10⁻³ kg m²", colours)
     return axes, other
 
 
@@ -186,9 +186,9 @@ def kinds(run: RecordedRun) -> list[Line2D]:
     return [Line2D([], [], color=colour, label=name) for kind, (name, colour) in KINDS.items() if kind in there]
 
 
-def _label_pair(axes: Axes, other: Axes, left: str, right: str) -> None:
-    axes.set_ylabel(left, color=BLUE, labelpad=2.0)
-    other.set_ylabel(right, color=VERMILION, labelpad=2.0)
+def _label_pair(axes: Axes, other: Axes, left: str, right: str, colours: tuple[str, str] = (BLUE, VERMILION)) -> None:
+    axes.set_ylabel(left, color=colours[0], labelpad=2.0)
+    other.set_ylabel(right, color=colours[1], labelpad=2.0)
     for one in (axes, other):
         one.yaxis.set_major_locator(MaxNLocator(6, steps=(1, 2, 2.5, 5, 10), min_n_ticks=4))
     axes.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.5)

@@ -1,4 +1,4 @@
-"""How the figures look, and how they become files.
+"""How the figures of the paper look, which keep its look for comparison, and how pictures become files.
 
 Okabe and Ito's colours, which people with any colour vision tell apart, and with each colour a dash pattern of its own,
 so that grey prints do as well. Sizes are those at which the figures are printed: one or two columns of IEEE's

@@ -1,4 +1,4 @@
-"""Playback of a bag to whoever listens: every message at its time, as it was serialised, with the recorded QoS."""
+"""Playback of a bag: every message at its time, with its recorded bytes and QoS."""
 
 from __future__ import annotations
 

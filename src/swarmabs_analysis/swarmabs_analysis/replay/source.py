@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message
     from swarmabs_core.publishers import NodeName
 
-_WINDOW = 1000
+WINDOW = 1000
 """How many steps are held in memory while one before them is not complete."""
 
 
@@ -126,7 +126,7 @@ def unplanned_end(message: Message) -> Change | None:
 
 
 def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
-    """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `_WINDOW` steps.
+    """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `WINDOW` steps.
 
     The scenario says whose states make a step complete; `ends` are the unplanned ones that are known beforehand.
     """
@@ -137,7 +137,7 @@ def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] 
     for record in bag.records((*MAIN_TOPICS, EVENTS)):
         complete = collector.add(record)
         waiting = 0 if complete else waiting + 1
-        if waiting > _WINDOW * (len(scenario.agents) + len(MAIN_TOPICS)):
+        if waiting > WINDOW * (len(scenario.agents) + len(MAIN_TOPICS)):
             break
         for step in complete:
             if held is not None and step.step == held.step:

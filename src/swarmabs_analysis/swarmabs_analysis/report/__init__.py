@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.report.page import GENERATOR, lowest, page
@@ -16,6 +16,7 @@ from swarmabs_core.errors import InputError, RunError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from swarmabs_analysis.report.panels import Panel
     from swarmabs_analysis.report.record import Recorded
 
 
@@ -24,18 +25,41 @@ _HEAD = 2048
 _MARKS = (f'content="{GENERATOR}"'.encode(), PNG_MARK.encode())
 
 
-@dataclass(frozen=True, slots=True)
 class Report:
-    """A report, not written yet: page, overview as PNG, and what the page is about, for JSON."""
+    """A report, not written yet. What of it is asked for is drawn then, and once.
 
-    bag: Path
-    html: str
-    png: bytes
-    numbers: dict[str, Any]
+    Attributes
+    ----------
+    bag : Path
+        The bag that it is of.
+    numbers : dict
+        What the page is about, for JSON.
+    """
+
+    def __init__(self, recorded: Recorded) -> None:
+        self.bag: Path = recorded.swarm.bag
+        self.numbers = _numbers(recorded)
+        self._recorded = recorded
+
+    @cached_property
+    def html(self) -> str:
+        """The page."""
+        return page(self._recorded, self._panels)
+
+    @cached_property
+    def png(self) -> bytes:
+        """The overview."""
+        return overview(self._recorded, {panel.key: panel for panel in self._panels})
+
+    @cached_property
+    def _panels(self) -> list[Panel]:
+        return list(panels(self._recorded)) if self._recorded.drawable else []
 
 
-def make_report(path: Path, *, namespace: str | None = None) -> Report:
+def make_report(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Report:
     """Make the report of a bag: a run's folder, its ``bag/``, or an MCAP file; of several swarms in it, of one.
+
+    `scenario` names that of a bag without one.
 
     Raises
     ------
@@ -44,10 +68,7 @@ def make_report(path: Path, *, namespace: str | None = None) -> Report:
     DamagedBagError
         If it cannot be read.
     """
-    recorded = read_recorded(path, namespace=namespace)
-    drawn = list(panels(recorded)) if recorded.drawable else []
-    png = overview(recorded, {panel.key: panel for panel in drawn})
-    return Report(recorded.swarm.bag, page(recorded, drawn), png, _numbers(recorded))
+    return Report(read_recorded(path, namespace=namespace, scenario=scenario))
 
 
 def _numbers(recorded: Recorded) -> dict[str, Any]:

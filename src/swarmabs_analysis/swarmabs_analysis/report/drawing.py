@@ -6,23 +6,14 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from swarmabs_analysis.figures.responses import each_robot, kinds, robots_by_kind, same_limits, time_axis
-from swarmabs_analysis.figures.style import (
-    BLACK,
-    BLUE,
-    DASHED,
-    DOTTED,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-)
+from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
+from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOTS, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
-from swarmabs_core.messages import EventKind
+from swarmabs_bag.colours import ABSENT, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
+from swarmabs_core.messages import EventKind, Kind, said
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
@@ -30,7 +21,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
-    from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
     from swarmabs_analysis.figures.runs import RecordedRun
@@ -50,11 +40,11 @@ _DECADES = 30.0
 _FEW_MARKS, _MOST_MARKS = 12, 200
 _FINE, _COARSE = 241, 21
 _EVENT_COLOURS: Mapping[int, str] = {
-    EventKind.DEAD: VERMILION,
-    EventKind.LEFT: ORANGE,
-    EventKind.JOINED: GREEN,
-    EventKind.SAFE_STOP: PURPLE,
-    EventKind.STALLED: VERMILION,
+    EventKind.DEAD: FAILED,
+    EventKind.LEFT: ABSENT,
+    EventKind.JOINED: BLACK,
+    EventKind.SAFE_STOP: SAFE_STOP,
+    EventKind.STALLED: FAILED,
 }
 """Colours of the events that say who takes part; the others are grey."""
 
@@ -108,6 +98,7 @@ def lines_over_time(
         axes.set_ylabel(label)
         if positive:
             _by_decades(axes, np.concatenate([line.values for line in lines]))
+            axes.set_ylabel(f"{label} (logarithmic)" if axes.get_yscale() == "log" else label)
         return axes.lines
 
     return _over_time(recorded, draw)
@@ -142,7 +133,7 @@ def of_all_robots(recorded: Recorded, values: Floats, symbol: str, label: str, *
 
     def draw(figure: FigureBase) -> None:
         axes = figure.add_subplot()
-        time_axis(axes, float(recorded.arrays.time[-1]))
+        _linear(axes, float(recorded.arrays.time[-1]))
         legend = _robots(axes, recorded, values, symbol)
         for line in list(axes.lines):
             if np.isnan(np.asarray(line.get_ydata(), dtype=float)).all():
@@ -160,21 +151,54 @@ def of_all_robots(recorded: Recorded, values: Floats, symbol: str, label: str, *
 def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequence[Line2D | Patch]:
     """Draw a quantity of all robots, and return what stands for them in a legend."""
     count = len(recorded.arrays.agents.ids)
+    if count > MANY:
+        return draw_bands(axes, recorded, values)
+    agents, drawn = recorded.arrays.agents, set()
+    for column, number in enumerate(agents.ids.tolist()):
+        kind = Kind(max(agents.kind[:, column].tolist()))
+        if np.isfinite(values[:, column]).any():
+            drawn.add(kind)
+        axes.plot(
+            recorded.arrays.time,
+            values[:, column],
+            color=KINDS[kind],
+            linestyle=ROBOTS[column % len(ROBOTS)][1] if count <= NAMED else SOLID,
+            linewidth=1.1 if count <= NAMED else 0.4,
+            label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
+        )
     if count <= NAMED:
-        each_robot(axes, recorded.run, values, symbol)
         return axes.lines
-    if count <= MANY:
-        robots_by_kind(axes, recorded.run, values)
-        drawn = {line.get_color() for line in axes.lines if np.isfinite(np.asarray(line.get_ydata(), float)).any()}
-        return [one for one in kinds(recorded.run) if one.get_color() in drawn]
-    return draw_bands(axes, recorded, values)
+    return [Line2D([], [], color=colour, label=said(kind)) for kind, colour in KINDS.items() if kind in drawn]
+
+
+def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
+    """Return what draws angle and positions in a span of time, s."""
+    time = recorded.arrays.time
+    inside = (time >= begin) & (time <= end)
+
+    def draw(figure: FigureBase) -> None:
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        upper.plot(time[inside], recorded.arrays.reference[inside], color=REFERENCE, linestyle=DASHED)
+        upper.plot(time[inside], recorded.arrays.angle[inside], color=PLANE)
+        upper.set_ylabel("θ, rad")
+        _linear(lower, float(time[-1]))
+        _robots(lower, recorded, np.where(inside[:, None], recorded.arrays.agents.position, np.nan), "p")
+        lower.set(xlabel="time, s", ylabel="p, m", xlim=(begin, end))
+        upper.grid(visible=True)
+        for axes in (upper, lower):
+            for event in recorded.swarm.events:
+                if event.kind in _EVENT_COLOURS and begin <= recorded.swarm.time_of(event) <= end:
+                    moment = recorded.swarm.time_of(event)
+                    axes.axvline(moment, color=_EVENT_COLOURS[event.kind], linewidth=1.0, linestyle=DOTTED)
+
+    return draw
 
 
 def mass_density(recorded: Recorded) -> Draw:
     """Return what draws where the mass of the robots is."""
 
     def draw(axes: Axes) -> Sequence[Line2D]:
-        time_axis(axes, float(recorded.arrays.time[-1]))
+        _linear(axes, float(recorded.arrays.time[-1]))
         axes.figure.colorbar(density(axes, recorded), ax=axes, label="kg per mm", pad=0.01)
         axes.set_ylabel("position p, m")
         return []
@@ -188,9 +212,9 @@ def grid_over_time(recorded: Recorded, quantities: Mapping[str, tuple[Floats, st
     def draw(figure: FigureBase) -> None:
         grid = figure.subplots(4, 2, sharex=True)
         for axes, (name, (values, unit)) in zip(grid.flat, quantities.items(), strict=True):
-            axes.plot(recorded.arrays.time, values, color=BLUE)
+            axes.plot(recorded.arrays.time, values, color=BLACK)
             axes.set_ylabel(f"{name}, {unit}")
-            time_axis(axes, float(recorded.arrays.time[-1]))
+            _linear(axes, float(recorded.arrays.time[-1]))
         for axes in grid[-1]:
             axes.set_xlabel("time, s")
 
@@ -219,7 +243,7 @@ def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw
         return [Patch(color=colour, label=name) for name, (flags, colour) in looks.items() if flags.any()]
 
     def counts(axes: Axes) -> Sequence[Line2D]:
-        for (name, (flags, colour)), dashes in zip(looks.items(), ("-", DASHED, DOTTED), strict=True):
+        for (name, (flags, colour)), dashes in zip(looks.items(), ("-", DASHED, DOTTED, "-", DASHED), strict=False):
             axes.step(time, flags.sum(axis=1), where="post", color=colour, linestyle=dashes, label=name)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("robots")
@@ -247,23 +271,21 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
     least = np.array([sets.smallest_inertia(t) for t in torque.tolist()])
     inner = np.array([sets.largest_admissible_inertia(t) for t in torque.tolist()])
     inner = np.clip(inner, least, 2.0 * high)
-    axes.fill_between(torque, least, inner, color=SKY, alpha=0.35, linewidth=0.0, label="A_A")
+    axes.fill_between(torque, least, inner, color=GREY, alpha=0.35, linewidth=0.0, label="A_A")
     if (inner < high).any():
         # Even in the torque, and slow to compute for many different masses.
         sides = np.linspace(0.0, reach, _COARSE)
         highest = [sets.largest_inertia(t).lower for t in sides.tolist()]
         outer = np.interp(np.abs(torque), sides, np.clip(highest, 0.0, 2.0 * high))
-        axes.fill_between(
-            torque, inner, outer, color=ORANGE, alpha=0.25, linewidth=0.0, label="A_P", where=outer > inner
-        )
+        axes.fill_between(torque, inner, outer, color=GREY, alpha=0.15, linewidth=0.0, label="A_P", where=outer > inner)
     on_manifold = np.clip(torque, -manifold.torque_max, manifold.torque_max)
     inertia = [manifold.inertia(t) for t in on_manifold.tolist()]
-    axes.plot(on_manifold, inertia, color=GREEN, linewidth=1.8, label="manifold")
+    axes.plot(on_manifold, inertia, color=GREY, linewidth=1.8, label="manifold")
     actual, desired = states
-    axes.plot(actual.torque, actual.inertia, color=BLUE, linewidth=0.9, label="actual")
-    axes.plot(desired.torque, desired.inertia, color=BLACK, linestyle=DOTTED, linewidth=1.3, label="desired")
+    axes.plot(actual.torque, actual.inertia, color=TORQUE, linewidth=0.9, label="actual")
+    axes.plot(desired.torque, desired.inertia, color=REFERENCE, linestyle=DASHED, linewidth=1.3, label="desired")
     for row, marker, name in ((0, "o", "start"), (-1, "s", "end")):
-        axes.plot(actual.torque[row], actual.inertia[row], marker, markersize=4.5, color=VERMILION, label=name)
+        axes.plot(actual.torque[row], actual.inertia[row], marker, markersize=4.5, color=TORQUE, label=name)
     axes.set(xlabel="torque τ, N m", ylabel="inertia J, kg m²", xlim=(-reach, reach), ylim=(0.0, high))
     axes.grid(visible=True)
     _legend(axes, axes.get_legend_handles_labels()[0])
@@ -271,10 +293,15 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
 
 def finish(axes: Axes, recorded: Recorded, named: Sequence[Line2D | Patch]) -> None:
     """Give a panel over time its axis, its legend and the marks of the events."""
-    time_axis(axes, float(recorded.arrays.time[-1]))
+    _linear(axes, float(recorded.arrays.time[-1]))
     axes.set_xlabel("time, s")
     _legend(axes, [one for one in named if not str(one.get_label()).startswith("_")])
     _mark_events(axes, recorded)
+
+
+def _linear(axes: Axes, end: float) -> None:
+    axes.set_xlim(0.0, end)
+    axes.grid(visible=True)
 
 
 def _by_decades(axes: Axes, values: Floats) -> None:
@@ -319,6 +346,7 @@ def _mark_events(axes: Axes, recorded: Recorded) -> None:
             marker="v" if marked else "|",
             markersize=4.5 if marked else 3.5,
             markeredgewidth=0.4,
+            markeredgecolor=BLACK if marked else GREY,
             color=colour,
             clip_on=False,
             zorder=5.0 if marked else 4.0,

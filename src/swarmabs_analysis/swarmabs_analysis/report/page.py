@@ -34,6 +34,7 @@ MOST_EVENTS = 60
 SECTIONS = {
     "metrics": "Metrics",
     "plane": "Plane",
+    "zooms": "Around the events",
     "robots": "Robots",
     "abstract": "Abstract state",
     "margins": "Constraint margins",

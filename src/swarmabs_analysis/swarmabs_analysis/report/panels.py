@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_analysis.figures.responses import STRETCHED, abstract_error, parent_state
-from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREEN, GREY, ORANGE, VERMILION
+from swarmabs_analysis.figures.responses import abstract_error
+from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED
 from swarmabs_analysis.report.drawing import (
     MANY,
     ROWS,
@@ -22,9 +22,22 @@ from swarmabs_analysis.report.drawing import (
     of_all_robots,
     pair_over_time,
     statuses,
+    zoom,
 )
 from swarmabs_analysis.report.formatting import counted, joined, quantity, span
-from swarmabs_core.messages import Kind
+from swarmabs_bag.colours import (
+    ABSENT,
+    DOUBLE_INTEGRATOR,
+    ERROR,
+    FAILED,
+    INERTIA,
+    PLANE,
+    REFERENCE,
+    SAFE_STOP,
+    SINGLE_INTEGRATOR,
+    TORQUE,
+)
+from swarmabs_core.messages import EventKind, Kind, said
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,11 +51,21 @@ if TYPE_CHECKING:
 
 TOLERANCE = 0.01
 """Error below which the plane counts as settled, rad."""
+BEFORE, AFTER, MOST_ZOOMS = 1.0, 4.0, 6
+"""Time shown before and after an event, s, and the most events with a picture of their own."""
+ZOOMED = {
+    EventKind.JOINED,
+    EventKind.LEFT,
+    EventKind.DEAD,
+    EventKind.SAFE_STOP,
+    EventKind.STALLED,
+    EventKind.STEERING,
+    EventKind.MODE_CHANGED,
+}
 BANDS = (
     "Dark bands hold the middle 50 %, light ones 90 % of the robots that start on the same side of the axis; "
     "dotted lines are the outermost ones, solid ones the medians."
 )
-STRETCH = "The first seconds, shaded, have half of each time axis."
 MEASURED = (
     "Angle and rate are what the plane's sensor says, with its noise and resolution; the true ones are not recorded."
 )
@@ -72,6 +95,7 @@ class Panel:
 def panels(recorded: Recorded) -> Iterator[Panel]:
     """Yield the pictures of a run, in the order of a report."""
     yield from _plane(recorded)
+    yield from _zooms(recorded)
     yield from _robots(recorded)
     yield from _abstract(recorded)
     yield from _margins(recorded)
@@ -80,30 +104,67 @@ def panels(recorded: Recorded) -> Iterator[Panel]:
 
 
 def _plane(recorded: Recorded) -> Iterator[Panel]:
-    arrays, reference = recorded.arrays, recorded.swarm.reference
+    arrays, reference = recorded.arrays, recorded.arrays.reference
     note = MEASURED if recorded.measured else ""
     settled = recorded.metrics["settled_at"]
+    lines = [Line("θ", arrays.angle, PLANE), Line("θ wanted", reference, REFERENCE, DASHED)]
     about = joined(
         span("angle θ", arrays.angle, "rad"),
         span("angle wanted", reference, "rad") if np.any(reference) else "",
-        span("rate ω", arrays.angular_velocity, "rad/s"),
     )
-    stretched = joined(note, STRETCH if float(arrays.time[-1]) >= 2.0 * STRETCHED else "", by=" ")
-    heading = "Angle, reference and rate of the plane"
-    yield Panel("plane", "plane", heading, pair_over_time(recorded, parent_state), about, stretched)
-    draw = lines_over_time(
-        recorded,
-        "error, rad",
-        [Line("|θ wanted - θ|", np.abs(recorded.error), BLUE)],
-        level=Mark("10 mrad", TOLERANCE, BLACK, DOTTED),
-        moment=Mark(f"settled at {settled:g} s", settled, GREEN, DASHED) if isinstance(settled, float) else None,
-        positive=True,
-    )
+    draw = lines_over_time(recorded, "θ, rad", lines)
+    yield Panel("plane", "plane", "Angle and reference of the plane", draw, about, note)
+    draw = lines_over_time(recorded, "ω, rad/s", [Line("ω", arrays.angular_velocity, PLANE)])
+    about = span("rate ω", arrays.angular_velocity, "rad/s")
+    yield Panel("rate", "plane", "Rate of the plane", draw, about, note)
+    moment = Mark(f"settled at {settled:g} s", settled, BLACK, DOTTED) if isinstance(settled, float) else None
+    bound = np.full(len(arrays.time), TOLERANCE)
+    lines = [
+        Line("θ wanted - θ", recorded.error, ERROR),
+        Line("±10 mrad", bound, BLACK, DOTTED),
+        Line("_", -bound, BLACK, DOTTED),
+    ]
     about = joined(
         span("tracking error", recorded.error, "rad"),
         "it does not stay within 10 mrad" if settled is None else f"within 10 mrad from {settled:g} s on",
     )
+    draw = lines_over_time(recorded, "error, rad", lines, moment=moment)
     yield Panel("tracking", "plane", "Tracking error of the angle", draw, about, note)
+    draw = lines_over_time(
+        recorded,
+        "|error|, rad",
+        [Line("|θ wanted - θ|", np.abs(recorded.error), ERROR)],
+        level=Mark("10 mrad", TOLERANCE, BLACK, DOTTED),
+        moment=moment,
+        positive=True,
+    )
+    about = "a straight descent is an exponential one"
+    yield Panel("tracking-decades", "plane", "Size of the tracking error", draw, about, note)
+
+
+def _zooms(recorded: Recorded) -> Iterator[Panel]:
+    """Yield angle and positions around the start and the events, those with the largest errors if they are many."""
+    time, error = recorded.arrays.time, np.abs(recorded.error)
+    last = float(time[-1])
+    if last < 2.0 * (BEFORE + AFTER):
+        return
+    moments = [(0.0, "the start")]
+    for event in recorded.swarm.events:
+        at = recorded.swarm.time_of(event)
+        if event.kind in ZOOMED and moments[-1][0] + AFTER < at < last:
+            who = f"robot {event.agent_id} " if event.agent_id else ""
+            moments.append((at, f"{at:g} s: {who}{said(EventKind(event.kind))}"))
+
+    def largest(moment: tuple[float, str]) -> float:
+        found = error[(time >= moment[0]) & (time <= moment[0] + AFTER)]
+        return float(np.nanmax(found, initial=0.0))
+
+    chosen = sorted(sorted(moments, key=largest, reverse=True)[:MOST_ZOOMS])
+    for number, moment in enumerate(chosen):
+        begin = max(0.0, moment[0] - BEFORE)
+        about = f"angle with its dashed reference, and positions; largest error {quantity(largest(moment), 'rad')}"
+        draw = zoom(recorded, begin, min(last, moment[0] + AFTER))
+        yield Panel(f"zoom-{number}", "zooms", f"Around {moment[1]}", draw, about)
 
 
 def _robots(recorded: Recorded) -> Iterator[Panel]:
@@ -135,14 +196,14 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
 
 def _abstract(recorded: Recorded) -> Iterator[Panel]:
     actual, desired = recorded.arrays.abstract, recorded.arrays.desired
-    for key, letter, unit, found, wanted, truth in (
-        ("torque", "τ", "N m", actual.torque, desired.torque, recorded.torque if recorded.estimated else None),
-        ("inertia", "J", "kg m²", actual.inertia, desired.inertia, None),
+    for key, letter, unit, colour, found, wanted, truth in (
+        ("torque", "τ", "N m", TORQUE, actual.torque, desired.torque, recorded.torque if recorded.estimated else None),
+        ("inertia", "J", "kg m²", INERTIA, actual.inertia, desired.inertia, None),
     ):
-        lines = [Line(f"{letter} {'actual' if truth is None else 'estimated'}", found, BLUE)]
+        lines = [Line(f"{letter} {'actual' if truth is None else 'estimated'}", found, colour)]
         if truth is not None:
-            lines.append(Line(f"{letter} from the robots' states", truth, GREEN, DASHED))
-        lines.append(Line(f"{letter} desired", wanted, BLACK, DOTTED))
+            lines.append(Line(f"{letter} from the robots' states", truth, ERROR, DOTTED))
+        lines.append(Line(f"{letter} desired", wanted, REFERENCE, DASHED))
         about = joined(
             span(f"actual {key}", found, unit),
             span(f"desired {key}", wanted, unit),
@@ -155,7 +216,7 @@ def _abstract(recorded: Recorded) -> Iterator[Panel]:
         span("error of τ", desired.torque - actual.torque, "N m"),
         span("error of J", desired.inertia - actual.inertia, "kg m²"),
     )
-    draw = pair_over_time(recorded, abstract_error)
+    draw = pair_over_time(recorded, lambda axes, run: abstract_error(axes, run, (TORQUE, INERTIA)))
     yield Panel("abstract-error", "abstract", "Error of the abstract state", draw, about)
     spans = list(recorded.spans())
     masses = spans[0][2] if spans else ()
@@ -172,16 +233,16 @@ def _abstract(recorded: Recorded) -> Iterator[Panel]:
 def _margins(recorded: Recorded) -> Iterator[Panel]:
     time, margin = recorded.arrays.time, recorded.margins
     limit = 1e-12 * recorded.scenario.plane.length**2
-    level = Mark("end of the plane", 0.0, VERMILION, DASHED)
-    draw = lines_over_time(recorded, "m", [Line("L/2 - largest |p|", margin.end, BLUE)], level=level)
+    level = Mark("end of the plane", 0.0, FAILED, DASHED)
+    draw = lines_over_time(recorded, "m", [Line("L/2 - largest |p|", margin.end, BLACK)], level=level)
     about = joined(span("margin", margin.end, "m"), _lowest(margin.end, time, "m"))
     heading = "From the outermost robot to the plane's end"
     yield Panel("margin-end", "margins", heading, draw, about, recorded.lies_note)
     lines = [
-        Line("abstract state", margin.actual, BLUE, rows=margin.rows),
-        Line("desired one", margin.desired, BLACK, DOTTED, rows=margin.rows),
+        Line("abstract state", margin.actual, TORQUE, rows=margin.rows),
+        Line("desired one", margin.desired, REFERENCE, DASHED, rows=margin.rows),
     ]
-    level = Mark("boundary of A_A", 0.0, VERMILION, DASHED)
+    level = Mark("boundary of A_A", 0.0, FAILED, DASHED)
     draw = lines_over_time(recorded, "distance, N m and kg m²", lines, level=level)
     about = joined(
         span("of the abstract state", margin.actual, ""),
@@ -189,7 +250,7 @@ def _margins(recorded: Recorded) -> Iterator[Panel]:
         span("of the desired one", margin.desired, ""),
     )
     yield Panel("margin-set", "margins", "Distance to the boundary of A_A", draw, about, NORM)
-    draw = lines_over_time(recorded, "m²", [Line("S₃/S₀²", margin.spread, GREEN)], positive=True)
+    draw = lines_over_time(recorded, "m²", [Line("S₃/S₀²", margin.spread, BLACK)], positive=True)
     about = joined(span("S₃/S₀²", margin.spread, "m²"), _lowest(margin.spread, time, "m²"))
     note = (
         f"Where it vanishes all robots stand at one point, and no law has a solution: they stop below {limit:.3g} m²."
@@ -216,11 +277,15 @@ def _sums(recorded: Recorded) -> Panel:
 def _membership(recorded: Recorded) -> Panel:
     agents, swarm = recorded.arrays.agents, recorded.swarm
     count, reporting, stopped = len(agents.ids), agents.kind > 0, swarm.have_status("safe_stop")
-    standing = swarm.have_status("dead") | swarm.have_status("silent")
+    dead, silent = swarm.have_status("dead"), swarm.have_status("silent")
+    follows = swarm.on_plane & ~stopped & ~dead & ~silent
+    single = (agents.kind == Kind.SINGLE_INTEGRATOR).any(axis=0)
     looks = {
-        "follows": (swarm.on_plane & ~stopped & ~standing, GREEN),
-        "safe stop": (stopped, ORANGE),
-        "stands still, out of the run": (standing, GREY),
+        "single integrator follows": (follows & single, SINGLE_INTEGRATOR),
+        "double integrator follows": (follows & ~single, DOUBLE_INTEGRATOR),
+        "safe stop": (stopped, SAFE_STOP),
+        "dead": (dead, FAILED),
+        "silent": (silent & ~dead, ABSENT),
     }
     there = swarm.on_plane.sum(axis=1)
     about = joined(

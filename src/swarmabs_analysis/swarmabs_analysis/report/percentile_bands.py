@@ -9,7 +9,9 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREEN, PURPLE, SOLID, VERMILION
+from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, SOLID
+from swarmabs_bag.colours import KINDS
+from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,17 +37,16 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
     """
     there = np.isfinite(values).any(axis=0)
     legend: list[Line2D | Patch] = []
-    for positive, colour in ((True, BLUE), (False, VERMILION)):
+    for positive, colour in ((True, BLACK), (False, GREY)):
         chosen = np.flatnonzero(there & ((_start(recorded) > 0) == positive))
         if len(chosen):
             _draw_band(axes, recorded, values[:, chosen], colour)
             legend.append(Patch(color=colour, alpha=0.5, label=f"p {'>' if positive else '≤'} 0 at first"))
     named = _named(recorded, values, there).items() if there.any() else ()
-    for (name, column), (colour, dashes) in zip(
-        named, ((BLACK, SOLID), (GREEN, DASHED), (PURPLE, SOLID)), strict=False
-    ):
+    for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
+        colour = KINDS[Kind(int(recorded.arrays.agents.kind[:, column].max()))]
         legend += axes.plot(
-            recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=0.7, label=name
+            recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=1.0, label=name
         )
     return legend
 
@@ -87,7 +88,7 @@ def density(axes: Axes, recorded: Recorded) -> QuadMesh:
         found, _ = np.histogram(position[there], bins=edges, weights=mass[there])
         masses.append(found / len(position) / (edges[1] - edges[0]) / 1e3)
         kept.append(end)
-    fade = LinearSegmentedColormap.from_list("mass", [(*to_rgb(GREEN), 0.0), (*to_rgb(GREEN), 1.0)])
+    fade = LinearSegmentedColormap.from_list("mass", [(*to_rgb(GREY), 0.0), (*to_rgb(GREY), 1.0)])
     mesh = axes.pcolormesh([float(time[0]), *kept], edges, np.array(masses).T, cmap=fade, rasterized=True)
     mesh.set_clim(0.0, float(np.quantile(np.array(masses), 0.998)) or 1.0)
     return mesh

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from swarmabs_analysis.figures import style
 from swarmabs_analysis.report.formatting import quantity, shown
+from swarmabs_bag import colours
 from swarmabs_bag.recorded_swarm import column_points
 
 if TYPE_CHECKING:
@@ -38,13 +39,15 @@ COLOURS = {
     style.LIGHT: "light",
     "#dddddd": "grid",
     "#ffffff": "paper",
-    style.ORANGE: "orange",
-    style.SKY: "sky",
-    style.GREEN: "green",
-    style.YELLOW: "yellow",
-    style.BLUE: "blue",
-    style.VERMILION: "vermilion",
-    style.PURPLE: "purple",
+    colours.PLANE: "plane",
+    colours.ERROR: "error",
+    colours.TORQUE: "torque",
+    colours.INERTIA: "inertia",
+    colours.SINGLE_INTEGRATOR: "single",
+    colours.DOUBLE_INTEGRATOR: "double",
+    colours.FAILED: "failed",
+    colours.SAFE_STOP: "safe-stop",
+    colours.ABSENT: "absent",
 }
 """The variable of the page's style sheet that stands for each colour."""
 

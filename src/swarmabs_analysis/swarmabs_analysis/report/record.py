@@ -11,7 +11,7 @@ import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
 from swarmabs_bag.arrays import arrays_since, digest_of, load_tables
-from swarmabs_bag.attached import attached_provenance, is_realtime
+from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
 from swarmabs_bag.figures import RunFigures
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import realtime_figures
@@ -100,7 +100,7 @@ class Recorded:
     @cached_property
     def error(self) -> Floats:
         """Wanted minus recorded angle at each step, rad."""
-        return self.swarm.reference - self.arrays.angle
+        return self.arrays.reference - self.arrays.angle
 
     @cached_property
     def masses(self) -> Floats:
@@ -170,9 +170,10 @@ class Recorded:
         return any((*sensor.noise, *sensor.resolution))
 
 
-def read_recorded(path: Path, *, namespace: str | None = None) -> Recorded:
+def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Recorded:
     """Read a bag for a report; one that has lost its end too, as far as it goes. Errors as of `make_report`."""
     bag = open_bag(path, namespace=namespace, damaged=True)
+    supply_scenario(bag, scenario)
     tables = load_tables(bag)
     arrays, _ = arrays_since(bag, tables)
     swarm = recorded_swarm(bag, tables, arrays)

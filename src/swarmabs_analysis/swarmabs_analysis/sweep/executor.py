@@ -54,7 +54,7 @@ _NO_PAGES: dict[str, list[str]] = {"distributed.scheduler.http.routes": [], "dis
 """Settings of Dask by which scheduler and workers show nothing of themselves by HTTP."""
 
 _PACKAGES = (swarmabs_core, swarmabs_config, swarmabs_bag, swarmabs_run)
-_SOURCES = {package.__name__: Path(package.__path__[0]) for package in _PACKAGES} | {"sweep": Path(__file__).parent}
+SOURCES = {package.__name__: Path(package.__path__[0]) for package in _PACKAGES} | {"sweep": Path(__file__).parent}
 """What a case's results depend on: mathematics, scenarios, simulation, figures, and how cases are evaluated."""
 
 
@@ -234,14 +234,14 @@ class Identity(NamedTuple):
     libm: str
 
 
-def identity() -> Identity:
-    """Return what this process computes with."""
+def identity(sources: Mapping[str, Path] = SOURCES) -> Identity:
+    """Return what this process computes with, given by the folders of its sources."""
     try:
         installed = version("swarmabs_core")
     except PackageNotFoundError:
         installed = "not installed"
     total = sha256()
-    for name, folder in _SOURCES.items():
+    for name, folder in sources.items():
         for path in sorted(folder.rglob("*.py")):
             content = path.read_bytes()
             total.update(f"{name}/{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)

@@ -159,7 +159,9 @@ def find_folder(study: Study, path: Path) -> SweepFolder:
         try:
             found = (path / name).read_bytes()
         except OSError as error:
-            raise InputError(f"{path / name} cannot be read: {error.strerror}; start anew in another folder") from error
+            raise InputError(
+                f"{path / name} cannot be read: {error.strerror}; start again in another folder"
+            ) from error
         if found != text.encode():
             pairs = zip_longest(
                 found.decode(errors="replace").splitlines(keepends=True), text.splitlines(keepends=True)
@@ -167,7 +169,7 @@ def find_folder(study: Study, path: Path) -> SweepFolder:
             line = next((number for number, (one, other) in enumerate(pairs, 1) if one != other), 1)
             raise InputError(
                 f"{path} holds another sweep: {name} differs from line {line} on; "
-                "go on with the files it was begun with, or start anew in another folder"
+                "continue with the files that it was started with, or start again in another folder"
             )
     return SweepFolder(path)
 

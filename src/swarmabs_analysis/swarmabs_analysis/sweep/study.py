@@ -162,7 +162,7 @@ class Sweep(Model):
         default={}, alias="set", description="values that differ from the scenario's in all cases"
     )
     grid: dict[DottedPath, Values] = Field(default={}, description="parameters of which all combinations are computed")
-    random: dict[DottedPath, Distribution] = Field(default={}, description="parameters drawn anew for each case")
+    random: dict[DottedPath, Distribution] = Field(default={}, description="parameters drawn for each case")
     samples: int = Field(default=1, ge=1, le=MOST_CASES, description="cases per point of the grid")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of everything random in the sweep")
     results: Annotated[tuple[Result, ...], AsTuple] = Field(default=RESULTS, description="what is kept of each case")

@@ -1,4 +1,4 @@
-"""Every message of a run in lockstep, recomputed from those before it (docs/verify.md).
+"""Every message of a run in lockstep, recomputed from those before it (docs/how-to/verify.md).
 
 Each node is its own state machine, the one that runs as a process, and hears what the bag holds and nothing else: a
 robot the three broadcasts, the observer and the plane the robots' states, the parent controller the plane's state. What

@@ -1,4 +1,4 @@
-"""Every message of a run in real time, recomputed from what its sender had (docs/realtime.md).
+"""Every message of a run in real time, recomputed from what its sender had (docs/explanation/realtime.md).
 
 What a node hears in real time depends on the network. So each message names what it was computed from: a robot's state
 the step of the broadcasts, a coordinator's answer its provenance. From these the same pure functions that run in the

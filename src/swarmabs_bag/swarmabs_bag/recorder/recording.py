@@ -60,8 +60,8 @@ class _Recording(Generic[F]):
         return self.figures()
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures of the run so far."""
-        return self.run.summary()
+        """Return the figures of the run so far, and its events as people read them."""
+        return {**self.run.summary(), "events": self._tracker.events()}
 
 
 class Recording(_Recording[RunFigures]):

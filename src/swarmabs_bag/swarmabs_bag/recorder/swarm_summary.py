@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SHOWN_ROBOTS = 200
 """More robots than these are only counted: a report must stay below 4 KiB."""
 SHOWN_EVENTS = 3
+KEPT_EVENTS = 10
+"""The first events of a run that its summary lists; further ones are counted."""
 EVENT_CHARACTERS = 80
 THOUSAND = 1000
 """The end of the plane, in the unit of the places."""
@@ -64,6 +66,8 @@ class SummaryTracker:
         self._robots = RobotHistory(members, states=1)
         self._newest = -1
         self._events: deque[str] = deque(maxlen=SHOWN_EVENTS)
+        self._first_events: list[str] = []
+        self._further_events = 0
         self._unread: Step | None = None
 
     def take(self, step: Step) -> None:
@@ -79,7 +83,7 @@ class SummaryTracker:
             self._robots.add(message)
             self._newest = max(self._newest, message.step)
         elif isinstance(message, SwarmEvent):
-            self._events.append(describe_event(message))
+            self._keep(describe_event(message))
             self._robots.take(message)
 
     def summary(self) -> SwarmSummary | None:
@@ -96,6 +100,18 @@ class SummaryTracker:
             [self._place(robot.position) for robot in shown] if few else [],
             list(self._events),
         )
+
+    def events(self) -> list[str]:
+        """Return the first events of the run, and how many more there were."""
+        more = [f"and {self._further_events} more"] if self._further_events else []
+        return self._first_events + more
+
+    def _keep(self, event: str) -> None:
+        self._events.append(event)
+        if len(self._first_events) < KEPT_EVENTS:
+            self._first_events.append(event)
+        else:
+            self._further_events += 1
 
     def _read(self) -> None:
         """Read what the robots have said in the latest step, if it is new."""

@@ -8,11 +8,11 @@ import click
 
 from swarmabs_analysis.comparison.bags import compare_bags
 from swarmabs_analysis.comparison.table import render
-from swarmabs_cli.options import json_option
+from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_json, print_tables
 
 
-@click.command()
+@click.command(epilog=examples("compare runs/pd_het_4-001 runs/pd_het_4-002"))
 @click.argument("a", type=click.Path(path_type=Path), metavar="BAG")
 @click.argument("b", type=click.Path(path_type=Path), metavar="BAG")
 @click.option(
@@ -20,13 +20,14 @@ from swarmabs_cli.output import print_json, print_tables
     "namespaces",
     multiple=True,
     metavar="NAME",
-    help="Which swarm to read, if there are several in it; given twice, that of the first bag and of the second.",
+    help="Swarm to read if the bags hold several; give it twice for a different one in each bag.",
 )
 @json_option
 def compare(a: Path, b: Path, *, namespaces: tuple[str, ...], as_json: bool) -> int:
-    """Compare two bags message by message: first difference, deviations by topic and field, figures side by side.
+    """Compare two bags message by message.
 
-    A BAG is a run's folder, its bag folder, or an .mcap file. Exit code 1 if they differ or one is damaged.
+    The result names the first difference, the largest deviation of each field, and the figures of both runs. A BAG is
+    the folder of a run, its bag folder, or an .mcap file. The exit code is 1 if the bags differ or one is damaged.
     """
     if len(namespaces) > 2:
         raise click.UsageError("--namespace may be given once or twice: there are two bags.")

@@ -8,22 +8,25 @@ from typing import Literal
 import click
 
 from swarmabs_analysis.export import TableFormat, export_arrays, export_tables
-from swarmabs_cli.options import bag_argument, namespace_option, output_option
+from swarmabs_cli.options import bag_argument, examples, namespace_option, output_option
 
 FORMATS = ("csv", "parquet", "numpy")
 
 
-@click.command()
+@click.command(
+    epilog=examples("export runs/pd_het_4-001 -o tables", "export runs/pd_het_4-001 --format numpy -o run.npz")
+)
 @bag_argument
-@output_option("New folder for csv and parquet, new .npz file for numpy.", required=True)
+@output_option("New folder (csv, parquet) or new .npz file (numpy).", required=True)
 @click.option(
-    "--format", "file_format", type=click.Choice(FORMATS), default="csv", show_default=True, help="Kind of files."
+    "--format", "file_format", type=click.Choice(FORMATS), default="csv", show_default=True, help="File format."
 )
 @namespace_option
 def export(bag: Path, output: Path, file_format: Literal["numpy"] | TableFormat, namespace: str | None) -> int:
-    """Write a bag as tables or arrays for notebooks.
+    """Export a bag to CSV, Parquet or NumPy.
 
-    csv, parquet: a table per topic, a row per message. numpy: the arrays of a run, by step and robot.
+    csv and parquet hold one table per topic with one row per message; numpy holds the arrays of a run by step and
+    robot.
     """
     files = (
         (export_arrays(bag, output, namespace=namespace),)

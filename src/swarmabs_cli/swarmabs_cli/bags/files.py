@@ -10,15 +10,18 @@ import click
 
 from swarmabs_bag.info import bag_info, render
 from swarmabs_bag.repair import RepairReport, repair_bag
-from swarmabs_cli.options import bag_argument, bags_argument, json_option, output_option
+from swarmabs_cli.options import bag_argument, bags_argument, examples, json_option, output_option
 from swarmabs_cli.output import print_documents, print_json, print_tables, printable
 
 
-@click.command()
+@click.command(epilog=examples("info runs/pd_het_4-001"))
 @bags_argument
 @json_option
 def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
-    """Say what bags hold; a BAG is a run's folder, its bag folder, or an .mcap file."""
+    """Show what bags contain and whether they are complete.
+
+    A BAG is the folder of a run, its bag folder, or an .mcap file.
+    """
     found = [bag_info(path) for path in bags]
     if as_json:
         print_documents([asdict(one) for one in found])
@@ -27,16 +30,16 @@ def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
     return 0 if all(one.complete for one in found) else 1
 
 
-@click.command()
+@click.command(epilog=examples("repair runs/pd_het_4-001"))
 @bag_argument
-@output_option("Folder of the whole bag.  [default: BAG_repaired]")
-@click.option("--in-place", is_flag=True, help="Replace the damaged files; they are kept as NAME.damaged.")
+@output_option("Folder of the repaired bag.  [default: BAG_repaired]")
+@click.option("--in-place", is_flag=True, help="Replace the damaged files and keep them as NAME.damaged.")
 @json_option
 def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> int:
-    """Make a whole bag of a damaged one, and say what was lost.
+    """Repair a damaged bag and report what was lost.
 
-    BAG is a run's folder, its bag folder, or an .mcap file. A bag that is whole stays as it is. The exit code is 0
-    whenever there is a whole bag afterwards, also if something was lost.
+    BAG is the folder of a run, its bag folder, or an .mcap file. A complete bag is left as it is. The exit code is 0
+    whenever the result is a complete bag, even if messages were lost.
     """
     report = repair_bag(bag, output, in_place=in_place)
     if as_json:
@@ -64,8 +67,10 @@ def _lines(report: RepairReport) -> Iterator[str]:
         yield f"lost: attachment {name}"
     if report.last_complete_step is not None:
         yield f"{_complete_steps(report)}, of 0 to {report.last_planned_step}"
+    if report.undecided is not None:
+        yield f"no repair can decide this: {report.undecided}"
     if report.output is None:
-        yield f"{report.bag} is whole: nothing to do"
+        yield f"{report.bag}: nothing to do" if report.undecided else f"{report.bag} is whole: nothing to do"
     else:
         yield f"{report.messages} messages are in {report.output}"
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import bag_argument, namespace_option, output_option
+from swarmabs_cli.options import bag_argument, examples, namespace_option, output_option
 from swarmabs_view.visualization.bag import write_markers
 
 
-@click.command()
+@click.command(epilog=examples("markers runs/pd_het_4-001 -o with_markers"))
 @bag_argument
 @output_option("New folder for the bag.", required=True)
 @click.option(
@@ -19,9 +19,12 @@ from swarmabs_view.visualization.bag import write_markers
     default=30.0,
     show_default=True,
     metavar="HZ",
-    help="Most frames per second of recorded time.",
+    help="Maximum frames per second of recorded time.",
 )
 @namespace_option
 def markers(bag: Path, output: Path, rate: float, namespace: str | None) -> None:
-    """Write a bag once more, with markers, joint state and URDF, for Foxglove and RViz."""
+    """Write a copy of a bag with markers for RViz and Foxglove.
+
+    The copy also holds the joint state and the URDF of the plane.
+    """
     click.echo(write_markers(bag, output, rate=rate, namespace=namespace))

@@ -13,7 +13,7 @@ from swarmabs_analysis.replay.playback import Pace, choose_topics, play, shown
 from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.reader import open_bag
-from swarmabs_cli.options import bag_argument, json_option, namespace_option, output_option, set_option
+from swarmabs_cli.options import bag_argument, examples, json_option, namespace_option, output_option, set_option
 from swarmabs_cli.output import print_json, print_warnings, results_folder
 from swarmabs_cli.runs import print_summary, summed_up
 from swarmabs_core.errors import InputError
@@ -26,34 +26,37 @@ _WITH_NODE = ("output", "overrides", "in_process", "expect_same")
 _WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "replay runs/pd_het_4-001 --node controller --set controller.gains=[4,3]", "replay runs/pd_het_4-001 --rate 2"
+    )
+)
 @bag_argument
 @click.option(
     "--node", "nodes", multiple=True, metavar="NODE", help="controller, observer, plane or agent:N; repeatable."
 )
-@click.option("--in-process", is_flag=True, help="Replay in one process without DDS, as fast as possible.")
-@set_option("Change a value for the nodes; repeatable.")
-@click.option("--expect-same", is_flag=True, help="Exit with code 1 if the digest is another one.")
+@click.option("--in-process", is_flag=True, help="With --node: replay in one process, without DDS.")
+@set_option("With --node: change a value for these nodes; repeatable.")
+@click.option("--expect-same", is_flag=True, help="With --node: exit with 1 if the digest differs.")
 @output_option("Folder of the replay.  [default: runs/NAME-replay-NNN]")
-@click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="How much to replay, in recorded time.")
+@click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="Recorded time to replay.  [default: all]")
 @click.option("--rate", type=_POSITIVE, help="Without --node: recorded time per real time.  [default: 1]")
 @click.option(
-    "--start", type=click.FloatRange(0.0), metavar="SECONDS", help="Without --node: where in the bag to begin."
+    "--start", type=click.FloatRange(0.0), metavar="SECONDS", help="Without --node: recorded time at which to start."
 )
-@click.option("--loop", is_flag=True, help="Without --node: begin again at the end, until Ctrl-C.")
-@click.option("--topics", metavar="NAME,NAME", help="Without --node: what to play.  [default: all]")
-@click.option("--wait", is_flag=True, help="Without --node: begin when every topic has a reader.")
-@click.option("--network", is_flag=True, help="Without --node: play to other machines too, not to this one alone.")
+@click.option("--loop", is_flag=True, help="Without --node: start over at the end, until Ctrl-C.")
+@click.option("--topics", metavar="NAME,NAME", help="Without --node: topics to play.  [default: all]")
+@click.option("--wait", is_flag=True, help="Without --node: wait until every topic has a subscriber.")
+@click.option("--network", is_flag=True, help="Without --node: publish to other machines, too.")
 @namespace_option
 @json_option
 def replay(bag: Path, nodes: tuple[str, ...], *, as_json: bool, **options: Any) -> int:
-    """Replay a bag: to nodes under test, or, without --node, to whoever listens.
+    """Play a bag, or re-execute selected nodes against it.
 
-    With --node the nodes named are computed anew from what was recorded of all others, in lockstep and without loss;
-    the result is a new bag and how it differs. This is open loop: nothing reacts to the new answers but the other nodes
-    under test.
+    With --node, the named nodes are re-executed in lockstep on the recorded messages of all other nodes, without loss;
+    the result is a new bag and a report of the differences. The replay is open loop: recorded nodes do not react.
 
-    Without --node every message is published at its time in the caller's ROS domain.
+    Without --node, every message is published at its recorded time in the current ROS domain.
     """
     wrong = next((name for name in (_WITHOUT_NODE if nodes else _WITH_NODE) if options[name]), None)
     if wrong is not None:
@@ -109,7 +112,7 @@ def _play(
     as_json: bool,
     **_: object,
 ) -> int:
-    """Play a bag to whoever listens; return the exit code."""
+    """Play a bag; return the exit code."""
     pace = Pace(1.0 if rate is None else rate, start or 0.0, duration, loop)
     bag = open_bag(path, namespace=namespace, several=True)
     if not network:  # who has set a range has decided already, such as the environment of a run

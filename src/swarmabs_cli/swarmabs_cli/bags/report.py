@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 from swarmabs_analysis.report import check_target, default_folder, make_report, write_file
-from swarmabs_cli.options import bag_argument, json_option, namespace_option
+from swarmabs_cli.options import bag_argument, bag_scenario_option, examples, json_option, namespace_option
 from swarmabs_cli.output import print_json
 
 
-@click.command()
+@click.command(epilog=examples("report runs/pd_het_4-001"))
 @bag_argument
 @click.option("--html", type=click.Path(path_type=Path), metavar="FILE", help="Write the page to this file.")
 @click.option("--png", type=click.Path(path_type=Path), metavar="FILE", help="Write the overview to this file.")
@@ -23,14 +23,23 @@ from swarmabs_cli.output import print_json
     help="Folder of report.html and report.png.  [default: that of the run]",
 )
 @namespace_option
+@bag_scenario_option
 @json_option
 def report(
-    bag: Path, html: Path | None, png: Path | None, output: Path | None, namespace: str | None, *, as_json: bool
+    bag: Path,
+    html: Path | None,
+    png: Path | None,
+    output: Path | None,
+    namespace: str | None,
+    scenario: str | None,
+    *,
+    as_json: bool,
 ) -> int:
-    """Show a recorded run: one HTML page that needs nothing else, and an overview as PNG.
+    """Write an HTML report and a picture of a run.
 
-    BAG is a run's folder, its bag folder, or an .mcap file. Both files are written as report.html and report.png into
-    the run's folder, or beside a lone .mcap file. With --html or --png alone, only what they name is written.
+    BAG is the folder of a run, its bag folder, or an .mcap file. The report is one self-contained page. By default
+    report.html and report.png are written to the folder of the run, or next to a single .mcap file. With only --html or
+    only --png, only that file is written.
     """
     folder = default_folder(bag) if output is None else output
     if output is not None or (html is None and png is None):
@@ -40,13 +49,13 @@ def report(
         raise click.UsageError(f"--html and --png both name {html}.")
     for path in targets:
         check_target(path)
-    made = make_report(bag, namespace=namespace)
+    made = make_report(bag, namespace=namespace, scenario=scenario)
+    contents = {html: made.html.encode() if html else b"", png: made.png if png else b""}
     written = []
-    for target, content in ((html, made.html.encode()), (png, made.png)):
-        if target is not None:
-            if write_file(target, content):
-                click.echo(f"replaced an earlier report: {target}", err=True)
-            written.append(str(target))
+    for target in targets:
+        if write_file(target, contents[target]):
+            click.echo(f"replaced an earlier report: {target}", err=True)
+        written.append(str(target))
     if as_json:
         print_json({"files": written, "bag": str(made.bag), **made.numbers})
     else:

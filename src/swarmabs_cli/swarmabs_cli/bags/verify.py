@@ -10,31 +10,35 @@ import click
 
 from swarmabs_analysis.verification.base import Verdict
 from swarmabs_analysis.verify import open_to_verify
-from swarmabs_cli.options import bags_argument, json_option, namespace_option
+from swarmabs_bag.errors import repair_command
+from swarmabs_cli.options import bag_scenario_option, bags_argument, examples, json_option, namespace_option
 from swarmabs_cli.output import print_documents, printable
 
 _LINE_INTERVAL = 2.0
 
 
-@click.command()
+@click.command(epilog=examples("verify runs/pd_het_4-001"))
 @bags_argument
 @click.option(
     "--tolerance",
     type=click.FloatRange(min=0.0, max=1.0, max_open=True),
     default=0.0,
     metavar="T",
-    help="Let a number differ from the recomputed b by T (1 + |b|).  [default: 0, every bit counts]",
+    help="Accept a number that differs from the recomputed b by T (1 + |b|).  [default: 0, bit for bit]",
 )
 @namespace_option
+@bag_scenario_option
 @json_option
-def verify(bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, as_json: bool) -> int:
-    """Recompute every message of a bag from its scenario and the messages before it, and compare bit for bit.
+def verify(
+    bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, scenario: str | None, as_json: bool
+) -> int:
+    """Recompute every message of a bag and compare bit for bit.
 
-    BAG is a run's folder, its bag folder, or an .mcap file. The first difference is named by topic, step, robot and
-    field.
+    Each message is recomputed from the recorded scenario and the messages before it. The first difference is reported
+    with topic, step, robot and field. A BAG is the folder of a run, its bag folder, or an .mcap file.
     """
     # What is refused is refused before anything is started.
-    opened = [open_to_verify(path, namespace=namespace) for path in bags]
+    opened = [open_to_verify(path, namespace=namespace, scenario=scenario) for path in bags]
     verdicts = [
         bag if isinstance(bag, Verdict) else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
         for bag in opened
@@ -61,7 +65,7 @@ def describe(verdict: Verdict) -> str:
     if verdict.difference is not None:
         lines.append(f"  first difference: {verdict.difference}")
     if verdict.problem is not None:
-        lines.append(f"  damaged: {verdict.problem}")
+        lines.append(f"  damaged: {verdict.problem}; {repair_command(verdict.bag)}")
     if verdict.ended_early is not None:
         lines.append(f"  the run ended early: {verdict.ended_early}")
     if verdict.digest is not None:

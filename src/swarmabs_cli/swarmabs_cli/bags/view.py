@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
-import webbrowser
 from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import namespace_option
+from swarmabs_cli.options import examples, namespace_option
+from swarmabs_cli.output import open_page
 from swarmabs_view.playback import view_bag
 from swarmabs_view.viewers import view_live
 
 
-def open_page(url: str) -> None:
-    """Show the page in the user's browser, where there is one."""
-    if not webbrowser.open(url):
-        click.echo("warning: no browser could be started; open the address yourself", err=True)
-
-
-@click.command()
+@click.command(epilog=examples("view runs/pd_het_4-001 --open", "view --live runs/pd_het_4-001"))
 @click.argument("bag", required=False, type=click.Path(path_type=Path), metavar="[BAG]")
 @click.option(
-    "--live", metavar="RUN|NAMESPACE", help="Show a run that goes on, by its folder, or a swarm of this ROS domain."
+    "--live",
+    metavar="RUN|NAMESPACE",
+    help="Show a running swarm: the folder of a run, or a namespace in this ROS domain.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page.  [default: any free one]")
-@click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
+@click.option("--open", "open_browser", is_flag=True, help="Open the browser.")
 @namespace_option
 def view(bag: Path | None, live: str | None, port: int, *, open_browser: bool, namespace: str | None) -> int:
-    """Show a bag, or a swarm that is running, as a page in the browser.
+    """Show a bag or a running swarm in the browser.
 
-    The page is served on 127.0.0.1 only and needs no network. Nothing that looks on changes or delays a run. Ctrl-C
-    ends the view.
+    The page is served on 127.0.0.1 only and needs no network. Viewing never changes or delays a run. Press Ctrl-C to
+    stop.
     """
     if (bag is None) == (live is None):
         raise click.UsageError("Name a bag, or a swarm by --live.")

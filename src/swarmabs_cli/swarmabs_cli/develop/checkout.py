@@ -1,24 +1,31 @@
-"""``swarm bench`` and ``swarm test``, which need more of the checkout than what is installed."""
+"""``swarm bench``, ``swarm docs`` and ``swarm test``, which need more of the checkout than what is installed."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+from difflib import get_close_matches
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 
-from swarmabs_cli.options import json_option, output_option
+from swarmabs_cli.options import examples, json_option, output_option
 from swarmabs_core.errors import InputError
+from swarmabs_run.ending import GRACE
 
 SUITES = ("product", "start", "memory", "large", "simulate", "recorder", "reading")
 _LONGEST_WARM_UP = 2.0
 """Time before a measurement that does not count, s; at most a third of its length."""
 
-MOST_WORKERS = 4
-"""Processes that share the tests which start none; each takes some 500 MB."""
+MOST_PROCESSES = 4
+"""Processes that share the tests which start little; each takes some 500 MB."""
+
+_RESEMBLES = 0.75
+"""How near, as of `difflib`, a word comes to an option that is meant; pytest has --cov and --full-trace."""
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, ...]:
@@ -32,7 +39,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     return numbers
 
 
-@click.command()
+@click.command(epilog=examples("bench --suite product --robots 4,20"))
 @click.option(
     "--suite",
     "suites",
@@ -50,7 +57,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     metavar="N,N",
     help="Numbers of robots.",
 )
-@click.option("--repeat", type=click.IntRange(1), default=3, show_default=True, help="How often to measure everything.")
+@click.option("--repeat", type=click.IntRange(1), default=3, show_default=True, help="Number of measurements.")
 @click.option(
     "--window",
     type=click.FloatRange(0.1),
@@ -63,9 +70,9 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     "--starts",
     type=click.IntRange(1),
     metavar="N",
-    help="How often to start and end a run in the suites start and memory.  [default: as --repeat]",
+    help="Number of runs in the suites start and memory.  [default: as --repeat]",
 )
-@click.option("--busy", is_flag=True, help="Keep all cores busy with other processes during these starts.")
+@click.option("--busy", is_flag=True, help="Keep all cores busy during these runs.")
 @click.option(
     "--large",
     default="200,500,1000,2000",
@@ -79,14 +86,14 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     type=click.IntRange(1),
     default=50,
     show_default=True,
-    help="Robots that share a process in the suite large.",
+    help="Robots per process in the suite large.",
 )
 @click.option(
     "--compare",
     nargs=2,
     type=click.Path(path_type=Path),
     metavar="OLD NEW",
-    help="Measure nothing; compare two results, each a folder or its bench.json.",
+    help="Compare two results (folder or bench.json) instead of measuring.",
 )
 @output_option("Folder of the result.  [default: runs/bench-NNN]")
 @json_option
@@ -99,43 +106,103 @@ def bench(
     as_json: bool,
     **settings: object,
 ) -> None:
-    """Measure speed, start, memory, recording and reading, beside what DDS, ZeroMQ and the mcap library reach.
+    """Measure performance next to DDS, ZeroMQ and MCAP baselines.
 
-    The result is a folder with bench.json, bench.md and a chart; docs/performance.md says how to read it.
+    The result is a folder with bench.json, bench.md and a chart. For how to read it, see
+    docs/explanation/performance.md.
     """
     chosen = [suite for suite in SUITES if suite in suites or "all" in suites]
     settings |= {"suites": chosen, "window": window, "warm_up": min(_LONGEST_WARM_UP, window / 3.0)}
     asked = {"settings": settings, "compare": compare, "output": output, "as_json": as_json}
-    search = os.pathsep.join(filter(None, (str(_checkout()), os.environ.get("PYTHONPATH"))))
     command = [sys.executable, "-m", "benchmarks.bench", json.dumps(asked, default=str)]
-    os.execve(sys.executable, command, os.environ | {"PYTHONPATH": search})  # noqa: S606 - no shell is wanted
+    os.execve(sys.executable, command, _variables())  # noqa: S606 - no shell is wanted
 
 
-@click.command(context_settings={"ignore_unknown_options": True})
-@click.option("--full", is_flag=True, help="Also what takes long: storms, soaks, fuzzing.")
+@click.command(epilog=examples("docs"))
+@output_option("Folder of the site; a site that is there is replaced.  [default: build/docs]")
+def docs(output: Path | None) -> int:
+    """Build the documentation and the Python API as one site of HTML pages.
+
+    The site needs no network. Any warning, such as a broken link, makes the exit code 1.
+    """
+    folder = (output or _checkout() / "build" / "docs").absolute()
+    if folder.exists() and not (folder / "sitemap.xml").is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} is not a site that this command has built; name an empty or a new folder")
+    return _run(["docs.build_site", str(folder)], NO_MKDOCS_2_WARNING="1")
+
+
+class Tier(NamedTuple):
+    """Tests with these marks, shared by so many processes at most."""
+
+    marks: str
+    processes: int
+
+    def arguments(self) -> list[str]:
+        """Return what pytest is to be told."""
+        return ["-m", self.marks, "-n", str(min(self.processes, os.cpu_count() or 1)), "--dist", "loadfile"]
+
+
+TIERS = (Tier("not system and not full", MOST_PROCESSES), Tier("system and not full", 2), Tier("full", 2))
+"""The tests of every day, those with real processes, those that take long."""
+
+
+@click.command(
+    context_settings={"ignore_unknown_options": True},
+    epilog=examples("test", "test --system", "test tests/swarmabs_core -k manifold"),
+)
+@click.option("--system", is_flag=True, help="Run the tests of processes, DDS, browser and hosts instead.")
+@click.option("--full", is_flag=True, help="Run all tests, including storms, soaks and fuzzing.")
+@click.option("--coverage", is_flag=True, help="Measure line and branch coverage, subprocesses included.")
 @click.argument("pytest_arguments", nargs=-1, type=click.UNPROCESSED)
-def test(pytest_arguments: tuple[str, ...], *, full: bool) -> int:
-    """Check the code and run the tests; arguments beyond --full go to pytest, and then only pytest runs."""
+def test(pytest_arguments: tuple[str, ...], *, system: bool, full: bool, coverage: bool) -> int:
+    """Run the linters, the type checker and the everyday tests.
+
+    PYTEST_ARGUMENTS select tests; then only pytest runs. With --coverage the result is a table by package and, in
+    log/coverage, annotated pages.
+    """
+    _refuse_misspelt(pytest_arguments)
     pytest = ["pytest", *(["--full"] if full else [])]
     if pytest_arguments:
-        return _run([*pytest, *pytest_arguments])
-    for check in (["ruff", "check", "."], ["mypy"]):
-        code = _run(check)
-        if code:
-            return code
-    workers = str(min(MOST_WORKERS, os.cpu_count() or 1))
-    first = _run([*pytest, "-m", "not system", "-n", workers, "--dist", "loadfile"])
-    # Swarms of processes have the cores for themselves. Other programs of the machine may still take them away, so what
-    # fails runs once more; that is printed.
-    second = _run([*pytest, "-m", "system", "--reruns", "1", "-raR"])
-    return first or second
+        runs = [[*pytest, *pytest_arguments]]
+    else:
+        chosen = TIERS if full else TIERS[1:2] if system else TIERS[:1]
+        runs = [[*pytest, *tier.arguments()] for tier in chosen]
+    if not (pytest_arguments or system):
+        for check in (["ruff", "check", "."], ["ruff", "format", "--check", "--quiet", "."], ["mypy"]):
+            if code := _run(check):
+                return code
+    if not coverage:
+        return max(map(_run, runs))
+    folder = _checkout() / "log" / "coverage"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    where = f"--data-file={folder / 'data'}"
+    measured = [_run(["coverage", "run", where, "-m", *run], **{GRACE: "60"}) for run in runs]
+    told = [["coverage", "combine", "--quiet", where], ["tests.coverage_table", str(folder)]]
+    return max(*measured, *map(_run, told))
 
 
-def _run(words: list[str]) -> int:
+def _refuse_misspelt(words: tuple[str, ...]) -> None:
+    """Refuse what resembles an option of this command: pytest, which gets all others, knows nothing of these."""
+    context = click.get_current_context()
+    own = [name for parameter in context.command.params for name in parameter.opts if name.startswith("--")]
+    for name in (word.partition("=")[0] for word in words if word.startswith("-")):
+        if name not in own and (near := get_close_matches(name, own, cutoff=_RESEMBLES)):
+            raise click.NoSuchOption(name, possibilities=near, ctx=context)
+
+
+def _run(words: list[str], **environment: str) -> int:
     """Run a Python module with arguments; return its exit code."""
     click.echo(f"== {' '.join(words)}", err=True)
-    code = subprocess.run([sys.executable, "-m", *words], cwd=_checkout(), check=False).returncode
+    command = [sys.executable, "-m", *words]
+    code = subprocess.run(command, cwd=_checkout(), env={**_variables(), **environment}, check=False).returncode
     return 1 if code < 0 else code
+
+
+def _variables() -> dict[str, str]:
+    """Return the environment of a module of the checkout that is not installed."""
+    search = os.pathsep.join(filter(None, (str(_checkout()), os.environ.get("PYTHONPATH"))))
+    return {**os.environ, "PYTHONPATH": search}
 
 
 def _checkout() -> Path:

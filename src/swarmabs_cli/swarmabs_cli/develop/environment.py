@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import json_option
+from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_findings, print_json
 from swarmabs_run.doctor import examine
 from swarmabs_run.orchestration.run_files import environment_of_run
@@ -30,16 +30,14 @@ SOURCED = "SWARMABS_SOURCED_"
 """Before the names of variables by which ``scripts/swarm`` says what lets a ROS that was sourced find it too."""
 
 
-@click.command()
+@click.command(epilog=examples('eval "$(./scripts/swarm env runs/pd_het_4-001)"'))
 @click.argument("run", required=False, type=click.Path(path_type=Path))
 @json_option
 def env(run: Path | None, *, as_json: bool) -> None:
-    """Print what a shell needs to find the nodes and messages.
+    """Print the environment variables for ROS tools.
 
-    With RUN, the folder of a run that is going on, also what ROS tools need to see that run. Those of a ROS that is
-    sourced stay usable: the workspace is then only added to it.
-
-    Use it as: eval "$(./scripts/swarm env RUN)"
+    With RUN, the folder of a running simulation, the variables also select the network of that run. If you have sourced
+    a ROS installation, its tools stay usable: the workspace is only added to it.
     """
     variables = {name: os.environ[name] for name in WORKSPACE if name in os.environ}
     if run is not None:
@@ -52,8 +50,11 @@ def env(run: Path | None, *, as_json: bool) -> None:
         click.echo(f"export {name}={shlex.quote(value)}")
 
 
-@click.command()
+@click.command(epilog=examples("doctor"))
 @json_option
 def doctor(*, as_json: bool) -> int:
-    """Check whether this machine can run swarms, and say what to do where it cannot."""
+    """Check whether this machine can run swarms.
+
+    Each finding that needs action says what to do.
+    """
     return print_findings(examine(), as_json=as_json)

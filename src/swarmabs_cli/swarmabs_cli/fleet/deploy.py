@@ -6,21 +6,25 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import A_PATH, json_option, output_option
+from swarmabs_cli.options import A_PATH, examples, json_option, output_option
 from swarmabs_cli.output import print_findings, print_json, print_warnings
 from swarmabs_config.fleet.loader import json_schema, load_fleet
 from swarmabs_fleet.bundle import deploy as write
 from swarmabs_fleet.check import check
 
 
-@click.command()
+@click.command(epilog=examples("deploy examples/fleet/lan.yaml -o bundles", "deploy examples/fleet/lan.yaml --check"))
 @click.argument("paths", nargs=-1, metavar="FLEET.yaml...", type=A_PATH)
 @output_option("Folder of the bundles.", metavar="DIR")
+@click.option("--keys", metavar="DIR", type=A_PATH, help="Folder of the private keys; existing keys are reused.")
 @click.option(
-    "--keys", metavar="DIR", type=A_PATH, help="Folder in which private keys are kept; what is there is used again."
+    "--revoke",
+    metavar="NAME",
+    multiple=True,
+    help="With sros2: revoke the certificates of a host, or of one enclave; repeatable.",
 )
-@click.option("--check", "checks", is_flag=True, help="Write nothing; say what would fail. Takes bundles, too.")
-@click.option("--host", metavar="NAME", help="With --check: examine this machine as the fleet's host NAME.")
+@click.option("--check", "checks", is_flag=True, help="Write nothing; report what would fail.")
+@click.option("--host", metavar="NAME", help="With --check: examine this machine as host NAME of the fleet.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of fleet files, for editors.")
 @json_option
 def deploy(
@@ -28,14 +32,16 @@ def deploy(
     output: Path | None,
     keys: Path | None,
     host: str | None,
+    revoke: tuple[str, ...],
     *,
     checks: bool,
     schema: bool,
     as_json: bool,
 ) -> int:
-    """Make a bundle for each host of a fleet: parameters, DDS profile, systemd units, scripts, keys.
+    """Generate a deployment bundle for each host of a fleet.
 
-    With --check any number of fleet files, folders of bundles and installed bundles are looked at instead.
+    A bundle holds parameters, the DDS profile, systemd units, scripts and keys. With --check, nothing is written: the
+    command examines any number of fleet files, bundle folders and installed bundles, and reports what would fail.
     """
     if schema:
         print_json(json_schema())
@@ -43,8 +49,8 @@ def deploy(
     if not paths:
         raise click.UsageError("Missing argument 'FLEET.yaml'.")
     if checks:
-        if output is not None or keys is not None:
-            raise click.UsageError("--check writes nothing; leave out -o and --keys")
+        if output is not None or keys is not None or revoke:
+            raise click.UsageError("--check writes nothing; leave out -o, --keys and --revoke")
         return print_findings(check(paths, host), as_json=as_json)
     if host is not None:
         raise click.UsageError("--host goes with --check")
@@ -57,7 +63,7 @@ def deploy(
     print_warnings((*fleet.warnings(), *loaded.scenario.warnings()))
     bundles = [
         {"host": folder.name, "address": fleet.host(folder.name).address, "folder": str(folder)}
-        for folder in write(loaded, output, keys)
+        for folder in write(loaded, output, keys, revoke)
     ]
     if as_json:
         about = {"fleet": fleet.name, "output": str(output), "domain": fleet.network.domain}

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from swarmabs_cli.options import json_option, together
+from swarmabs_cli.options import examples, json_option, together
 from swarmabs_cli.output import print_json
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
@@ -30,37 +30,43 @@ _timeout = click.option(
     default=5.0,
     show_default=True,
     metavar="SECONDS",
-    help="Time to find the swarm's nodes, and then for each answer.",
+    help="Time limit for discovery, and for each answer.",
 )
 of_swarm, of_robot = together(_swarm, _timeout), together(_swarm, _robot, _timeout)
 
 
-@click.command()
+@click.command(epilog=examples("stop runs/pd_het_4-001"))
 @of_swarm
 def stop(swarm: Path, patience: float) -> None:
-    """Stop all robots of a fleet, or of a run in real time, until `reset`."""
+    """Stop all robots of a fleet or a real-time run until `reset`."""
     _call(swarm, lambda _: "swarm/stop", patience, "all robots are told to stop, until reset")
 
 
-@click.command()
+@click.command(epilog=examples("reset runs/pd_het_4-001"))
 @of_swarm
 def reset(swarm: Path, patience: float) -> None:
-    """Let the robots move again after `stop`, or for the first time in a fleet that begins stopped."""
+    """Let the robots move again after a stop.
+
+    A fleet that starts in the stopped state needs its first `reset` to move.
+    """
     _call(swarm, lambda _: "swarm/reset", patience, "robots stand for a second, then they follow again")
 
 
-@click.command()
+@click.command(epilog=examples("drain runs/pd_het_4-001 2"))
 @of_robot
 def drain(swarm: Path, robot: int, patience: float) -> None:
-    """Take one robot out, such as for charging; its weight counts as gone from the plane."""
+    """Take one robot out of service, for example to charge it.
+
+    The robot stops; the observer no longer counts its weight as on the plane.
+    """
     done = f"robot {robot} has stopped and counts as off the plane"
     _call(swarm, lambda found: f"{found.robot(robot)}/leave", patience, done)
 
 
-@click.command()
+@click.command(epilog=examples("join runs/pd_het_4-001 2"))
 @of_robot
 def join(swarm: Path, robot: int, patience: float) -> None:
-    """Let a robot take part again after `drain`."""
+    """Return a drained robot to service."""
     _call(swarm, lambda found: f"{found.robot(robot)}/join", patience, f"robot {robot} takes part again")
 
 
@@ -73,10 +79,13 @@ def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: 
     click.echo(f"{found.name}: {done}")
 
 
-@click.command()
+@click.command(epilog=examples("remove runs/pd_het_4-001 2"))
 @of_robot
 def remove(swarm: Path, robot: int, patience: float) -> None:
-    """Say of a silent robot that it was carried off the plane, since it cannot say so itself."""
+    """Tell the swarm that a silent robot was removed.
+
+    The observer then no longer counts its weight as on the plane. A robot that is not silent leaves with `drain`.
+    """
     with target(swarm) as found:
         found.robot(robot)
         monitor = HealthMonitor({OBSERVER: found.hosts.get(OBSERVER, "unknown")})
@@ -94,15 +103,15 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
     click.echo(f"{found.name}: robot {robot} counts as off the plane")
 
 
-@click.command()
+@click.command(epilog=examples("status runs/pd_het_4-001", "status examples/fleet/lan.yaml --watch"))
 @_swarm
-@click.option("--watch", is_flag=True, help="Go on until interrupted.")
+@click.option("--watch", is_flag=True, help="Update until Ctrl-C.")
 @_timeout
 @json_option
 def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
-    """Show what every node of a fleet, or of a run in real time, says of its health.
+    """Show the health of every node of a fleet or a real-time run.
 
-    The exit code is 1 if one is silent or in error.
+    The exit code is 1 if a node is silent or reports an error.
     """
     if watch and as_json:
         raise click.UsageError("--watch and --json exclude each other")

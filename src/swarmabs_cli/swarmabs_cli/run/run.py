@@ -12,11 +12,12 @@ from typing import Any
 import click
 
 from swarmabs_bag.run_folder import RunFolder
+from swarmabs_cli.options import examples
 from swarmabs_cli.output import open_page
 from swarmabs_cli.runs import carry_out, run_options
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import InputError
-from swarmabs_run.ending import interrupt_once
+from swarmabs_run.ending import end_grace, interrupt_once
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
 from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
@@ -27,28 +28,30 @@ FOXGLOVE_PORT = 8765
 """The one that Foxglove offers by itself."""
 
 
-@click.command()
+@click.command(
+    epilog=examples("run", "run pd_di_4 --set plane.angle=0.2 --duration 10", "run arise_het_20 --view --open")
+)
 @run_options
 @click.option(
     "--agents-per-process",
     type=click.IntRange(1),
     default=1,
     show_default=True,
-    help="Robots that share a process, for large simulations.",
+    help="Robots per process, for large simulations.",
 )
-@click.option("--packed", is_flag=True, help="Send the robots the three broadcasts as one message: faster if many.")
-@click.option("--realtime", is_flag=True, help="Let the clock make the steps, as on robots, with simulated bodies.")
-@click.option("--steer", is_flag=True, help="Let the run be changed while it goes on, by the command `steer`.")
+@click.option("--packed", is_flag=True, help="Broadcast one message instead of three: faster with many robots.")
+@click.option("--realtime", is_flag=True, help="Step by the clock, as on robots, with simulated bodies.")
+@click.option("--steer", is_flag=True, help="Accept changes from the command `steer` during the run.")
 @click.option(
     "--rate",
     type=click.FloatRange(0.0, min_open=True, max=1e6),
-    help="With --steer: simulated time per real time, at most.  [default: as fast as possible]",
+    help="With --steer: upper limit of simulated time per real time.  [default: none]",
 )
 @click.option("--view", is_flag=True, help="Show the run as a page in the browser.")
 @click.option("--view-port", type=click.IntRange(0, 65535), help="With --view: port of the page.  [default: any]")
-@click.option("--open", "open_browser", is_flag=True, help="With --view: open the page in the browser.")
+@click.option("--open", "open_browser", is_flag=True, help="With --view: open the browser.")
 @click.option("--markers", is_flag=True, help="Publish markers, joint state and URDF for RViz and Foxglove.")
-@click.option("--foxglove", is_flag=True, help="Serve the run to Foxglove by WebSocket, on this machine.")
+@click.option("--foxglove", is_flag=True, help="Serve the run to Foxglove on this machine (WebSocket).")
 @click.option(
     "--foxglove-port",
     type=click.IntRange(1, 65535),
@@ -68,12 +71,13 @@ def run(
     open_browser: bool,
     **options: Any,
 ) -> int:
-    """Run a scenario as one process per robot over DDS, in lockstep or in real time.
+    """Run a scenario with one process per robot over DDS.
 
-    SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag, whose own scenario is run again.
-
-    With --view, on a terminal, the page stays when the run is over, and plays its bag, until Ctrl-C.
+    SCENARIO is a built-in scenario (see `scenario list`), a YAML file, or a bag, whose scenario is run again. Runs are
+    in lockstep unless you pass --realtime. With --view on a terminal, the page stays open after the run and plays its
+    bag until you press Ctrl-C.
     """
+    end_grace()
     given = {"--packed": packed, "--agents-per-process": agents_per_process > 1, "--steer": steer}
     if realtime and any(given.values()):
         option = next(name for name, there in given.items() if there)

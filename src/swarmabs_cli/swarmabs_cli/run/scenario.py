@@ -3,30 +3,36 @@
 from __future__ import annotations
 
 import click
+from rich.table import Table
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_cli.options import json_option, set_option
-from swarmabs_cli.output import print_json, print_warnings
+from swarmabs_cli.options import examples, json_option, set_option
+from swarmabs_cli.output import print_json, print_tables, print_warnings
 from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario
-from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_config.scenarios import builtin_scenarios, described
 
 
-@click.group()
+@click.group(
+    epilog=examples("scenario list", "scenario show pd_het_4 > mine.yaml", "scenario schema > scenario.schema.json")
+)
 def scenario() -> None:
-    """List and show scenarios, and their schema for editors."""
+    """List and show scenarios, and print their JSON Schema."""
 
 
 @scenario.command("list")
 @json_option
 def list_scenarios(*, as_json: bool) -> None:
-    """List the built-in scenarios."""
+    """List the built-in scenarios with the figure of the paper that each reproduces."""
     rows = []
     for name, path in builtin_scenarios().items():
         loaded = load_scenario(path)
         kinds = [agent.kind for agent in loaded.agents]
+        description, figure = described(path)
         rows.append(
             {
                 "name": name,
+                "description": description,
+                "figure": figure,
                 "controller": loaded.controller.type,
                 "single_integrators": kinds.count("single_integrator"),
                 "double_integrators": kinds.count("double_integrator"),
@@ -38,12 +44,12 @@ def list_scenarios(*, as_json: bool) -> None:
     if as_json:
         print_json(rows)
         return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("scenario", "time", "figure", "description"):
+        table.add_column(heading, no_wrap=heading != "description")
     for row in rows:
-        click.echo(
-            f"{row['name']:<14} {row['controller']:<6} "
-            f"{row['single_integrators']:>3} SI + {row['double_integrators']:>3} DI"
-            f"  {row['duration']:g} s in steps of {row['step']:g} s"
-        )
+        table.add_row(str(row["name"]), f"{row['duration']:g} s", str(row["figure"]), str(row["description"]))
+    print_tables(table)
 
 
 @scenario.command("show")

@@ -6,12 +6,16 @@ from typing import Any
 
 import click
 
+from swarmabs_cli.options import examples
 from swarmabs_cli.runs import carry_out, run_options
 from swarmabs_run.simulated_run import simulate_run
 
 
-@click.command()
+@click.command(epilog=examples("simulate arise_het_20 --duration 20"))
 @run_options
 def simulate(**options: Any) -> int:
-    """Run a scenario in one process without DDS; it gives the same digest as `run`."""
+    """Run a scenario in one process, without DDS.
+
+    The results and the digest are those of `run`, several times faster.
+    """
     return carry_out(simulate_run, realtime=False, **options)

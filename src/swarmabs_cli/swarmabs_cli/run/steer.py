@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from swarmabs_cli.options import json_option, run_argument
+from swarmabs_cli.options import examples, json_option, run_argument
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
 from swarmabs_run.steering.client import SteeringClient
@@ -15,17 +15,20 @@ from swarmabs_run.steering.client import SteeringClient
 ACTIONS = ("reference", "disturbance", "kill", "freeze", "remove", "leave", "add", "status")
 
 
-@click.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
+@click.command(
+    context_settings={"ignore_unknown_options": True},  # a negative number is no option
+    epilog=examples("steer runs/pd_het_4-001 reference 0.05", "steer runs/pd_het_4-001 kill 2"),
+)
 @run_argument
 @click.argument("action", type=click.Choice(ACTIONS))
 @click.argument("value", required=False, metavar="[VALUE|ROBOT]")
 @json_option
 def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
-    """Change something in a run that was started with --steer, and say from which step on it holds.
+    """Change a running simulation that was started with --steer.
 
-    RUN is its folder. `reference` offsets the angle wanted (rad), `disturbance` is a torque on the plane (N m); both
-    hold until they are set again. The others take the id of a robot; `leave` is the same as `remove`. `status` says
-    what holds.
+    RUN is the folder of the run. `reference` offsets the desired angle (rad) and `disturbance` applies a torque to the
+    plane (N m); both hold until you set them again. The other actions take the id of a robot; `leave` is the same as
+    `remove`. `status` prints the current values. The answer names the first step that the change applies to.
     """
     request = {"action": action, **_argument(action, value)}
     with SteeringClient(run) as client:

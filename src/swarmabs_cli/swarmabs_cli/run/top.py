@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from swarmabs_cli.options import RUNS, json_option
+from swarmabs_cli.options import RUNS, examples, json_option
 from swarmabs_cli.output import print_json, print_tables
 from swarmabs_run.processes import RunProcesses, Snapshot, document, newest_run
 
@@ -22,22 +22,23 @@ SAMPLE = 0.5
 _SLICE = 0.1
 
 
-@click.command()
+@click.command(epilog=examples("top", "top runs/pd_het_4-001 --once"))
 @click.argument("run", required=False, metavar="[RUN]", type=click.Path(path_type=Path))
-@click.option("--once", is_flag=True, help="Look once and end.")
+@click.option("--once", is_flag=True, help="Print one snapshot and exit.")
 @click.option(
     "--interval",
     type=click.FloatRange(0.2, 3600.0),
     default=2.0,
     show_default=True,
     metavar="SECONDS",
-    help="Time between two looks.",
+    help="Time between two snapshots.",
 )
 @json_option
 def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None:
-    """Show the processes of a run that is going on, and its step rate, until it ends.
+    """Show the processes of a running simulation.
 
-    RUN is the folder of the run; without it, the newest one in runs/ that goes on. With --json the command looks once.
+    RUN is the folder of the run; the default is the newest run in runs/ that has not ended. The display ends with the
+    run. With --json the command takes a single snapshot.
     """
     folder = newest_run(RUNS) if run is None else run
     processes = RunProcesses(folder)

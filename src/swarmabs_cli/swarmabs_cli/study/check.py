@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import click
 from rich.console import Console, Group, RenderableType
@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_cli.options import duration_option, json_option, scenario_argument, set_option
+from swarmabs_cli.options import duration_option, examples, json_option, scenario_argument, set_option
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.theory.report import Condition, Form, Report, Theorem, Verdict
@@ -19,7 +19,7 @@ from swarmabs_core.theory.report import Condition, Form, Report, Theorem, Verdic
 _STYLES = {Verdict.HOLDS: "green", Verdict.FAILS: "bold red", Verdict.NOT_APPLICABLE: "dim"}
 
 
-@click.command()
+@click.command(epilog=examples("check pd_het_4", "check arise_het_4 --all"))
 @scenario_argument
 @set_option()
 @duration_option
@@ -29,16 +29,26 @@ _STYLES = {Verdict.HOLDS: "green", Verdict.FAILS: "bold red", Verdict.NOT_APPLIC
     default=0.2,
     show_default=True,
     metavar="RAD",
-    help="Bound theta_max of the angle in the theorems of state feedback.",
+    help="Bound theta_max on the angle in the state-feedback theorems.",
 )
+@click.option("--all", "everything", is_flag=True, help="Print every condition with its margin, not just failures.")
 @click.option("--strict", is_flag=True, help="Exit with 1 if an applicable corrected condition fails.")
 @json_option
 def check(
-    scenario: str, overrides: tuple[str, ...], duration: str | None, angle_max: float, *, strict: bool, as_json: bool
+    scenario: str,
+    overrides: tuple[str, ...],
+    duration: str | None,
+    angle_max: float,
+    *,
+    everything: bool,
+    strict: bool,
+    as_json: bool,
 ) -> int:
-    """Say whether the paper's theorems cover a scenario: each condition as printed and as corrected, with its margin.
+    """Check a scenario against the paper's stability theorems.
 
-    Nothing is run. SCENARIO is a built-in scenario (`swarm scenario list`), a YAML file, or a bag.
+    Nothing is run. The verdict comes first, then the conditions that fail; --all prints every condition, as printed in
+    the paper and as corrected, with its margin. SCENARIO is a built-in scenario (see `scenario list`), a YAML file, or
+    a bag.
     """
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
@@ -51,37 +61,46 @@ def check(
         console = Console(highlight=False)
         if not console.is_terminal:
             console.width = 120
-        console.print(render(report))
+        console.print(render(report, everything=everything))
     return 1 if strict and report.failed else 0
 
 
-def render(report: Report) -> Group:
-    """Return the report as tables: the theorem that applies first, then sets, sampled time and what does not apply."""
+def render(report: Report, *, everything: bool) -> Group:
+    """Return the verdict, a line for each theorem, and the conditions that fail; or `everything` that was evaluated."""
     parts: list[RenderableType] = [
         Text(f"{report.scenario}: {report.controller} with {report.swarm}, theta_max = {report.angle_max:g} rad"),
+        _conclusion(report),
         Text(),
     ]
     theorems = (*report.theorems, report.beyond)
     for theorem in theorems:
         if theorem.applicable:
-            parts += [*_theorem(theorem), Text()]
-    parts += [_pairs("region of attraction", report.attraction), Text()]
-    parts += [_pairs("abstract states", report.abstract_states), Text()]
-    parts += [
-        Text(f"{theorem.label}: not applicable, {theorem.note}", style="dim")
-        for theorem in theorems
-        if not theorem.applicable
-    ]
+            shown = theorem.conditions if everything else theorem.failed
+            parts += [_title(theorem), *(_conditions(theorem, shown) if shown else ())]
+            parts += [Text()] if shown else []
+    if everything:
+        parts += [_pairs("region of attraction", report.attraction), Text()]
+        parts += [_pairs("abstract states", report.abstract_states), Text()]
+        parts += [
+            Text(f"{theorem.label}: not applicable, {theorem.note}", style="dim")
+            for theorem in theorems
+            if not theorem.applicable
+        ]
     parts += [Text(f"note: {note}") for note in report.notes]
-    parts += [_conclusion(report)]
+    if not everything:
+        parts += [Text("every condition with its value, bound and margin: --all", style="dim")]
     return Group(*parts)
 
 
-def _theorem(theorem: Theorem) -> list[RenderableType]:
+def _title(theorem: Theorem) -> Text:
     title = Text(f"{theorem.label}, {theorem.title}: ", style="bold")
     title.append(theorem.verdict.value, _STYLES[theorem.verdict])
     if theorem.printed_verdict is not Verdict.NOT_APPLICABLE:
         title.append(f" (as printed: {theorem.printed_verdict.value})", "not bold")
+    return title
+
+
+def _conditions(theorem: Theorem, conditions: Sequence[Condition]) -> list[RenderableType]:
     table = Table(box=None, pad_edge=False, show_edge=False, header_style="dim")
     table.add_column("condition", overflow="fold")
     table.add_column("", style="dim")
@@ -89,10 +108,10 @@ def _theorem(theorem: Theorem) -> list[RenderableType]:
     for name in ("value", "bound", "margin"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    for condition in theorem.conditions:
+    for condition in conditions:
         _add(table, condition)
     notes = [Text(f"  {theorem.note}", style="dim")] if theorem.note else []
-    return [title, *notes, table]
+    return [*notes, table]
 
 
 def _add(table: Table, condition: Condition) -> None:
@@ -144,7 +163,7 @@ def _shown(value: object) -> str:
 
 def _conclusion(report: Report) -> Text:
     if report.covered:
-        return Text("the theory, as corrected, covers this scenario", style="green")
+        return Text("covered: the corrected theorems hold for this scenario", style="green")
     failed = ", ".join(f"{theorem.label}: {condition.name}" for theorem, condition in report.failed)
-    reason = f"these conditions fail: {failed}" if failed else "no theorem is about this parent controller"
-    return Text(f"the theory does not cover this scenario; {reason}", style="bold red")
+    reason = f"these conditions fail: {failed}" if failed else "no theorem applies to this parent controller"
+    return Text(f"not covered: {reason}", style="bold red")

@@ -12,7 +12,7 @@ from swarmabs_analysis.figures.runs import find_made, find_runs, make_run
 from swarmabs_analysis.figures.style import FORMATS, Format
 from swarmabs_analysis.report import write_file
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_cli.options import json_option
+from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_json
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
@@ -23,10 +23,15 @@ from swarmabs_run.simulated_run import simulate_run
 from swarmabs_view.terminal import shown_progress
 
 
-@click.command()
+@click.command(epilog=examples("figures", "figures PD_res -o figures --format svg"))
 @click.argument("names", nargs=-1, metavar="[FIGURE]...")
 @click.option(
-    "-o", "--output", default="figures", show_default=True, type=click.Path(path_type=Path), help="Folder of the files."
+    "-o",
+    "--output",
+    default="figures",
+    show_default=True,
+    type=click.Path(path_type=Path),
+    help="Folder of the figures.",
 )
 @click.option(
     "--from",
@@ -34,7 +39,7 @@ from swarmabs_view.terminal import shown_progress
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="BAG|FOLDER",
-    help="Draw from this bag, or from the runs in this folder; repeatable.",
+    help="Bag, or folder of runs, to draw from; repeatable.",
 )
 @click.option("--simulate", "make", flag_value="simulate", help="Make missing runs in this process.")
 @click.option("--run", "make", flag_value="run", help="Make missing runs with one process per robot over DDS.")
@@ -51,11 +56,12 @@ def figures(
     *,
     as_json: bool,
 ) -> int:
-    """Draw the figures of the paper, all or those named, from recorded runs.
+    """Draw the figures of the paper from recorded runs.
 
-    FIGURE is a label of the paper's source: mappingEx, posMapping, PD_res, ARISE_res or ARISE_lg_swarm. Without --from
-    the runs are simulated, which gives the same bits as `run`, and kept in DIR/runs for the next time. With --from
-    every run that a figure needs must be there, unless --simulate or --run makes those that are missing.
+    FIGURE is a label in the paper's source: mappingEx, posMapping, PD_res, ARISE_res or ARISE_lg_swarm; the default is
+    all of them. Without --from, the runs are simulated, which gives the same bits as `run`, and kept in DIR/runs for
+    the next time. With --from, every run that a figure needs must be there, unless --simulate or --run makes those that
+    are missing.
     """
     for name in names:
         if name not in FIGURES:

@@ -11,31 +11,31 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column
 
-from swarmabs_cli.options import A_PATH, RUNS, json_option, output_option, set_option
+from swarmabs_analysis.sweep.folder import find_folder, make_folder
+from swarmabs_analysis.sweep.study import load_sweep
+from swarmabs_cli.options import A_PATH, RUNS, examples, json_option, output_option, set_option
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
-
-try:
-    from swarmabs_analysis.sweep.executor import Executor, LocalExecutor, SchedulerExecutor
-    from swarmabs_analysis.sweep.folder import find_folder, make_folder
-    from swarmabs_analysis.sweep.run import run_sweep
-    from swarmabs_analysis.sweep.study import load_sweep
-except ModuleNotFoundError as missing:
-    raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
 
 _LINE_INTERVAL = 5.0
 """Time, s, between two lines."""
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "sweep examples/sweeps/masses_and_delays.yaml -o sweep",
+        "sweep examples/sweeps/masses_and_delays.yaml -o sweep --resume",
+    )
+)
 @click.argument("file", metavar="SWEEP.yaml", type=A_PATH)
 @output_option("Folder of the results.  [default: runs/NAME-NNN]")
 @set_option()
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes on this machine.  [default: one per core]")
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler, tcp://HOST:PORT.")
-@click.option("--resume", is_flag=True, help="Go on with the sweep in the folder, if there is one.")
+@click.option("--resume", is_flag=True, help="Continue the sweep in the folder, if there is one.")
 @json_option
 def sweep(
     file: Path,
@@ -47,17 +47,26 @@ def sweep(
     resume: bool,
     as_json: bool,
 ) -> int:
-    """Run many variants of a scenario: a grid of parameters, or parameters drawn at random.
+    """Run many variants of a scenario.
 
-    SWEEP.yaml names the scenario and what varies. The folder gets results.parquet with one row per case, summary.json
-    and a picture. An interrupted sweep goes on with --resume.
+    SWEEP.yaml names the scenario and what varies: a grid of parameters, or parameters drawn at random. The folder
+    receives results.parquet with one row per case, summary.json and a picture. Continue an interrupted sweep with
+    --resume.
     """
     if resume and output is None:
         raise click.UsageError("--resume needs the folder of the sweep: -o DIR")
     if jobs is not None and scheduler is not None:
-        raise click.UsageError("--jobs is for this machine; a scheduler has workers of its own")
+        raise click.UsageError("--jobs is for this machine; a scheduler has its own workers")
+    try:  # here, since help needs none of them
+        from swarmabs_analysis.sweep.executor import LocalExecutor, SchedulerExecutor  # noqa: PLC0415
+        from swarmabs_analysis.sweep.run import run_sweep  # noqa: PLC0415
+    except ModuleNotFoundError as missing:
+        raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
     study = load_sweep(file, overrides)
-    with closing(_executor(jobs, scheduler)) as executor:
+    with closing(LocalExecutor(jobs) if scheduler is None else SchedulerExecutor(scheduler)) as executor:
+        if executor.differing:
+            workers = ", ".join(executor.differing)
+            click.echo(f"warning: another math library on {workers}: digests differ from those made here", err=True)
         begun = resume and output is not None and output.exists() and any(output.iterdir())
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
         summary = folder.complete()
@@ -75,17 +84,6 @@ def sweep(
     return 0 if summary["status"] == "ok" else 1
 
 
-def _executor(jobs: int | None, scheduler: str | None) -> Executor:
-    """Return what the user has asked to compute with."""
-    if scheduler is None:
-        return LocalExecutor(jobs)
-    executor = SchedulerExecutor(scheduler)
-    if executor.differing:
-        workers = ", ".join(executor.differing)
-        click.echo(f"warning: other mathematical library on {workers}: digests differ from those made here", err=True)
-    return executor
-
-
 @contextmanager
 def _shown(name: str, cases: int) -> Iterator[Callable[[Counter[str]], None]]:
     """Show how far a sweep is on standard error: a bar on a terminal, now and then a line elsewhere."""
@@ -95,10 +93,11 @@ def _shown(name: str, cases: int) -> Iterator[Callable[[Counter[str]], None]]:
         return f"{name}: {outcomes.total()} of {cases} cases" + (f"; {ended}" if ended else "")
 
     if sys.stderr.isatty():
-        columns = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn())
-        text = TextColumn("{task.description}", markup=False)
-        with Progress(*columns, text, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(name, total=cases)
+        one_line = Column(no_wrap=True, overflow="ellipsis")
+        columns = (BarColumn(bar_width=20), TimeRemainingColumn(compact=True))
+        text = TextColumn("{task.description}", markup=False, table_column=one_line)
+        with Progress(text, *columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(describe(Counter()), total=cases)
             yield lambda outcomes: bar.update(task, completed=outcomes.total(), description=describe(outcomes))
         return
     shown = -_LINE_INTERVAL

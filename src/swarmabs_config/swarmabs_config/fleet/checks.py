@@ -38,6 +38,11 @@ def warnings(fleet: UncheckedFleet) -> tuple[str, ...]:
         found.append(
             "security is none: whoever is in the network can read everything and command the swarm within its limits"
         )
+    if fleet.security.level == "sros2" and fleet.network.discovery == "server":
+        found.append(
+            "a discovery server with security sros2 has not been tested with this fleet; "
+            "use 'discovery: static', or test it before robots move"
+        )
     if fleet.coordinators.controller.start_mode == "run":
         found.append("coordinators.controller.start_mode is run: robots move as soon as all is there, unasked")
     return tuple(found)

@@ -16,7 +16,6 @@ from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.swarm_law import LAWS
-from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
 from .fault_checks import faults, offset_law
@@ -48,7 +47,7 @@ def findings(scenario: "UncheckedScenario") -> list[Finding]:
 
 def warnings(scenario: "UncheckedScenario") -> tuple[str, ...]:
     """Return what is legal but likely to go wrong, one line each."""
-    checks = (_outside_reachable_set, _underdamped, _wrong_feedback, _membership)
+    checks = (_underdamped, _wrong_feedback, _membership)
     return tuple(text for check in checks for text in check(scenario))
 
 
@@ -206,18 +205,6 @@ def _swarm_location(scenario: "UncheckedScenario") -> Location:
 
 def _total_mass(agents: Iterable["Agent"]) -> float:
     return math.fsum(agent.mass for agent in agents)
-
-
-def _outside_reachable_set(scenario: "UncheckedScenario") -> Iterator[str]:
-    manifold, plane = scenario.manifold, scenario.plane
-    sets = ConstraintSets([agent.mass for agent in scenario.agents], plane.length, plane.gravity)
-    leaves = max(0.0, sets.admissible_reach(manifold.curvature, manifold.offset))
-    if leaves < manifold.torque_max:
-        yield (
-            f"manifold: from |tau| = {leaves:.4g} N m on, below torque_max = {manifold.torque_max!r}, "
-            "some positions with the wanted torque and inertia are off the plane (the manifold leaves A_A); "
-            "lower torque_max, or lengthen the plane"
-        )
 
 
 def _underdamped(scenario: "UncheckedScenario") -> Iterator[str]:

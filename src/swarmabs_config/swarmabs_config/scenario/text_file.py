@@ -62,9 +62,10 @@ def _open_without_waiting(path: str, flags: int) -> int:
 
 def _remedy_missing(path: Path) -> str:
     try:
-        names = sorted(entry.name for entry in path.parent.iterdir() if entry.suffix in {".yaml", ".yml", path.suffix})
+        files = [entry for entry in path.parent.iterdir() if not entry.name.startswith(".")]
     except OSError:
         return "check the path"
+    names = sorted(entry.name for entry in files if entry.suffix in {".yaml", ".yml", path.suffix})
     return nearest(path.name, names[:5]) if names else "check the path"
 
 

@@ -25,7 +25,7 @@ DEEPEST = 32
 """Deepest nesting of lists and mappings."""
 
 # Only the events of these loaders are used, never what they construct. libyaml's is ten times faster.
-_LOADER = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
+LOADER: "Loader" = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -41,6 +41,7 @@ _CONSTANTS: dict[str, bool | None] = {
 _TAG = "tag:yaml.org,2002:"
 _REMOVE_TAG = "remove the tag: a scenario is plain data"
 
+Loader: TypeAlias = "type[yaml.CSafeLoader | yaml.SafeLoader]"
 Scalar: TypeAlias = str | int | float | bool | None
 Plain: TypeAlias = "Scalar | list[Plain] | dict[str, Plain]"
 
@@ -130,22 +131,25 @@ def dotted(location: Location) -> str:
     return ".".join(str(part) for part in location)
 
 
-def read_tree(text: str, source: str, *, numbered: bool = True) -> Node:
+def read_tree(text: str, source: str, *, numbered: bool = True, loader: "Loader" = LOADER) -> Node:
     """Read one YAML document; an empty one is null. Places have line numbers if it is `numbered`.
+
+    The `loader` gives the events.
 
     Raises
     ------
     ScenarioError
         If the text is not YAML, not plain data, or too large.
     """
-    return _Reader(text, source, numbered=numbered).read()
+    return _Reader(text, source, loader, numbered=numbered).read()
 
 
 class _Reader:
     """Turns the events of one document into a tree."""
 
-    def __init__(self, text: str, source: str, *, numbered: bool) -> None:
+    def __init__(self, text: str, source: str, loader: "Loader", *, numbered: bool) -> None:
         self._text = text
+        self._loader = loader
         self._source = source
         self._numbered = numbered
         self._values = 0
@@ -161,7 +165,7 @@ class _Reader:
         if bad := _UNPRINTABLE.search(self._text):
             line = self._text.count("\n", 0, bad.start())
             raise self._mark(line).error(f"the character {bad.group()!a} is not text", "remove it; a scenario is text")
-        self._events = yaml.parse(self._text, Loader=_LOADER)
+        self._events = yaml.parse(self._text, Loader=self._loader)
         try:
             return self._document()
         except yaml.YAMLError as exc:

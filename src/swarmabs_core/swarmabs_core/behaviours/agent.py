@@ -130,7 +130,7 @@ class Agent:
     packed : bool
         Whether it hears the three broadcasts of a step as one message, which wakes it less often.
     steered : bool
-        Whether the run is steered; then a robot of which nobody knows when it joins waits for the order that adds it.
+        Whether the run is steered; then a robot without a planned time to join waits for the order that adds it.
 
     Attributes
     ----------

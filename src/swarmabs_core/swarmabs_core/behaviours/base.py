@@ -45,7 +45,7 @@ class Lockstep:
 
 
 class Behaviour(Protocol):
-    """A node as a state machine. Whoever drives it publishes what it answers, in that order."""
+    """A node as a state machine. Its driver publishes its answers, in that order."""
 
     def start(self) -> Messages:
         """Return what is to be published before anything was received."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Messages, Topic
 
 MOST_WAITING = 100
-"""Most requests that wait for their step: each gets one of its own."""
+"""Most requests in the queue: each is executed in a separate step."""
 OVER = "the run is over"
 
 
@@ -71,7 +71,7 @@ class SteeringConfig:
 class SteeringController:
     """Orders one step ahead of the plane: with the plane's state of a step comes the order of the next.
 
-    So every request gets a step that nobody has begun, as soon as possible, and each step has one order at most.
+    So every request gets the earliest step that no node has begun, and each step has one order at most.
     """
 
     def __init__(self, config: SteeringConfig) -> None:

@@ -44,7 +44,7 @@ class RealtimeAgentConfig(RobotConfig):
     lane_margin: float = same(Realtime, "lane_margin")
     broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
     measurement_age_limit: float = setting(
-        0.1, "age of the measurement of its own motion from which on the robot stops, s", above=0.0
+        0.1, "age of the robot's motion measurement above which it stops, s", above=0.0
     )
     clock_tolerance: float = same(Realtime, "clock_tolerance")
     drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "what moves the robot")
@@ -201,7 +201,7 @@ class RealtimeAgent:
         )
 
     def _decide(self, now: int, *, fresh: bool) -> Messages:
-        problem = self._inbox.problem(now) if fresh else "no fresh measurement of its own motion"
+        problem = self._inbox.problem(now) if fresh else "no fresh measurement of the robot's motion"
         m, broadcasts = self._measurement, self._inbox.newest
         if problem or m is None or broadcasts is None:
             return self._stop(now, problem)

@@ -32,7 +32,7 @@ class Health(NamedTuple):
 
 
 class RealtimeBehaviour(Protocol):
-    """A node as a state machine. Whoever drives it publishes what it answers, in that order.
+    """A node as a state machine. Its driver publishes its answers, in that order.
 
     `now` is the time of the swarm's clock, in ns since 1970; it is an argument so that a test is its own clock.
     """
@@ -96,7 +96,7 @@ class Realtime:
 class Schedule:
     """How time becomes steps: step k is the k-th period since an epoch that all nodes know.
 
-    A node that starts late or again knows the step from its clock alone, so nobody has to be restarted with it.
+    A node that starts late or restarts knows the step from its clock alone, so no other node has to restart with it.
     """
 
     period_ns: int = same(Run, "period_ns")

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""
 MOST_STEPS = 100
-"""Missed steps that law and filter catch up; beyond, they begin anew."""
+"""Missed steps that law and filter catch up with; after more, they restart."""
 
 
 @dataclass(frozen=True, slots=True)

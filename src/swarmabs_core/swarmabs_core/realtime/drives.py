@@ -26,7 +26,7 @@ MOST_STEPS = 1000
 
 
 class Measurement(NamedTuple):
-    """What a robot knows of its own motion: time (ns since 1970), position (m) and velocity (m/s) along the plane."""
+    """A measurement of a robot's motion: time (ns since 1970), position (m) and velocity (m/s) along the plane."""
 
     stamp: int
     position: float

@@ -79,12 +79,23 @@ def _notes(setting: Setting) -> Iterator[str]:
     """Say what the theory leaves out of this scenario."""
     robot = setting.robots[0]
     yield (
-        "all theorems are about continuous time without the command filter; the limits of sampled time are those of "
-        "loops linearised at 0"
+        "the theorems assume continuous time and no command filter; the limits of sampled time are those of the loops "
+        "linearised at 0"
     )
+    manifold, torque_max = setting.manifold, setting.manifold.torque_max
+    leaves = max(0.0, setting.sets.admissible_reach(manifold.curvature, manifold.offset))
+    if leaves < torque_max:
+        yield (
+            f"manifold: above |tau| = {leaves:.4g} N m, below torque_max = {torque_max!r}, some positions with the "
+            "desired torque and inertia are off the plane (the manifold leaves A_A); lower torque_max, or lengthen the "
+            "plane"
+        )
     if robot.limits != Limits():
-        yield "no theorem knows the limits of the drives"
+        yield "the theorems do not consider the limits of the drives"
     if robot.feels_gravity and setting.has_double:
         yield "plane.robot_gravity: the theorems leave out gravity along the plane, which destabilises"
     if setting.faulty:
-        yield "no theorem knows faults, losses or changing members; only the initial swarm and a delay are checked"
+        yield (
+            "the theorems do not consider faults, losses and joining or leaving robots; the check covers the initial "
+            "swarm and a delay"
+        )

@@ -3,7 +3,8 @@ r"""The theorems of a plane under state feedback, LQR_SI_sys, LQR_DI_sys and LQR
 With the error :math:`z = (\theta, \dot\theta, e_\tau, e_J)` the paper estimates the region of attraction by the ball
 :math:`|z|^2 \le \theta_{max}^2 / (2 \eta)`, for which it prints two values of :math:`\eta`: one in the theorem, another
 in its proof. The latter is the right bound of the kinetic energy's coefficient, so it is the corrected one here; see
-docs/sweep.md. The paper also takes the abstract state without g for its error; here :math:`e_a(0) = a_d(0) - a(0)`.
+docs/how-to/sweep.md. The paper also takes the abstract state without g for its error; here
+:math:`e_a(0) = a_d(0) - a(0)`.
 
 Its :math:`V_p = \theta^2/2 + (J + J_s) \dot\theta^2/2` can grow along solutions: the symmetric part of its matrix M is
 indefinite. With

@@ -16,6 +16,7 @@ import os
 import select
 import signal
 import sys
+import time
 import traceback
 import warnings
 from typing import Any, NoReturn
@@ -26,7 +27,7 @@ from swarmabs_core.messages import TOPICS
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
-from swarmabs_run.ending import die_with_parent
+from swarmabs_run.ending import die_with_parent, end_grace
 from swarmabs_run.tracing_files import tracing_files_removed
 
 LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")
@@ -44,6 +45,7 @@ class Launcher:
         self._children: dict[int, str] = {}
         self._pids: dict[str, int] = {}
         self._wake = os.pipe()
+        self._grace = end_grace()
 
     def run(self) -> None:
         """Serve until standard input ends."""
@@ -118,6 +120,12 @@ class Launcher:
             self._report("exited", name=name, child=pid, code=os.waitstatus_to_exitcode(status))
 
     def _end(self) -> None:
+        for pid in self._children if self._grace else ():
+            os.kill(pid, signal.SIGTERM)
+        deadline = time.monotonic() + self._grace
+        while self._children and time.monotonic() < deadline:
+            self._reap(os.WNOHANG)
+            time.sleep(0.01)
         for pid in self._children:
             os.kill(pid, signal.SIGKILL)
             os.kill(pid, signal.SIGCONT)

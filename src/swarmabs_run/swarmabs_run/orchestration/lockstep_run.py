@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_run.orchestration.process_run import ProcessRun, process_state
+from swarmabs_run.orchestration.process_run import ProcessRun
 from swarmabs_run.run import DEFAULTS, RunOptions
 from swarmabs_run.steering.client import SOCKET
 
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.machine import Machine
     from swarmabs_run.orchestration.plan import Arrange
     from swarmabs_run.orchestration.supervision import Failure
     from swarmabs_run.run import Outcome
@@ -41,16 +42,16 @@ class LockstepRun(ProcessRun):
         self._stalled_since: float | None = None
         self._stalled_at = -1
 
-    def run(self) -> Outcome:
-        """Run to the end, whatever it is; afterwards nothing of the run is left but its results; see `ProcessRun`."""
+    def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
+        """See the processes to their end; afterwards the run cannot be steered any more."""
         try:
-            return super().run()
+            return super().drive(machine, domain, begun)
         finally:
             (self._folder.path / SOCKET).unlink(missing_ok=True)
 
     def _start(self, now: float) -> float:
         self._note("all processes have met their counterparts: start")
-        self._launcher.start_all()
+        self._machine.start_all()
         return now
 
     def _watch(self, now: float) -> Failure | None:
@@ -77,7 +78,7 @@ class LockstepRun(ProcessRun):
                 continue
             self._supervision.expect_end(name)
             self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
-            self._launcher.signal(name, _SIGNALS[fault.kind])
+            self._machine.signal(name, _SIGNALS[fault.kind])
 
     def _recorded(self) -> int:
         """Return the last step that is known to be recorded, -1 for none."""
@@ -96,4 +97,4 @@ class LockstepRun(ProcessRun):
         grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
         if now - self._stalled_since < grace:
             return None
-        return state.diagnose({name: process_state(pid) for name, pid in state.pids.items()})
+        return state.diagnose({name: self._machine.state_of(pid) for name, pid in state.pids.items()})

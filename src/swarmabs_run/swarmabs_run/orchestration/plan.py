@@ -77,7 +77,7 @@ class ProcessPlan:
         return [
             "--ros-args",
             # What a node logs goes to its standard error, and from there to its file in the run's folder.
-            *("--disable-external-lib-logs", "--disable-rosout-logs"),
+            "--disable-external-lib-logs",
             *("-r", f"__node:={self.name}"),
             *("-r", f"__ns:={namespace}"),
             *(word for text in given for word in ("-p", text)),

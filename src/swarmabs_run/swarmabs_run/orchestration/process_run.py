@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import select
 import signal
-import threading
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
-
-import psutil
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.graph import LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_config.ports import domains_spanned
-from swarmabs_run.ending import end_asked
+from swarmabs_run.ending import end_asked, end_grace
 from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.machine import ThisMachine, woken_by_signals
 from swarmabs_run.orchestration.network import claimed_domain, dds_environment, multicast_works, profile_xml
 from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, plan
 from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
@@ -25,18 +21,18 @@ from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from typing import Any, ClassVar
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
+    from swarmabs_run.orchestration.machine import Machine
     from swarmabs_run.run import Phase
 
 START_SILENCE = 30.0
 """Time, s, in which at least one more process must be forked or become ready."""
 CLOSING_SECONDS = 20.0
 """Time, s, that the recorder has to complete the bag."""
-POLL = 0.1
 STARTED_AGAIN = "did not come up: again"
 """What the orchestrator's log says of a process that it starts once more."""
 
@@ -44,7 +40,7 @@ STARTED_AGAIN = "did not come up: again"
 class ProcessRun:
     """Starts a scenario's processes, waits until all are ready, lets them run as a subclass says, and ends them all.
 
-    The scenario's generated robots are listed, and the folder is empty.
+    The scenario's generated robots are listed, and the folder is empty. Raises `InputError` as of `end_grace`.
     """
 
     _driver: ClassVar[Driver] = LOCKSTEP
@@ -52,6 +48,7 @@ class ProcessRun:
     def __init__(
         self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
+        end_grace()  # the launcher reads it when the run has begun
         self._scenario = scenario
         self._folder = folder
         self._options = options
@@ -64,10 +61,8 @@ class ProcessRun:
             dispensable=frozenset(hosts.values()) if survives else frozenset(),
             hosts=hosts,
         )
-        self._interrupted: Callable[[], bool] = lambda: False
-        self._launcher: LauncherClient
-        self._wake: int
-        self._begun = time.monotonic()
+        self._machine: Machine
+        self._begun: float
         self._started: float | None = None
         self._finished: float | None = None
 
@@ -76,18 +71,18 @@ class ProcessRun:
 
         Raises `RunError` if the run cannot even be begun, such as when no ROS domain is free.
         """
+        begun = time.monotonic()
         participants = 1 + max(process.participant for process in self._plan)
         self._folder.fill(self._scenario)
         profile, realtime = self._folder.logs / "fastdds.xml", self._driver is REALTIME
         with ExitStack() as stack:
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
-            self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
             profile.write_text(profile_xml(domain, multicast=multicast_works(), realtime=realtime), encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._told.over)
-            self._interrupted = stack.enter_context(end_asked())
-            self._wake = stack.enter_context(_woken_by_signals())
+            asked = stack.enter_context(end_asked())
+            wake = stack.enter_context(woken_by_signals())
             client = LauncherClient(
                 dds_environment(domain, str(profile.resolve())),
                 self._folder.logs / "launcher.log",
@@ -96,22 +91,30 @@ class ProcessRun:
                 law=self._scenario.swarm.law.type,
                 driver=self._driver,
             )
-            self._launcher = stack.enter_context(client)
-            return self._conclude(self._supervise())
+            return self.drive(ThisMachine(stack.enter_context(client), wake, asked), domain, begun)
+
+    def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
+        """Start the processes on a machine, in a ROS domain, and see them to their end.
+
+        The run's folder is filled; the time (s, steady clock) at which it was asked for has begun its log.
+        """
+        self._machine, self._begun = machine, begun
+        self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
+        return self._conclude(self._supervise())
 
     def _supervise(self) -> Failure | None:
         """Drive the run until it is complete, fails or is interrupted."""
         state = self._supervision
         self._spawn(self._plan)
-        news = time.monotonic()
+        news = self._machine.now()
         known = 0
-        while not self._interrupted():
+        while not self._machine.end_asked():
             self._listen()
-            now = time.monotonic()
+            now = self._machine.now()
             failure = self._failure(now)
             if failure is not None:
                 return failure
-            if not self._launcher.alive():
+            if not self._machine.alive():
                 return Failure("the launcher has died", ("launcher",))
             if state.done is not None:
                 return None
@@ -121,14 +124,14 @@ class ProcessRun:
                     known, news = come, now
                 if state.all_ready():
                     state.started = True
-                    write_processes(self._folder.logs, {"launcher": self._launcher.pid, **state.pids})
+                    write_processes(self._folder.logs, {"launcher": self._machine.launcher, **state.pids})
                     self._started = self._start(now)
                 elif now - news > START_SILENCE:
                     if not state.hanging():
                         return self._not_started()
                     news = now
                     for name in state.hanging():
-                        self._launcher.signal(name, signal.SIGKILL)
+                        self._machine.signal(name, signal.SIGKILL)
             else:
                 failure = self._watch(now)
                 if failure is not None:
@@ -155,7 +158,7 @@ class ProcessRun:
     def _spawn(self, processes: Iterable[ProcessPlan]) -> None:
         for process in processes:
             log = self._folder.logs / f"{process.name}.log"
-            self._launcher.spawn(process, process.arguments(self._options.namespace), log)
+            self._machine.spawn(process, process.arguments(self._options.namespace), log)
 
     def _restart_lost(self) -> bool:
         """Start again the robots' processes that have ended before the run began; tell whether there were any."""
@@ -166,20 +169,16 @@ class ProcessRun:
         return bool(names)
 
     def _listen(self) -> None:
-        ready, _, _ = select.select([self._launcher.reports, self._wake], [], [], POLL)
-        if self._wake in ready:
-            os.read(self._wake, 4096)
-        if self._launcher.reports in ready:
-            for report in self._launcher.read():
-                self._supervision.take(report)
+        for report in self._machine.listen():
+            self._supervision.take(report)
         progress = self._supervision.progress
         if self._finished is None and progress is not None and progress["step"] >= self._scenario.steps:
-            self._finished = time.monotonic()
+            self._finished = self._machine.now()
 
     def _listen_until(self, enough: Callable[[], bool], seconds: float) -> None:
         """Listen while the run is closing, until that is enough, but not for longer than this."""
-        deadline = time.monotonic() + seconds
-        while not enough() and self._launcher.alive() and time.monotonic() < deadline:
+        deadline = self._machine.now() + seconds
+        while not enough() and self._machine.alive() and self._machine.now() < deadline:
             self._listen()
             self._tell("closing")
 
@@ -190,7 +189,7 @@ class ProcessRun:
 
     def _conclude(self, failure: Failure | None) -> Outcome:
         """Let the recorder complete the bag of a run that did not finish, and sum up."""
-        state, interrupted = self._supervision, failure is None and self._interrupted()
+        state, interrupted = self._supervision, failure is None and self._machine.end_asked()
         reason = self._describe(failure)
         if interrupted:
             reason = "interrupted"
@@ -198,7 +197,7 @@ class ProcessRun:
             self._note(reason)
         if RECORDER in state.pids and not (failure is not None and RECORDER in failure.culprits):
             # By the signal it knows what to write into the bag as the reason.
-            self._launcher.signal(RECORDER, signal.SIGINT if interrupted else signal.SIGTERM)
+            self._machine.signal(RECORDER, signal.SIGINT if interrupted else signal.SIGTERM)
             self._listen_until(lambda: state.done is not None or RECORDER in state.exited, CLOSING_SECONDS)
         ended_badly = self._end()
         if failure is None and ended_badly is not None:
@@ -206,12 +205,15 @@ class ProcessRun:
             self._note(ended_badly.reason)
         done = state.done or {"complete": False, "figures": {}}
         complete = done["complete"] and failure is None
+        if not complete and reason is None:
+            reason = "the recorder could not complete the recording"
+            self._note(reason)
         return Outcome(
-            "ok" if complete else "interrupted" if self._interrupted() and failure is None else "failed",
-            None if complete else reason or "the recorder could not complete the recording",
+            "ok" if complete else "interrupted" if self._machine.end_asked() and failure is None else "failed",
+            None if complete else reason,
             self._figures(done["figures"]),
             None if self._started is None else self._started - self._begun,
-            None if self._started is None else (self._finished or time.monotonic()) - self._started,
+            None if self._started is None else (self._finished or self._machine.now()) - self._started,
             self._warnings(),
         )
 
@@ -227,7 +229,7 @@ class ProcessRun:
         """Write a line to the orchestrator's log, which becomes a part of the bag."""
         path = self._folder.logs / "orchestrator.log"
         with suppress(OSError), path.open("a", encoding="utf-8") as stream:  # a full disk is the recorder's to report
-            stream.write(f"[{time.monotonic() - self._begun:9.3f}] {text}\n")
+            stream.write(f"[{self._machine.now() - self._begun:9.3f}] {text}\n")
 
     def _describe(self, failure: Failure | None) -> str | None:
         if failure is None:
@@ -242,10 +244,10 @@ class ProcessRun:
         state = self._supervision
         progress = state.progress or {}
         step, seen = progress.get("step", 0), progress.get("robots")
-        self._told.tell(phase, step, self._scenario.steps, time.monotonic())
+        self._told.tell(phase, step, self._scenario.steps, self._machine.now())
         if self._options.on_progress is None:
             return
-        elapsed = 0.0 if self._started is None else (self._finished or time.monotonic()) - self._started
+        elapsed = 0.0 if self._started is None else (self._finished or self._machine.now()) - self._started
         self._options.on_progress(
             Progress(
                 phase,
@@ -259,28 +261,3 @@ class ProcessRun:
                 None if seen is None else SwarmSummary(**seen),
             )
         )
-
-
-@contextmanager
-def _woken_by_signals() -> Iterator[int]:
-    """Yield the read end of a pipe to which every signal writes a byte."""
-    read, write = os.pipe()
-    os.set_blocking(write, False)
-    main = threading.current_thread() is threading.main_thread()
-    if main:
-        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-    try:
-        yield read
-    finally:
-        if main:
-            signal.set_wakeup_fd(-1)
-        os.close(read)
-        os.close(write)
-
-
-def process_state(pid: int) -> str:
-    """Return what the kernel says that a process does, such as ``stopped``; ``dead`` if there is none."""
-    try:
-        return str(psutil.Process(pid).status())
-    except psutil.Error:
-        return "dead"

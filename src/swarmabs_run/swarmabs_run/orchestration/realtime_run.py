@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import signal
-import time
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import REALTIME, RECORDER
 from swarmabs_config.realtime import check_realtime
 from swarmabs_ros.status import epoch_records
-from swarmabs_run.orchestration.process_run import ProcessRun, process_state
+from swarmabs_run.orchestration.process_run import ProcessRun
 from swarmabs_run.orchestration.supervision import Failure, how_it_ended
 from swarmabs_run.run import DEFAULTS, RunOptions
 
@@ -47,9 +46,9 @@ class RealtimeRun(ProcessRun):
 
     def _start(self, now: float) -> float:
         lead = LEAD + LEAD_PER_PROCESS * len(self._plan)
-        epoch_ns = time.time_ns() + round(lead * 1e9)
+        epoch_ns = self._machine.time_ns() + round(lead * 1e9)
         self._note(f"all processes are ready: start, with step 0 at {epoch_ns} ns since 1970")
-        self._launcher.start_all(epoch_records(epoch_ns, len(self._plan)))
+        self._machine.start_all(epoch_records(epoch_ns, len(self._plan)))
         return now + lead
 
     def _watch(self, now: float) -> Failure | None:
@@ -78,12 +77,12 @@ class RealtimeRun(ProcessRun):
         running = [name for name in state.pids if name not in state.exited]
         for name in running:
             state.expect_end(name)
-            self._launcher.signal(name, signal.SIGTERM)
+            self._machine.signal(name, signal.SIGTERM)
         self._listen_until(lambda: state.exited.keys() >= set(running), ENDING_SECONDS)
-        hung = {name: process_state(state.pids[name]) for name in running if name not in state.exited}
+        hung = {name: self._machine.state_of(state.pids[name]) for name in running if name not in state.exited}
         self._died |= {name: f"did not end (it is {hung[name]})" for name in hung if name in state.dispensable}
         culprits = tuple(name for name in hung if name not in state.dispensable)
-        if not culprits or not self._launcher.alive():
+        if not culprits or not self._machine.alive():
             return None
         shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
         return Failure(f"{shown} did not end when it was told to; what it did before is not known", culprits[:2])

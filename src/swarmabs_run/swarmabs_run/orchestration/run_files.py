@@ -168,7 +168,7 @@ def environment_of_run(run: Path) -> dict[str, str]:
 
 
 def _replace(file: Path, document: Mapping[str, object]) -> None:
-    """Write a file whole, so that nobody ever reads half of it."""
+    """Write a file atomically, so that readers never see a part of it."""
     part = file.with_suffix(".json.part")
     part.write_text(json.dumps(document) + "\n", encoding="utf-8")
     part.replace(file)

@@ -73,7 +73,7 @@ class SteeringClient:
         self._socket.close()
 
     def ask(self, asked: Mapping[str, object]) -> dict[str, Any]:
-        """Ask for something, and return the answer (docs/steering.md).
+        """Ask for something, and return the answer (docs/how-to/steering.md).
 
         Raises `RunError` if the run ends before it answers, or does not answer in time.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, load_scenario
@@ -21,6 +22,9 @@ from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.run import SLOWEST_STEP
 from swarmabs_run.steering.server import ROBOTS, VALUED, RequestQueue, SteeringServer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 PARAMETERS = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
@@ -46,18 +50,26 @@ class Pace:
     A run that is late does not catch up: the next step is due its time after this one. No bit of the run changes.
     """
 
-    def __init__(self, controller: SteeringController, seconds: float) -> None:
+    def __init__(
+        self,
+        controller: SteeringController,
+        seconds: float,
+        now: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
         self._controller = controller
         self._seconds = seconds
+        self._now = now
+        self._sleep = sleep
         self._due = 0.0
 
     def hear(self, topic: Topic, data: bytes) -> Messages:
         """Hand a message to the controller; the plane's state of a new step not before the next step is due."""
         message = decode(topic.message, data)
         if isinstance(message, PlaneState) and message.step == self._controller.step:
-            now = time.monotonic()
+            now = self._now()
             self._due = max(now, (self._due or now) + self._seconds)
-            time.sleep(self._due - now)
+            self._sleep(self._due - now)
         return self._controller.handle(message)
 
 

@@ -1,6 +1,6 @@
 """The socket of a run that is steered: a Unix socket in the folder of the run, for its user alone.
 
-On it clients send JSON objects in lines, each of which is answered (docs/steering.md). Threads read them; the node's
+Clients send JSON objects in lines and get an answer to each (docs/how-to/steering.md). Threads read them; the node's
 loop, which alone uses the steering controller, decides.
 """
 
@@ -55,7 +55,7 @@ _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 class SteeringRequest(BaseModel):
     """One line: what somebody asks for.
 
-    Parameters
+    Attributes
     ----------
     action : str
         What is to be done; ``status`` only asks.

@@ -10,10 +10,10 @@ const TRAIL = 400;
 export class AbstractPicture {
   constructor(canvas) {
     this.canvas = canvas;
-    this.near = false;
+    this.near = true;
   }
 
-  bounds(hello, frame, trail) {
+  bounds(hello, frame, trail, near) {
     const known = [frame.abstract, frame.desired].filter((one) => one.torque !== null && one.inertia !== null);
     const points = [...trail, ...known.map((one) => [one.torque, one.inertia])];
     let [left, right] = [Infinity, -Infinity];
@@ -25,7 +25,7 @@ export class AbstractPicture {
       high = Math.max(high, inertia);
     }
     const manifold = hello.manifold;
-    if (this.near && points.length) {
+    if (near && points.length) {
       const [dx, dy] = [Math.max(0.1 * (right - left), 0.02), Math.max(0.1 * (high - low), 0.001)];
       return [left - dx, right + dx, Math.max(0, low - dy), high + dy];
     }
@@ -44,46 +44,78 @@ export class AbstractPicture {
     const { context, width, height } = prepared(this.canvas);
     const colour = colours();
     const trail = this.trail(curves, frame.time);
-    const [left, right, low, high] = this.bounds(hello, frame, trail);
-    const [w, h] = [width - LEFT - RIGHT, height - TOP - BOTTOM];
-    const at = (torque, inertia) => [
-      LEFT + ((torque - left) / (right - left)) * w,
-      TOP + (1 - (inertia - low) / (high - low)) * h,
+    const box = { x: LEFT, y: TOP, w: width - LEFT - RIGHT, h: height - TOP - BOTTOM };
+    const shown = this.bounds(hello, frame, trail, this.near);
+    const at = this.mapping(box, shown);
+    this.contents(context, hello, frame, trail, colour, box, at, shown);
+    const [left, right, low, high] = shown;
+    this.axes(context, colour, at, { left, right, low, high, width, height });
+    if (this.near && hello.manifold && trail.length) {
+      this.inset(context, hello, frame, trail, colour, box, shown, at);
+    }
+    this.describe(hello, frame);
+  }
+
+  mapping({ x, y, w, h }, [left, right, low, high]) {
+    return (torque, inertia) => [
+      x + ((torque - left) / (right - left)) * w,
+      y + (1 - (inertia - low) / (high - low)) * h,
     ];
+  }
+
+  contents(context, hello, frame, trail, colour, { x, y, w, h }, at, shown) {
     context.save();
     context.beginPath();
-    context.rect(LEFT, TOP, w, h);
+    context.rect(x, y, w, h);
     context.clip();
     if (hello.regions) {
       this.region(context, hello.regions, "admissible", "reachable", colour.partial, at);
       this.region(context, hello.regions, "smallest", "admissible", colour.admissible, at);
     }
-    context.restore();
-    this.axes(context, colour, at, { left, right, low, high, width, height });
-    context.save();
-    context.beginPath();
-    context.rect(LEFT, TOP, w, h);
-    context.clip();
     if (hello.manifold) {
-      this.manifold(context, hello.manifold, colour, at);
+      this.manifold(context, hello.manifold, colour, at, this.torques(hello.manifold, shown));
     }
-    context.strokeStyle = colour.actual;
+    context.strokeStyle = colour.angle;
     context.lineWidth = 1.5;
-    context.globalAlpha = 0.6;
+    context.lineJoin = "round";
     context.beginPath();
-    trail.forEach(([torque, inertia], index) => {
-      const [x, y] = at(torque, inertia);
-      if (index) {
-        context.lineTo(x, y);
-      } else {
-        context.moveTo(x, y);
-      }
-    });
+    trail.forEach(([torque, inertia]) => context.lineTo(...at(torque, inertia)));
     context.stroke();
-    context.globalAlpha = 1;
+    context.lineJoin = "miter";
     this.marks(context, frame, colour, at);
     context.restore();
-    this.describe(hello, frame);
+  }
+
+  // The whole manifold in the corner in which the least is covered, with the part that is shown near.
+  inset(context, hello, frame, trail, colour, box, shown, at) {
+    const [w, h] = [Math.min(0.36 * box.w, 170), Math.min(0.36 * box.h, 100)];
+    const points = [...trail.map((one) => at(...one))];
+    for (const { torque, inertia } of [frame.abstract, frame.desired]) {
+      if (torque !== null && inertia !== null) {
+        points.push(...Array(trail.length).fill(at(torque, inertia))); // what must not be covered first of all
+      }
+    }
+    const corners = [[1, 0], [0, 0], [1, 1], [0, 1]].map(([right, low]) => {
+      const [x, y] = [box.x + (right ? box.w - w - 6 : 6), box.y + (low ? box.h - h - 6 : 6)];
+      const covered = points.filter(([px, py]) => px > x - 8 && px < x + w + 8 && py > y - 8 && py < y + h + 8).length;
+      return { x, y, w, h, covered };
+    });
+    const corner = corners.reduce((best, one) => (one.covered < best.covered ? one : best));
+    context.fillStyle = colour.panel;
+    context.strokeStyle = colour.quiet;
+    context.lineWidth = 1;
+    context.fillRect(corner.x, corner.y, w, h);
+    const whole = this.bounds(hello, frame, trail, false);
+    const small = this.mapping(corner, whole);
+    this.contents(context, hello, { ...frame, desired: { torque: null, inertia: null } }, [], colour, corner, small, whole);
+    context.strokeRect(corner.x, corner.y, w, h);
+    const [x0, y0] = small(shown[0], shown[3]);
+    const [x1, y1] = small(shown[1], shown[2]);
+    context.strokeStyle = colour.ink;
+    context.strokeRect(x0, y0, Math.max(x1 - x0, 3), Math.max(y1 - y0, 3));
+    context.fillStyle = colour.quiet;
+    context.textAlign = "left";
+    context.fillText("whole", corner.x + 4, corner.y + 12);
   }
 
   // The last points up to a time.
@@ -120,10 +152,15 @@ export class AbstractPicture {
     context.fill();
   }
 
-  manifold(context, manifold, colour, at) {
+  // The torques of the manifold that are shown, from the first to the last.
+  torques({ torque_max: most }, [left, right]) {
+    const [from, to] = [Math.max(left, -most), Math.min(right, most)];
+    return Array.from({ length: 121 }, (_, index) => from + ((to - from) * index) / 120);
+  }
+
+  manifold(context, manifold, colour, at, torques) {
     context.beginPath();
-    for (let index = -100; index <= 100; index += 1) {
-      const torque = (manifold.torque_max * index) / 100;
+    for (const torque of torques) {
       context.lineTo(...at(torque, manifold.curvature * torque * torque + manifold.offset));
     }
     context.strokeStyle = colour.manifold;
@@ -174,15 +211,17 @@ export class AbstractPicture {
       context.lineTo(x, y + 8);
       context.lineTo(x - 8, y);
       context.closePath();
-      context.strokeStyle = colour.wanted;
+      context.strokeStyle = colour.reference;
       context.lineWidth = 2;
+      context.setLineDash([5, 2]);
       context.stroke();
+      context.setLineDash([]);
     }
     if (abstract.torque !== null && abstract.inertia !== null) {
       const [x, y] = at(abstract.torque, abstract.inertia);
       context.beginPath();
       context.arc(x, y, 4.5, 0, 2 * Math.PI);
-      context.fillStyle = colour.actual;
+      context.fillStyle = colour.angle;
       context.fill();
     }
   }

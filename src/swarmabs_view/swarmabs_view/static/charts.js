@@ -1,5 +1,5 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
-import { colours, short } from "./drawing.js";
+import { colours, eventColour, short } from "./drawing.js";
 
 const HEIGHT = 150;
 const INTERVAL = 120; // ms between two drawings of growing curves
@@ -14,14 +14,17 @@ const CHARTS = [
     place: "chart-angle",
     title: "angle and reference, rad",
     lines: [
-      { label: "angle", colour: "actual", of: (c) => c.angle },
-      { label: "reference", colour: "manifold", dash: [8, 5], of: (c) => c.reference },
+      { label: "angle", colour: "angle", of: (c) => c.angle },
+      { label: "reference", colour: "reference", dash: [8, 5], of: (c) => c.reference },
     ],
   },
-  { place: "chart-error", title: "error of the angle, rad", lines: [{ label: "reference − angle", colour: "actual", of: (c) => minus(c.reference, c.angle) }] },
-  { place: "chart-torque", title: "error of the torque, N m", lines: [{ label: "wanted − torque", colour: "di", of: (c) => minus(c.desired_torque, c.torque) }] },
-  { place: "chart-inertia", title: "error of the inertia, kg m²", lines: [{ label: "wanted − inertia", colour: "good", of: (c) => minus(c.desired_inertia, c.inertia) }] },
+  { place: "chart-error", title: "error of the angle, rad", lines: [{ label: "reference − angle", colour: "error", of: (c) => minus(c.reference, c.angle) }] },
+  { place: "chart-torque", title: "error of the torque, N m", lines: [{ label: "wanted − torque", colour: "torque", of: (c) => minus(c.desired_torque, c.torque) }] },
+  { place: "chart-inertia", title: "error of the inertia, kg m²", lines: [{ label: "wanted − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
 ];
+const POSITIONS = "chart-positions";
+const FLAG = 16; // px above a chart, for the marks of events
+const MOST_NAMED = 12; // robots that are named below their positions
 
 // Labels of an axis, with as many digits as tell them apart.
 function labels(splits, increment) {
@@ -51,6 +54,16 @@ export class Charts {
     this.stale = false;
     this.zoom = null; // what was dragged over, { min, max } in s, until a double click
     this.left = NARROWEST;
+    this.events = [];
+    this.robots = [];
+    this.span = 0; // s before the time shown; 0: everything
+    this.positions = { time: [], labels: [], bands: false, lines: [] };
+    document.getElementById("span").addEventListener("change", (event) => {
+      this.span = Number(event.target.value);
+      this.zoom = this.window = null;
+      this.stale = true;
+      this.drawn = 0;
+    });
     this.build();
     new ResizeObserver(() => this.resize()).observe(document.getElementById(CHARTS[0].place));
     window.addEventListener("themechange", () => this.build());
@@ -63,31 +76,35 @@ export class Charts {
       plot.destroy();
     }
     const sync = window.uPlot.sync("time");
-    this.plots = CHARTS.map(({ place, title, lines }) => {
+    this.plots = [...CHARTS, this.positionsChart()].map(({ place, title, lines, data, named }) => {
       const node = document.getElementById(place);
       const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: FONT, values: (_, splits, axis, space, increment) => labels(splits, increment) };
+      data ??= () => [this.curves.time, ...lines.map((one) => one.of(this.curves))];
       const plot = new window.uPlot(
         {
           title,
           width: Math.max(node.clientWidth, 200),
           height: HEIGHT,
-          scales: { x: { time: false, auto: () => this.zoom === null } },
+          padding: [FLAG, null, null, null],
+          legend: { show: named !== false },
+          scales: { x: { time: false, auto: () => this.zoom === null && !this.span } },
           axes: [{ ...axis, size: 32 }, { ...axis, size: (_, values) => this.room(values ?? []) }],
           series: [
             { label: "time, s", value: (_, time) => (time === null ? "--" : String(Number(time.toPrecision(9)))) },
-            ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: 1.6, dash: one.dash, spanGaps: false, points: { show: false } })),
+            ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: 1.6, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
           ],
           cursor: { sync: { key: sync.key }, drag: { x: true, y: false } },
-          hooks: { setScale: [(one, key) => key === "x" && this.zoomed(one)], draw: [(one) => this.place(one)] },
+          hooks: { setScale: [(one, key) => key === "x" && this.zoomed(one)], draw: [(one) => this.place(one), (one) => this.flags(one, colour)] },
         },
-        this.data(lines),
+        data(),
         node,
       );
       const now = document.createElement("div");
       now.className = "now";
       plot.over.append(now);
       plot.now = now;
-      plot.given = this.ends();
+      plot.fetch = data;
+      plot.given = [data()[0][0], data()[0].at(-1)];
       if (zoom) {
         plot.setScale("x", zoom);
       }
@@ -97,8 +114,83 @@ export class Charts {
     this.mark(this.time ?? null);
   }
 
-  data(lines) {
-    return [this.curves.time, ...lines.map((one) => one.of(this.curves))];
+  // The chart of the positions: a line for each robot, or of many robots bands of the swarm.
+  positionsChart() {
+    const { labels, bands } = this.positions;
+    const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
+    const lines = labels.map((label) => ({ label, colour: bands ? "angle" : kinds.get(label) === "double_integrator" ? "di" : "si", dash: { lowest: [2, 3], highest: [2, 3], "10 %": [6, 4], "90 %": [6, 4] }[label] }));
+    const title = bands ? "positions, m: median, 10 and 90 %, lowest and highest" : "positions, m";
+    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, data: () => [this.positions.time, ...this.positions.lines] };
+  }
+
+  hello(message) {
+    this.robots = message.robots;
+  }
+
+  takeEvents(message) {
+    this.events = message.replace ? message.events : [...this.events, ...message.events].slice(-1000);
+    this.stale = true;
+  }
+
+  takePositions(message) {
+    const same = message.bands === this.positions.bands && message.labels.join() === this.positions.labels.join();
+    if (message.replace || !same) {
+      const { time, labels, bands, lines } = message;
+      this.positions = { time, labels, bands, lines };
+    } else {
+      this.positions.time = [...this.positions.time, ...message.time];
+      this.positions.lines = this.positions.lines.map((line, index) => [...line, ...message.lines[index]]);
+    }
+    if (!same) {
+      this.build();
+    }
+    this.stale = true;
+  }
+
+  // Marks of events above a chart, at most one in a pixel, and a faint line down from each.
+  flags({ ctx, bbox, valToPos, scales, root }, colour) {
+    const ratio = window.devicePixelRatio || 1;
+    const seen = new Set();
+    const shown = this.events.filter(({ time }) => time >= scales.x.min && time <= scales.x.max);
+    const named = root.parentElement.id === CHARTS[0].place;
+    let free = -Infinity;
+    ctx.save();
+    ctx.font = `${11 * ratio}px system-ui, sans-serif`;
+    ctx.textAlign = "left";
+    ctx.setLineDash([]);
+    for (const { time, kind, agent } of shown) {
+      const x = Math.round(valToPos(time, "x", true));
+      if (seen.has(x)) {
+        continue;
+      }
+      seen.add(x);
+      const [y, size] = [bbox.top, 5 * ratio];
+      ctx.beginPath();
+      ctx.moveTo(x, y);
+      ctx.lineTo(x - size, y - 1.6 * size);
+      ctx.lineTo(x + size, y - 1.6 * size);
+      ctx.closePath();
+      ctx.fillStyle = eventColour(kind, colour);
+      ctx.fill();
+      ctx.strokeStyle = colour.outline;
+      ctx.lineWidth = ratio;
+      ctx.stroke();
+      ctx.globalAlpha = 0.4;
+      ctx.strokeStyle = colour.ink;
+      ctx.beginPath();
+      ctx.moveTo(x, y);
+      ctx.lineTo(x, y + bbox.height);
+      ctx.stroke();
+      ctx.globalAlpha = 1;
+      const text = `${agent ? `${agent} ` : ""}${kind.replaceAll("_", " ").toLowerCase()}`;
+      const end = x + 2 * size + ctx.measureText(text).width;
+      if (named && x - size > free && end < bbox.left + bbox.width) {
+        ctx.fillStyle = colour.quiet;
+        ctx.fillText(text, x + 1.4 * size, y - 3 * ratio);
+        free = end;
+      }
+    }
+    ctx.restore();
   }
 
   ends() {
@@ -109,7 +201,18 @@ export class Charts {
   // Note whether a part is shown, of the data that the plot was given: more may have come since.
   zoomed(plot) {
     const { min, max } = plot.scales.x;
+    const { span, window: wanted } = this;
+    if (span && (min === null || (wanted && Math.abs(min - wanted.min) + Math.abs(max - wanted.max) < 1e-6))) {
+      return;
+    }
+    if (span && wanted) {
+      this.span = 0; // another part was chosen
+      document.getElementById("span").value = "0";
+    }
     const [first, last] = plot.given ?? [];
+    if (first === undefined) {
+      return; // nothing of it has come: it says nothing of what is shown
+    }
     this.zoom = min > first || max < last ? { min, max } : null;
   }
 
@@ -159,12 +262,27 @@ export class Charts {
     if (this.stale && now - this.drawn > INTERVAL) {
       this.drawn = now;
       this.stale = false;
-      this.plots.forEach((plot, index) => {
-        plot.given = this.ends();
-        plot.setData(this.data(CHARTS[index].lines));
+      this.plots.forEach((plot) => {
+        const data = plot.fetch();
+        plot.given = [data[0][0], data[0].at(-1)];
+        plot.setData(data);
       });
     }
+    this.follow(time);
     this.mark(time);
+  }
+
+  // Show the last seconds up to a time, if these were chosen.
+  follow(time) {
+    const first = this.ends()[0];
+    if (!this.span || time === null || first === undefined) {
+      return;
+    }
+    const max = Math.max(time, first + this.span);
+    this.window = { min: max - this.span, max };
+    for (const plot of this.plots) {
+      plot.setScale("x", this.window);
+    }
   }
 
   mark(time) {

@@ -3,6 +3,14 @@ const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 25, 50, 100];
 const HOLD = 300; // ms for which a step that was asked for stands, though others are played
 const PATIENCE = 2000; // ms for which it stands while nothing is played, and for which a speed does
 
+const ADDRESS = 500; // ms between two changes of the time in the address
+
+// The time in the address, s, as in #t=12.3; null if there is none.
+function addressed() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("t");
+  return given !== null && /^\d+(\.\d*)?$/.test(given) ? Number(given) : null;
+}
+
 const element = (id) => document.getElementById(id);
 
 // Whether a part of the page that has the focus is scrolled by a key.
@@ -25,6 +33,8 @@ export class Controls {
     this.last = 0;
     this.asked = -1e9;
     this.askedSpeed = -1e9;
+    this.link = addressed(); // a time to begin at, s
+    this.linked = -1e9;
     this.scrub = element("scrub");
     this.speed = element("speed");
     for (const speed of SPEEDS) {
@@ -42,6 +52,10 @@ export class Controls {
     element("back").addEventListener("click", () => this.seek(this.step - 1));
     element("on").addEventListener("click", () => this.seek(this.step + 1));
     document.addEventListener("keydown", (event) => this.key(event));
+    window.addEventListener("hashchange", () => {
+      this.link = addressed();
+      this.follow();
+    });
   }
 
   hello(hello) {
@@ -50,6 +64,14 @@ export class Controls {
     this.period = hello.period;
     this.scrub.max = String(this.last);
     element("playback").hidden = !hello.playback;
+  }
+
+  // Go to the time in the address, once.
+  follow() {
+    if (this.link !== null && this.enabled && !this.lost && this.period) {
+      this.seekTime(this.link);
+      this.link = null;
+    }
   }
 
   // Nothing can be played while there is no connection.
@@ -89,7 +111,23 @@ export class Controls {
     }
     this.step = frame.step;
     this.scrub.value = String(frame.step);
+    element("clock").textContent = `${frame.time.toFixed(2)} of ${(this.last * (this.period ?? 0)).toFixed(2)} s`;
+    this.address(frame.time);
     this.scrub.setAttribute("aria-valuetext", `step ${frame.step}, ${frame.time.toFixed(2)} seconds`);
+  }
+
+  // Keep the time in the address: browsers take it amiss if that changes with each picture.
+  address(time) {
+    const wanted = `#t=${Number(time.toFixed(6))}`;
+    const wait = this.linked + ADDRESS - performance.now();
+    clearTimeout(this.pending);
+    if (!this.enabled || this.link !== null || location.hash === wanted || (time === 0 && !location.hash)) {
+      return;
+    }
+    this.pending = setTimeout(() => {
+      this.linked = performance.now();
+      history.replaceState(null, "", wanted);
+    }, Math.max(wait, 0));
   }
 
   toggle() {

@@ -1,8 +1,8 @@
 // What both pictures need: a canvas that has the size of its place, colours of the theme, numbers as text.
 
 const NAMES = [
-  ...["paper", "panel", "ink", "quiet", "line", "grid", "si", "di", "grey", "board", "lane", "edge", "good"],
-  ...["admissible", "partial", "manifold", "actual", "wanted"],
+  ...["paper", "panel", "ink", "quiet", "line", "grid", "board", "lane", "edge", "admissible", "partial", "manifold"],
+  ...["angle", "reference", "error", "torque", "inertia", "si", "di", "dead", "stop", "outline", "grey"],
 ];
 let found = null;
 window.addEventListener("themechange", () => {
@@ -55,4 +55,16 @@ export function ticks(low, high, count) {
     found.push(Number((index * step).toPrecision(12)));
   }
   return found;
+}
+
+// The number that somebody has typed, with a point or a comma before the decimals; null for anything else. Both signs
+// in one number, as in 1,000.5, say nothing certain.
+export function parsed(text) {
+  const plain = text.trim().replace("\u2212", "-");
+  return /^[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?$/i.test(plain) ? Number(plain.replace(",", ".")) : null;
+}
+
+// The colour of an event by its kind.
+export function eventColour(kind, colour) {
+  return { DEAD: colour.dead, SAFE_STOP: colour.stop, LEFT: colour.grey, STALLED: colour.grey }[kind] ?? colour.ink;
 }

@@ -5,7 +5,7 @@ import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { PlanePicture } from "./plane.js";
 import { Steering } from "./steering.js";
-import { Events, Numbers, Processes, Robots } from "./tables.js";
+import { Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
 
@@ -25,6 +25,7 @@ const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
 const steering = new Steering((message) => connection.send(message));
 const charts = new Charts((time) => controls.seekTime(time));
+new More();
 
 function take(message) {
   if (message.type === "hello") {
@@ -39,8 +40,13 @@ function take(message) {
   } else if (message.type === "curves") {
     charts.take(message);
     dirty = true;
+  } else if (message.type === "positions") {
+    charts.takePositions(message);
+    dirty = true;
   } else if (message.type === "events") {
     events.take(message);
+    charts.takeEvents(message);
+    dirty = true;
   } else if (message.type === "health") {
     processes.take(message);
   } else if (message.type === "steering") {
@@ -66,11 +72,14 @@ function greet(message) {
   events.hello(message);
   steering.hello();
   robots.hello(message);
+  charts.hello(message);
+  fitted(plane.crowded(message));
   processes.take({ processes: [] });
   if (same) {
     controls.resume(before);
   }
   before = null;
+  controls.follow();
 }
 
 function badge(phase, text) {
@@ -126,9 +135,25 @@ function redraw() {
 function zoom() {
   abstract.near = !abstract.near;
   const button = element("zoom");
-  button.setAttribute("aria-pressed", String(abstract.near));
+  button.setAttribute("aria-pressed", String(!abstract.near));
   button.textContent = abstract.near ? "Show whole" : "Show near";
   redraw();
+}
+
+function fitted(fit) {
+  plane.fit = fit;
+  const button = element("fit");
+  button.setAttribute("aria-pressed", String(fit));
+  button.textContent = fit ? "Whole plane" : "Fit to swarm";
+  const robots = plane.crowded(hello) ? "bars: how many robots stand where; red: not following" : "area by mass; who has left is not drawn";
+  element("drawn").textContent = robots;
+  redraw();
+}
+
+function fit() {
+  if (hello) {
+    fitted(!plane.fit);
+  }
 }
 
 function theme() {
@@ -144,6 +169,7 @@ function help() {
 element("theme").textContent = `Theme: ${window.swarmabsTheme.get()}`;
 element("theme").addEventListener("click", theme);
 element("zoom").addEventListener("click", zoom);
+element("fit").addEventListener("click", fit);
 element("help").addEventListener("click", help);
 window.addEventListener("themechange", redraw);
 window.addEventListener("resize", redraw);
@@ -153,6 +179,6 @@ document.addEventListener("keydown", (event) => {
   if (typing || event.target instanceof HTMLSelectElement || event.ctrlKey || event.altKey || event.metaKey) {
     return;
   }
-  ({ t: theme, z: zoom, "?": help })[event.key.toLowerCase()]?.();
+  ({ t: theme, z: zoom, f: fit, "?": help })[event.key.toLowerCase()]?.();
 });
 requestAnimationFrame(draw);

@@ -3,6 +3,8 @@ import { colours, prepared, short, ticks } from "./drawing.js";
 import { STATUS } from "./tables.js";
 
 const FULL = 2 * Math.PI;
+const CROWD = 60; // robots beyond which their density is drawn, not each of them
+const BINS = 48;
 const NEAR = 5; // px from the edge of a robot that still point to it
 
 export class PlanePicture {
@@ -11,19 +13,27 @@ export class PlanePicture {
     this.label = document.getElementById("pointed");
     this.pointer = null;
     this.spots = []; // of the robots that are drawn
+    this.fit = false; // whether the scale follows the swarm
     for (const kind of ["pointermove", "pointerdown"]) {
       canvas.addEventListener(kind, (event) => this.point({ x: event.offsetX, y: event.offsetY }));
     }
     canvas.addEventListener("pointerleave", () => this.point(null));
   }
 
-  // Half the plane's length, m; where it is not known, what the robots need.
+  crowded(hello) {
+    return hello.robots.length > CROWD;
+  }
+
+  // Half the length that is shown, m: of the plane, of the swarm, or where the plane is not known what the robots need.
   halfLength(hello, frame) {
-    if (hello.plane) {
+    const far = Math.max(0, ...frame.robots.position.map((p) => Math.abs(p ?? 0)));
+    if (hello.plane && !this.fit) {
       return hello.plane.length / 2;
     }
-    const far = Math.max(0, ...frame.robots.position.map((p) => Math.abs(p ?? 0)));
-    this.far = Math.max(this.far ?? 0.1, 1.2 * far);
+    const needed = Math.min(Math.max(1.2 * far, 0.02), hello.plane ? hello.plane.length / 2 : Infinity);
+    if (!(this.far >= needed && this.far <= 2 * needed)) {
+      this.far = needed; // it follows when the swarm grows, or has shrunk by much, and rests otherwise
+    }
     return this.far;
   }
 
@@ -35,7 +45,8 @@ export class PlanePicture {
     const angle = frame.angle ?? 0;
     const deep = { x: 0.1 * width, y: 0.4 * height };
     const rise = Math.sin(Math.min(Math.max(steepest, Math.abs(angle)), Math.PI / 2));
-    const scale = Math.min(0.36 * width, (0.27 * height) / Math.max(rise, 0.01)) / half;
+    const crowded = this.crowded(hello);
+    const scale = Math.min(0.36 * width, (0.22 * height) / Math.max(rise, 0.01)) / half;
     const [cx, cy] = [0.5 * width, 0.52 * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
     // From metres along the plane and depth (0 near, 1 far) to the screen.
@@ -60,7 +71,7 @@ export class PlanePicture {
     context.stroke();
 
     const count = Math.max(hello.robots.length, 1);
-    if (count <= 60) {
+    if (!crowded) {
       context.lineWidth = 1;
       context.strokeStyle = colour.lane;
       for (let index = 0; index < count; index += 1) {
@@ -76,22 +87,17 @@ export class PlanePicture {
     context.fillStyle = colour.quiet;
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
-    // The dashed lines may pass here: they end around what is written.
-    context.strokeStyle = colour.panel;
-    context.lineWidth = 5;
-    context.lineJoin = "round";
-    const write = (text, x, y) => {
-      context.strokeText(text, x, y);
-      context.fillText(text, x, y);
-    };
-    for (const p of ticks(-half, half, 6).filter((one) => one !== 0)) {
+    const below = 18 + 16 * Math.abs(Math.sin(angle)); // px from the edge
+    for (const p of ticks(-half, half, Math.min(6, (2 * half * scale) / 60)).filter((one) => one !== 0 && Math.abs(one) < 0.97 * half)) {
       const [x, y] = at(p, 0);
-      write(short(p, 2), x, y + 16);
+      context.fillText(`${short(p, 2)} m`, x + below * Math.sin(angle), y + below * Math.cos(angle));
     }
-    write("m", at(half, 0)[0] + 14, at(half, 0)[1] + 16);
-    context.lineJoin = "miter";
 
-    this.robots(context, hello, frame, at, colour, deep.y / count);
+    if (crowded) {
+      this.density(context, hello, frame, at, colour, half, deep.y);
+    } else {
+      this.robots(context, hello, frame, at, colour, deep.y / count);
+    }
     this.tell();
     this.describe(hello, frame);
   }
@@ -106,27 +112,75 @@ export class PlanePicture {
     context.fill();
   }
 
-  // The horizontal, and the angle that is wanted, both at the near edge.
+  // The horizontal, and the reference, both beside the near edge: between its ends stand the labels.
   level(context, at, colour, { half, scale, wanted }) {
     const [x, y] = at(0, 0);
-    const reach = 1.12 * half * scale;
+    const beside = (angle) => {
+      context.beginPath();
+      for (const side of [-1, 1]) {
+        const along = [side * Math.cos(angle) * half * scale, -side * Math.sin(angle) * half * scale];
+        context.moveTo(x + 1.04 * along[0], y + 1.04 * along[1]);
+        context.lineTo(x + 1.24 * along[0], y + 1.24 * along[1]);
+      }
+      context.stroke();
+    };
     context.setLineDash([3, 4]);
     context.lineWidth = 1;
     context.strokeStyle = colour.quiet;
-    context.beginPath();
-    context.moveTo(x - reach, y);
-    context.lineTo(x + reach, y);
-    context.stroke();
+    beside(0);
     if (wanted !== null) {
       context.setLineDash([9, 5]);
-      context.lineWidth = 2;
-      context.strokeStyle = colour.manifold;
-      context.beginPath();
-      context.moveTo(x - reach * Math.cos(wanted), y + reach * Math.sin(wanted));
-      context.lineTo(x + reach * Math.cos(wanted), y - reach * Math.sin(wanted));
-      context.stroke();
+      context.lineWidth = 2.5;
+      context.strokeStyle = colour.reference;
+      beside(wanted);
     }
     context.setLineDash([]);
+  }
+
+  // How many robots stand where, as bars along the plane: by kind, and those that do not follow.
+  density(context, hello, frame, at, colour, half, height) {
+    const groups = ["si", "di", "other"];
+    const words = { si: "velocity-driven", di: "force-driven", other: "not following" };
+    const bins = Array.from({ length: BINS }, () => ({ si: 0, di: 0, other: 0 }));
+    hello.robots.forEach((robot, index) => {
+      const position = frame.robots.position[index];
+      const status = frame.robots.status[index];
+      if (position === null || position === undefined || status === "left") {
+        return;
+      }
+      const bin = Math.min(Math.max(Math.floor(((position + half) / (2 * half)) * BINS), 0), BINS - 1);
+      const kind = robot.kind === "single_integrator" ? "si" : "di";
+      bins[bin][status === "active" ? kind : "other"] += 1;
+    });
+    const most = Math.max(1, ...bins.map((bin) => bin.si + bin.di + bin.other));
+    const unit = Math.min(height / most, 12);
+    this.spots = [];
+    bins.forEach((bin, index) => {
+      const [from, to] = [index, index + 1].map((one) => -half + (one * 2 * half) / BINS);
+      const [x0, y0] = at(from, 0.5);
+      const [x1, y1] = at(to, 0.5);
+      let up = 0;
+      for (const group of groups.filter((one) => bin[one])) {
+        const top = up + bin[group] * unit;
+        context.beginPath();
+        [[x0, y0 - up], [x1, y1 - up], [x1, y1 - top], [x0, y0 - top]].forEach((point) => context.lineTo(...point));
+        context.closePath();
+        context.fillStyle = group === "other" ? colour.dead : colour[group];
+        context.fill();
+        context.lineWidth = 1;
+        context.strokeStyle = colour.board;
+        context.stroke();
+        up = top;
+      }
+      if (up) {
+        const said = groups.filter((one) => bin[one]).map((one) => `${bin[one]} ${words[one]}`);
+        const text = `${short(from, 2)} to ${short(to, 2)} m: ${said.join(", ")}`;
+        this.spots.push({ x: (x0 + x1) / 2, y: (y0 + y1) / 2 - up / 2, size: up / 2, text });
+      }
+    });
+    context.fillStyle = colour.quiet;
+    context.textAlign = "left";
+    context.fillText(`robots per ${short((2 * half) / BINS, 2)} m; highest bar: ${most}`, 6, 14);
   }
 
   robots(context, hello, frame, at, colour, lane) {
@@ -148,7 +202,7 @@ export class PlanePicture {
       const { id } = hello.robots[index];
       this.spots.push({ x, y, size, text: `robot ${id}: ${STATUS[status[index]] ?? "not heard"}, ${short(position[index], 4)} m` });
       if (size >= 9 && status[index] === "active") {
-        context.fillStyle = round ? "#000000" : colour.paper;
+        context.fillStyle = "#000000";
         context.font = `600 ${Math.round(size)}px system-ui, sans-serif`;
         context.fillText(String(hello.robots[index].id), x, y + 0.5);
       }
@@ -172,7 +226,7 @@ export class PlanePicture {
       context.strokeStyle = colour.ink;
       context.stroke();
     } else if (status === "dead") {
-      context.fillStyle = colour.grey;
+      context.fillStyle = colour.dead;
       context.fill();
       context.beginPath();
       context.moveTo(x - size, y - size);
@@ -182,12 +236,18 @@ export class PlanePicture {
       context.lineWidth = 2;
       context.strokeStyle = colour.ink;
       context.stroke();
+    } else if (status === "safe_stop") {
+      context.fillStyle = colour.stop;
+      context.fill();
+      context.lineWidth = 3;
+      context.strokeStyle = colour.outline;
+      context.stroke();
     } else {
       context.fillStyle = colour.paper;
       context.fill();
-      context.setLineDash(status === "silent" ? [3, 2] : []);
-      context.lineWidth = status === "silent" ? 2 : 3;
-      context.strokeStyle = own;
+      context.setLineDash([3, 2]);
+      context.lineWidth = 2;
+      context.strokeStyle = colour.grey;
       context.stroke();
       context.setLineDash([]);
     }

@@ -1,8 +1,11 @@
 // Steering of a run that goes on, for those who know its token. Asks, shows the answer, and what holds now.
-import { short } from "./drawing.js";
+import { parsed, short } from "./drawing.js";
 
 const STORE = "swarmabs-steer";
 const LONGEST = 100; // characters of a token that the server takes
+const LARGE = 0.2; // part of the largest value by which a change is asked back
+const WRONG = "The token is wrong. It stands in the terminal of the run; load the page again to enter it.";
+const SETTINGS = { reference: "rad", disturbance: "N m" };
 
 const element = (id) => document.getElementById(id);
 
@@ -45,13 +48,22 @@ export class Steering {
     this.token = token();
     this.asked = new Map();
     this.first = element("steered").textContent;
-    for (const name of ["reference", "disturbance"]) {
+    this.limits = {};
+    this.wrong = false;
+    for (const name of Object.keys(SETTINGS)) {
       element(`steer-${name}`).addEventListener("submit", (event) => {
         event.preventDefault();
-        const value = element(`steer-${name}-value`).valueAsNumber;
-        this.ask({ action: name, value }, `${name} ${value}`);
+        this.set(name, element(`steer-${name}-value`).value);
       });
     }
+    element("steer-sure").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const { name, value } = this.unsure;
+      this.ask({ action: name, value }, `${name} ${value}`);
+      this.sure(null);
+    });
+    element("sure-no").addEventListener("click", () => this.sure(null));
+    window.addEventListener("hashchange", () => this.arrived());
     for (const name of ["member", "absent"]) {
       element(`steer-${name}`).addEventListener("submit", (event) => {
         event.preventDefault();
@@ -68,19 +80,73 @@ export class Steering {
     this.show();
   }
 
+  // A token in an address that is opened where this page is shown already.
+  arrived() {
+    const given = token();
+    if (given && given !== this.token) {
+      this.use(given);
+      this.check();
+    }
+  }
+
+  // Set what was typed, if it is a number in its range; ask back before a large change.
+  set(name, text) {
+    const value = parsed(text);
+    const { largest, held } = this.limits[name];
+    const unit = SETTINGS[name];
+    let why = "";
+    if (value === null) {
+      why = `"${text}" is no number: write 0.05 or 0,05`;
+    } else if (Math.abs(value) > largest) {
+      why = `${short(value)} ${unit} is out of range`;
+    }
+    element(`wrong-${name}`).textContent = why;
+    element(`steer-${name}-value`).setAttribute("aria-invalid", String(why !== ""));
+    if (why) {
+      this.sure(null);
+    } else if (Math.abs(value - held) > LARGE * largest) {
+      this.sure({ name, value }, `A large step: set the ${name} from ${short(held)} to ${short(value)} ${unit}?`);
+    } else {
+      this.sure(null);
+      this.ask({ action: name, value }, `${name} ${value}`);
+    }
+  }
+
+  sure(unsure, text = "") {
+    if (!unsure && this.unsure) {
+      element(`steer-${this.unsure.name}-value`).focus();
+    }
+    this.unsure = unsure;
+    element("sure-text").textContent = text;
+    element("steer-sure").hidden = !unsure;
+    if (unsure) {
+      element("sure-yes").focus();
+    }
+  }
+
+  // Have the server say whether the token is right before anything is shown that needs it.
+  check() {
+    if (this.token) {
+      this.send({ type: "unlock", token: this.token });
+    }
+  }
+
   use(given) {
     if (!possible(given)) {
       this.say(`this is no token: ${given ? `it has more than ${LONGEST} characters` : "there is none in it"}`);
       return;
     }
     this.token = given;
+    this.wrong = false;
     sessionStorage.setItem(STORE, given);
     this.say(this.first);
     this.show();
+    this.check();
   }
 
   forget() {
     this.token = "";
+    this.sure(null);
     sessionStorage.removeItem(STORE);
     this.show();
   }
@@ -117,22 +183,22 @@ export class Steering {
   }
 
   show() {
-    element("steer-token").hidden = this.token !== "";
+    element("steer-token").hidden = this.token !== "" || this.wrong;
     element("steer-controls").hidden = this.token === "";
   }
 
   // What is shown now cannot be steered, unless the server says so again.
   hello() {
     element("steering").hidden = true;
+    this.check();
   }
 
   take(message) {
     element("steering").hidden = !message.open;
-    for (const [name, unit] of [["reference", "rad"], ["disturbance", "N m"]]) {
-      const value = element(`steer-${name}-value`);
+    for (const [name, unit] of Object.entries(SETTINGS)) {
       const largest = message[`largest_${name}`];
-      value.min = String(-largest);
-      value.max = String(largest);
+      this.limits[name] = { largest, held: message[name] };
+      element(`range-${name}`).textContent = `${short(-largest, 3)} to ${short(largest, 3)} ${unit}`;
       element(`steer-${name}`).hidden = !largest;
       const held = element(`held-${name}`);
       held.value = String(message[name]);
@@ -144,11 +210,15 @@ export class Steering {
   }
 
   answer(message) {
+    if (!message.known) {
+      this.asked.clear();
+      this.wrong = true;
+      this.forget();
+      this.say(WRONG);
+      return;
+    }
     const words = this.asked.get(message.request) ?? "request";
     this.asked.delete(message.request);
     this.say(`${words}: ${message.ok ? "" : "not done: "}${message.text}`);
-    if (!message.known) {
-      this.forget();
-    }
   }
 }

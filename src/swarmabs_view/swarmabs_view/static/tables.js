@@ -11,6 +11,34 @@ const BAD = new Set(["stopped", "zombie", "dead", "gone", "tracing-stop"]);
 
 const element = (id) => document.getElementById(id);
 
+// Say beside a table or list what of it is out of sight.
+export class More {
+  constructor() {
+    const places = [...document.querySelectorAll(".scroll, .events")];
+    this.pairs = places.map((place) => [place, place.nextElementSibling]);
+    const sizes = new ResizeObserver(() => this.draw());
+    for (const place of places) {
+      place.addEventListener("scroll", () => this.draw());
+      sizes.observe(place);
+      new MutationObserver(() => this.draw()).observe(place, { childList: true, subtree: true });
+    }
+  }
+
+  draw() {
+    for (const [place, note] of this.pairs) {
+      const below = place.scrollHeight - place.clientHeight - place.scrollTop > 2;
+      const right = place.scrollWidth - place.clientWidth - place.scrollLeft > 2;
+      const left = Number(place.dataset.leftOut ?? 0);
+      const says = [below && "more rows below", right && "more columns to the right", left && `${left} earlier ones not listed`];
+      const text = says.filter(Boolean).join("; ");
+      if (note.textContent !== text) {
+        note.textContent = text;
+      }
+      note.hidden = !text;
+    }
+  }
+}
+
 // Show a number: exact in the element's value, rounded to be read.
 function show(node, value, text) {
   node.value = value === null || value === undefined ? "" : String(value);
@@ -160,6 +188,7 @@ export class Events {
   constructor() {
     this.list = element("events");
     this.kinds = new Map();
+    this.leftOut = 0;
   }
 
   hello(hello) {
@@ -169,7 +198,9 @@ export class Events {
   take(message) {
     if (message.replace) {
       this.list.replaceChildren();
+      this.leftOut = 0;
     }
+    this.leftOut += message.left_out ?? 0;
     const made = message.events.map((event) => {
       const item = document.createElement("li");
       item.dataset.step = String(event.step);
@@ -190,7 +221,9 @@ export class Events {
     this.list.prepend(...made.reverse()); // the latest first
     while (this.list.children.length > MOST_EVENTS) {
       this.list.lastElementChild.remove();
+      this.leftOut += 1;
     }
+    this.list.dataset.leftOut = String(this.leftOut);
     this.list.hidden = !this.list.children.length;
     element("no-events").hidden = !this.list.hidden;
     this.shown = null;

@@ -3,6 +3,7 @@
 (() => {
   const KEY = "swarmabs-theme";
   const CHOICES = ["auto", "light", "dark"];
+  const system = matchMedia("(prefers-color-scheme: dark)");
   let chosen = "auto";
   try {
     chosen = localStorage.getItem(KEY) || "auto";
@@ -13,7 +14,7 @@
     chosen = "auto";
   }
   const apply = () => {
-    document.documentElement.dataset.theme = chosen;
+    document.documentElement.dataset.theme = chosen === "auto" ? (system.matches ? "dark" : "light") : chosen;
     window.dispatchEvent(new Event("themechange"));
   };
   window.swarmabsTheme = {
@@ -29,6 +30,6 @@
       return chosen;
     },
   };
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", apply);
+  system.addEventListener("change", apply);
   apply();
 })();

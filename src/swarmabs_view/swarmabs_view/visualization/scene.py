@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import cos, nan, sin
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_bag import colours
 from swarmabs_core.messages import Kind
 from swarmabs_run.rendering import templates
 
@@ -73,17 +74,24 @@ class Colour(NamedTuple):
     a: float
 
 
-GREY = Colour(0.55, 0.55, 0.55, 1.0)
-PLATE = Colour(0.80, 0.78, 0.72, 1.0)
+def _solid(colour: str) -> Colour:
+    return Colour(*colours.parts(colour), 1.0)
+
+
+GREY, DEAD, SAFE_STOP = _solid(colours.ABSENT), _solid(colours.FAILED), _solid(colours.SAFE_STOP)
+PLATE = _solid(colours.tint(colours.PLANE, 0.25))
 RAIL = Colour(0.35, 0.35, 0.35, 1.0)
-REFERENCE = Colour(0.10, 0.60, 0.20, 1.0)
-ACTUAL, DESIRED = Colour(0.12, 0.35, 0.75, 1.0), Colour(0.95, 0.60, 0.10, 0.9)
-SAFE_STOP = Colour(0.95, 0.80, 0.10, 1.0)
+REFERENCE = DESIRED = _solid(colours.REFERENCE)
+ACTUAL = _solid(colours.TORQUE)
 INK = Colour(0.10, 0.10, 0.10, 1.0)
-KINDS = {Kind.SINGLE_INTEGRATOR: Colour(0.12, 0.47, 0.71, 1.0), Kind.DOUBLE_INTEGRATOR: Colour(0.84, 0.37, 0.00, 1.0)}
-"""Blue and vermilion, which colour-blind people tell apart too; the shapes differ as well."""
-_STATUS_COLOURS: dict[RobotStatus | None, Colour] = {"dead": GREY, "silent": GREY, "safe_stop": SAFE_STOP}
+KINDS = {kind: _solid(colour) for kind, colour in colours.KINDS.items()}
+"""Colours of the kinds, whose shapes differ as well."""
+_STATUS_COLOURS: dict[RobotStatus | None, Colour] = {"dead": DEAD, "silent": GREY, "safe_stop": SAFE_STOP}
 """Colours that tell more than the kind."""
+_DASHES = 16
+"""Dashes of the line of the reference."""
+_OUTLINE = 1.25
+"""Extent of the dark base under a robot in a safe stop, as a multiple of the edge of its body."""
 
 
 def tilt(angle: float) -> Quaternion:
@@ -222,10 +230,14 @@ class Scene:
         )
 
     def _wanted(self, wanted: float | None) -> tuple[Shape, ...]:
-        """Return the line along which the plane should lie, at both its sides."""
+        """Return the dashed line along which the plane should lie, at both its sides."""
         if wanted is None:
             return ()
-        sides = [end for side in (-0.52, 0.52) for end in self._lane_ends(side * self.width)]
+        sides = [
+            end._replace(x=self.length * (place / (2 * _DASHES - 1) - 0.5))
+            for side in (-0.52, 0.52)
+            for place, end in enumerate(self._lane_ends(side * self.width) * _DASHES)
+        ]
         pose = Pose(Vector(0.0, 0.0, 0.0), tilt(wanted))
         return (Shape("reference", 0, LINES, pose, Vector(0.1 * self.lane_width, 0.0, 0.0), REFERENCE, tuple(sides)),)
 
@@ -238,8 +250,13 @@ class Scene:
             pose = Pose(tilted(place, angle), turn)
             body = CYLINDER if robot.kind == Kind.SINGLE_INTEGRATOR else CUBE
             size = Vector(robot.size, robot.size, robot.size)
-            colour = _STATUS_COLOURS.get(robots[agent_id].status) or KINDS[Kind(robot.kind)]
+            status = robots[agent_id].status
+            colour = _STATUS_COLOURS.get(status) or KINDS[Kind(robot.kind)]
             shapes.append(Shape("robots", agent_id, body, pose, size, colour))
+            if status == "safe_stop":
+                base = Vector(_OUTLINE * robot.size, _OUTLINE * robot.size, 0.1 * robot.size)
+                foot = tilted(place._replace(z=0.5 * (self.thickness + base.z)), angle)
+                shapes.append(Shape("outlines", agent_id, body, Pose(foot, turn), base, INK))
             if labelled:
                 above = tilted(place._replace(z=place.z + robot.size), angle)
                 height = Vector(0.0, 0.0, 0.6 * self.lane_width)
@@ -275,6 +292,7 @@ def plane_urdf(scene: Scene, inertia: float) -> str:
             plane=PLANE,
             joint=JOINT,
             axis=_numbers(*AXIS),
+            colour=_numbers(*(round(part, 4) for part in PLATE)),
             limit=_numbers(LARGEST_ANGLE),
             size=_numbers(length, width, thickness),
             mass=_numbers(mass),

@@ -1,0 +1,69 @@
+"""What the run in a bag comes to, and which angle was desired in it, by the arithmetic of the recorder."""
+
+from __future__ import annotations
+
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_bag.attached import attached_scenario, is_realtime
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.realtime import law_begins, realtime_figures
+from swarmabs_bag.steps import DisorderError, recorded_steps
+from swarmabs_config import configure
+from swarmabs_core.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from swarmabs_bag.reader import BagReader
+    from swarmabs_config.scenario import Scenario
+
+
+def desired_angle(bag: BagReader) -> Callable[[int], float]:
+    """Return the desired angle (rad) of a bag's run by step, with its offsets.
+
+    It is NaN where the bag has no valid scenario, and in real time where the parent controller has not answered.
+    """
+    scenario = _scenario(bag)
+    if scenario is None:
+        return lambda _: nan
+    reference, period_ns = configure.reference(scenario), scenario.step_ns
+    if not is_realtime(bag):
+        return lambda step: reference(step * period_ns / 1e9)
+    begins = law_begins(bag)
+    return lambda step: reference((step - begins[step]) * period_ns / 1e9) if step in begins else nan
+
+
+def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
+    """Return the summary of a bag's run (`RunArrays.summary`), also of one without its end, in one pass through it.
+
+    The figures of a run whose messages are far out of order are None.
+
+    Raises
+    ------
+    NotABagError
+        If the bag is no longer there.
+    DamagedBagError
+        If the bag is damaged.
+    """
+    bag = open_bag(path, namespace=namespace, damaged=True)
+    scenario = _scenario(bag)
+    if scenario is not None and is_realtime(bag):
+        return realtime_figures(bag, scenario).summary()
+    figures = RunFigures((lambda _: nan) if scenario is None else configure.reference(scenario))
+    try:
+        for step in recorded_steps(bag.records(), str(path), realtime=is_realtime(bag)):
+            figures.add(step)
+    except DisorderError:
+        return dict.fromkeys(figures.summary())
+    return figures.summary() | ({"digest": None} if is_realtime(bag) else {})
+
+
+def _scenario(bag: BagReader) -> Scenario | None:
+    try:
+        return attached_scenario(bag)
+    except (InputError, DamagedBagError):
+        return None

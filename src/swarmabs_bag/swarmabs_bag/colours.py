@@ -1,0 +1,46 @@
+"""The colour of each quantity and status, wherever a swarm is shown.
+
+Reports, the pictures of sweeps, the markers of RViz and the models use these values; the style sheet of the page, the
+layout of Foxglove and the model in `swarmabs_bringup` repeat them. Six of the colours are Okabe and Ito's, which people
+with any colour vision tell apart. Only the figures that reproduce those of the paper have colours of their own
+(`swarmabs_analysis.figures`), because they are compared with the printed ones.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_core.messages import Kind
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+PLANE = "#0072b2"
+"""The plane: its angle and rate."""
+REFERENCE = "#000000"
+"""What a quantity is compared with, drawn dashed: the reference of the angle, the desired abstract state."""
+ERROR = "#d55e00"
+TORQUE = "#009e73"
+INERTIA = "#cc79a7"
+SINGLE_INTEGRATOR = "#56b4e9"
+DOUBLE_INTEGRATOR = "#e69f00"
+FAILED = "#b00020"
+"""A dead robot, a stalled node, a failed run."""
+SAFE_STOP = "#f0e442"
+"""A robot in a safe stop, drawn with a dark outline."""
+ABSENT = "#888888"
+"""A robot that is silent or has left."""
+
+KINDS: Mapping[Kind, str] = {Kind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR}
+
+
+def parts(colour: str) -> tuple[float, float, float]:
+    """Return red, green and blue of a colour, from 0 to 1."""
+    red, green, blue = (value / 255.0 for value in bytes.fromhex(colour.removeprefix("#")))
+    return red, green, blue
+
+
+def tint(colour: str, share: float) -> str:
+    """Return a colour mixed with white, of which it has a share from 0 to 1."""
+    mixed = [round(255.0 * (1.0 - share * (1.0 - part))) for part in parts(colour)]
+    return f"#{bytes(mixed).hex()}"

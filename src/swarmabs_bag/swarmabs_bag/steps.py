@@ -1,0 +1,76 @@
+"""The steps of a recorded run, put in order in bounded memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.recording import RecordedStep
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, MAIN_TOPICS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from swarmabs_core.record import Record
+
+WINDOW = 8
+"""How many steps a message may stand behind one of a later step: in bags of other recorders topics overlap."""
+REALTIME_WINDOW = 300
+"""The same in real time, where topics are received independently of each other."""
+ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
+"""Place of each recorded topic within a step of a bag."""
+
+
+class DisorderError(DamagedBagError):
+    """A message is in a bag twice, or far behind those of later steps."""
+
+
+def recorded_steps(
+    records: Iterable[Record], name: str, *, realtime: bool = False, window: int | None = None
+) -> Iterator[RecordedStep]:
+    """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
+
+    Errors call the bag by `name`. In real time the first of two desired states of a step counts; their modes differ.
+    `window` replaces the number of steps by which a message may be late.
+
+    Raises
+    ------
+    DisorderError
+        If a message is there twice, or more than `WINDOW` steps late; all steps that are `WINDOW` before it have been
+        yielded then.
+    """
+    waiting: dict[int, dict[tuple[int, int], Record]] = {}
+    latest = -1
+    if window is None:
+        window = REALTIME_WINDOW if realtime else WINDOW
+    for record in records:
+        topic, step = record.topic, record.message.step
+        place = ORDER.get(topic)
+        if place is None:
+            continue
+        if topic is EVENTS:
+            yield RecordedStep(step, (record,))
+            continue
+        if step <= latest - window:
+            raise DisorderError(f"{name}: {_place(record)} stands behind step {latest}, out of order")
+        slot = waiting.setdefault(step, {})
+        if (place, record.agent_id) in slot and realtime and topic is DESIRED_ABSTRACT_STATE:
+            continue
+        if (place, record.agent_id) in slot:
+            raise DisorderError(f"{name}: {_place(record)} is there twice")
+        slot[place, record.agent_id] = record
+        if step > latest:
+            latest = step
+            for ready in sorted(number for number in waiting if number <= latest - window):
+                yield RecordedStep(ready, _sorted(waiting.pop(ready)))
+    for number in sorted(waiting):
+        yield RecordedStep(number, _sorted(waiting[number]))
+
+
+def _sorted(slot: dict[tuple[int, int], Record]) -> tuple[Record, ...]:
+    return tuple(slot[place] for place in sorted(slot))
+
+
+def _place(record: Record) -> str:
+    agent = f" of agent {record.agent_id}" if record.agent_id else ""
+    return f"/{record.topic.name}{agent} at step {record.message.step}"

@@ -1,0 +1,344 @@
+"""A report has the numbers that another reader finds in its bag; its page needs nothing else, however the run ended."""
+
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from tests.swarmabs_analysis.figures.conftest import ReadBag, record
+from tests.swarmabs_analysis.report.conftest import SCENARIO, Page, messages, write
+from tests.swarmabs_bag.test_arrays import digest
+
+from swarmabs_analysis.report import Report, make_report
+from swarmabs_analysis.report.pictures import thin_lines
+from swarmabs_analysis.report.record import read_recorded
+from swarmabs_bag.errors import DamagedBagError, NotABagError
+from swarmabs_bag.recorded_swarm import column_points
+from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
+from swarmabs_run.simulated_run import simulate_run
+
+Floats = NDArray[np.float64]
+LENGTH, GRAVITY = 1.0, 9.81
+
+
+def value(page: Page, row: str) -> float:
+    return float(page.rows[row][1])
+
+
+def test_metrics(page: Page, run: Path, report: Report) -> None:
+    bag = ReadBag(run)
+    times, error = bag.times(), -bag.column("/plane/state", "angle")
+    assert len(times) == 31
+    assert value(page, "Final error") == error[-1]
+    assert value(page, "RMS error") == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-13)
+    outside = np.flatnonzero(np.abs(error) >= 0.01)
+    assert len(outside) > 5
+    assert value(page, "Settled at") == pytest.approx(times[outside[-1] + 1], rel=1e-15)
+    positions = np.abs(bag.column("/swarm/agent_state", "position"))
+    assert value(page, "Largest |position|") == positions.max()
+    assert value(page, "Messages") == bag.count
+    assert report.numbers["digest"] == digest(run / "bag" / "bag_0.mcap")
+    assert ("code", report.numbers["digest"]) in page.texts
+
+
+def test_margins(page: Page, run: Path) -> None:
+    bag = ReadBag(run)
+    # Robot 4 joins at step 2, robot 1 dies after step 5 and stays, robot 2 leaves after step 10.
+    on_plane = [[1, 2, 3]] * 2 + [[1, 2, 3, 4]] * 9 + [[1, 3, 4]] * 20
+    states = {agent: bag.column("/swarm/agent_state", "position", agent) for agent in bag.agents()}
+    mass = {agent: bag.column("/swarm/agent_state", "mass", agent)[0] for agent in bag.agents()}
+    first = {1: 0, 2: 0, 3: 0, 4: 2}
+    reach, clearance = [], []
+    torque, inertia = bag.column("/swarm/abstract_state", "torque"), bag.column("/swarm/abstract_state", "inertia")
+    for step, agents in enumerate(on_plane):
+        at = {agent: states[agent][min(step - first[agent], len(states[agent]) - 1)] for agent in agents}
+        reach.append(max(map(abs, at.values())))
+        assert GRAVITY * sum(mass[agent] * at[agent] for agent in agents) == pytest.approx(torque[step], abs=1e-12)
+        # The nearest of very many points of the curve on which the outermost robot can be at the plane's end.
+        total, least = sum(mass[agent] for agent in agents), min(mass[agent] for agent in agents)
+        moment = np.linspace(-total * LENGTH / 2, total * LENGTH / 2, 400_001)
+        curve = moment**2 / total + (LENGTH / 2 - np.abs(moment) / total) ** 2 / (1 / least - 1 / total)
+        clearance.append(np.hypot(GRAVITY * moment - torque[step], curve - inertia[step]).min())
+    assert value(page, "Margin to the plane's end") == LENGTH / 2 - max(reach)
+    assert value(page, "Margin to A_A's boundary") == pytest.approx(min(clearance), abs=1e-6)
+    s0, s3 = (bag.column("/swarm/auxiliary_state", field) for field in ("s0", "s3"))
+    assert value(page, "Smallest S₃/S₀²") == pytest.approx((s3 / s0**2).min(), rel=1e-14)
+
+
+def test_weights_give_the_recorded_abstract_state_and_events_stand_in_a_table(page: Page, run: Path) -> None:
+    recorded, bag = read_recorded(run), ReadBag(run)
+    np.testing.assert_allclose(recorded.torque, bag.column("/swarm/abstract_state", "torque"), rtol=0, atol=1e-14)
+    on_plane = recorded.swarm.on_plane.sum(axis=1)
+    np.testing.assert_array_equal(on_plane, bag.column("/swarm/abstract_state", "agent_count"))
+    cells = [text for tag, text in page.texts if tag in {"td", "th"}]
+    at = cells.index("dead")
+    assert cells[at - 3 : at] == ["0.06 s", "6", "1"]
+    assert {"left", "joined", "kill", "leave"} <= set(cells)
+
+
+def test_a_picture_shows_the_bag(report: Report, run: Path) -> None:
+    """The angle's line in the page, taken back to rad by the labels of the axis, is the recorded angle."""
+    svg = report.html[report.html.index('id="panel-plane"') :]
+    svg = svg[: svg.index("</svg>")]
+    line = next(d for d in re.findall(r'<path d="([^"]*)"[^>]*var\(--plane\)', svg) if d.count("L") > 8)
+    points = np.array(re.findall(r"[ML] (-?[\d.]+) (-?[\d.]+)", line), dtype=float)
+    angle = ReadBag(run).column("/plane/state", "angle")
+    # Path simplification leaves out points, so only the ends and the extremes are compared, in units of the range.
+    height = (points[:, 1].max() - points[:, 1]) / np.ptp(points[:, 1])
+    scaled = (angle - angle.min()) / np.ptp(angle)
+    assert height[[0, -1]] == pytest.approx(scaled[[0, -1]], abs=0.005)
+
+
+def test_every_column_keeps_its_ends_extremes_and_gaps() -> None:
+    draw = np.random.default_rng(5)
+    column = np.sort(draw.integers(0, 50, 20_000))
+    values = draw.normal(size=len(column))
+    values[3_000:3_100] = np.nan
+    values[column == 40] = np.nan
+    chosen = column_points(column, values)
+    assert len(chosen) <= 4 * 50 + 8
+    for number in range(50):
+        rows = np.flatnonzero(column == number)
+        kept = chosen[column[chosen] == number]
+        assert {rows[0], rows[-1]} <= set(kept.tolist())
+        if number != 40:
+            assert np.nanmin(values[kept]) == np.nanmin(values[rows])
+            assert np.nanmax(values[kept]) == np.nanmax(values[rows])
+    assert {2_999, 3_000, 3_099, 3_100} <= set(chosen.tolist())
+
+
+def test_a_single_peak_survives_and_the_picture_stays_the_same() -> None:
+    time = np.arange(100_000) / 100.0
+    values = np.zeros(len(time))
+    values[61_803] = 1.0
+
+    def picture(*, thin: bool) -> tuple[int, NDArray[np.int64]]:
+        figure = Figure(figsize=(4.0, 2.0), dpi=100)
+        (line,) = figure.add_subplot().plot(time, values)
+        figure.draw_without_rendering()
+        if thin:
+            thin_lines(figure)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        return len(np.asarray(line.get_xdata())), np.asarray(canvas.buffer_rgba()).astype(np.int64)
+
+    (count, whole), (fewer, thinned) = picture(thin=False), picture(thin=True)
+    assert count == 100_000 and fewer < 2_500
+    inked, also = (picture[..., :3].min(axis=2) < 200 for picture in (whole, thinned))
+    assert np.count_nonzero(inked) > 1_000
+    # The same to a pixel: a peak of one point gets the width of a column.
+    assert not (inked & ~binary_dilation(also)).any()
+    assert not (also & ~binary_dilation(inked)).any()
+
+
+def thinned(x: Floats, y: Floats, **view: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Return what is left of a line in a small figure."""
+    figure = Figure(figsize=(3.0, 3.0), dpi=100)
+    axes = figure.add_subplot()
+    (line,) = axes.plot(x, y)
+    axes.set(**view)
+    figure.draw_without_rendering()
+    thin_lines(figure)
+    return np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
+
+
+def test_a_path_that_is_no_function_of_time_is_thinned_too_and_noise_and_gaps_do_not_keep_it_from_ending() -> None:
+    turn = np.linspace(0.0, 200.0 * np.pi, 300_000)
+    x, y = thinned(np.cos(turn), np.sin(turn))
+    assert len(x) <= 4_000
+    np.testing.assert_allclose(np.hypot(x, y), 1.0)
+    x, y = np.random.default_rng(7).normal(size=(2, 60_000))
+    x[1_000:50_000:2] = np.nan
+    assert 2_000 <= len(thinned(x, y, xlim=(0.5, 1.0), ylim=(0.5, 1.0))[0]) <= 4_000
+
+
+pytestmark = pytest.mark.timeout(60)
+HOSTILE = "</td></pre><script>alert(1)</script><img src=x onerror='alert(2)'>\"&amp;\x00\x1b[31m\u202e $\\frac$"
+NAME = "a<script>alert(3)<img src=x onerror=alert(4)>\"'&$\\frac$".replace("\\", "")
+SCRIPT = """
+import hashlib, sys
+from pathlib import Path
+from swarmabs_analysis.report import make_report
+report = make_report(Path(sys.argv[1]))
+print(hashlib.sha256(report.html.encode()).hexdigest(), hashlib.sha256(report.png).hexdigest())
+"""
+
+
+def assert_self_contained(html: str) -> None:
+    page = Page(html)
+    assert re.findall(r"https?:", html) == []
+    assert "@import" not in html
+    assert set(re.findall(r"url\((.)", html)) <= {"#"}
+    assert re.search(r"\ssrc\s*=", re.sub(r">[^<]*<", "><", html)) is None
+    assert {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed", "base", "form"} == set()
+    identities = [str(attributes["id"]) for _, attributes in page.tags if "id" in attributes]
+    assert len(identities) == len(set(identities))
+    for tag, attributes in page.tags:
+        assert not [name for name in attributes if name.startswith("on")]
+        if (reference := attributes.get("href")) is not None:
+            inside = reference.startswith("#") and reference[1:] in identities
+            assert inside or (tag == "image" and reference.startswith("data:image/png;base64,"))
+    policies = [a["content"] for _, a in page.tags if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policies == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
+
+
+def test_page_is_complete_refers_to_nothing_and_is_the_same_elsewhere(
+    report: Report, page: Page, run: Path, tmp_path: Path
+) -> None:
+    assert_self_contained(report.html)
+    assert report.html.startswith("<!DOCTYPE html>\n<html lang=")
+    headings = [text for tag, text in page.texts if tag == "h2"]
+    contents = [text for tag, text in page.texts if tag == "a"]
+    assert headings == contents
+    assert {"Metrics", "Plane", "Robots", "Constraint margins", "Events", "Timing", "Scenario"} <= set(headings)
+    assert [text for tag, text in page.texts if tag == "h1"] == ["pd_het_4"]
+    assert "prefers-color-scheme: dark" in report.html
+    pictures = [attributes for tag, attributes in page.tags if tag == "svg"]
+    assert len(pictures) == 17 and all(one["role"] == "img" and one["aria-label"] for one in pictures)
+    # No colour of a picture is fixed: all follow the scheme.
+    assert re.findall(r'style="[^"]*#[0-9a-f]{6}', report.html) == []
+    assert report.png.startswith(b"\x89PNG")
+    assert make_report(Path(shutil.copytree(run, tmp_path / "elsewhere"))).png == report.png
+
+
+def broken(message: Message) -> Message:
+    """Return a message of a run in which numbers are what no picture can show."""
+    if isinstance(message, PlaneState) and message.step == 3:
+        return message._replace(angle=math.inf)
+    if isinstance(message, AgentState) and message.step > 5:
+        return message._replace(position=-1e300, velocity=math.nan)
+    return message
+
+
+def test_hostile_text_stays_text_and_numbers_that_cannot_be_drawn_are_left_out(tmp_path: Path) -> None:
+    run = [*map(broken, messages(40)), SwarmEvent(0, 0, 2, EventKind.DEAD, 0.0, HOSTILE)]
+    run += [SwarmEvent(0, 0, 1, 200, float("nan"), HOSTILE)]
+    provenance = {"driver": HOSTILE, "machine": [HOSTILE], "versions": {HOSTILE: {HOSTILE: 1}}}
+    scenario, made_with = SCENARIO.replace("sample", json.dumps(NAME)), json.dumps(provenance).encode()
+    report = make_report(write(tmp_path / "bag", run, scenario=scenario, provenance=made_with, aborted=HOSTILE))
+    assert report.numbers["rms_error"] is None
+    assert_self_contained(report.html)
+    page = Page(report.html)
+    assert [text for tag, text in page.texts if tag == "h1"] == [NAME]
+    shown = re.sub("[\x00\x1b\u202e]", "\ufffd", HOSTILE)
+    assert page.texts.count(("td", shown)) == 2
+    assert ("th", shown) in page.texts
+    assert any(shown in text for tag, text in page.texts if tag == "p")  # why it ended
+    assert not set("\x00\x1b\u202e") & set(report.html)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_timing_of_another_run_is_not_taken(tmp_path: Path) -> None:
+    write(tmp_path / "bag", messages(40))
+    for summary in ({"digest": "0" * 64, "wall_time": 3.5}, [], {"wall_time": "<script>"}):
+        (tmp_path / "summary.json").write_text(json.dumps(summary))
+        recorded = read_recorded(tmp_path)
+        assert recorded.summary is None
+        assert "it is of another run" in recorded.summary_note
+    summary = {"digest": recorded.metrics["digest"], "wall_time": 3.5, "real_time_factor": 0.2}
+    shown = {"Wall time": 3.5, "Stepping": 2.0, "Speed": 20.0}
+    for more, rows in (({}, {"Rest": 1.5}), ({"setup_time": 0.5, "startup_time": 0.7}, {"Set-up": 0.5, "Rest": 0.3})):
+        (tmp_path / "summary.json").write_text(json.dumps(summary | more))
+        page = Page(make_report(tmp_path).html)
+        assert {name: page.rows[name][1] for name in {**shown, **rows}} == pytest.approx({**shown, **rows})
+    assert page.rows["Start"][1] == pytest.approx(0.7)
+
+
+@pytest.mark.system
+@pytest.mark.timeout(120)
+def test_another_process_gives_the_same_bytes(report: Report, run: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", SCRIPT, run], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [sha256(content).hexdigest() for content in (report.html.encode(), report.png)]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_failed_run(tmp_path: Path) -> None:
+    scenario = find_scenario("arise_si_4", ["duration=1.0", "plane.angle=1.4", "plane.angular_velocity=3.0"])
+    outcome = simulate_run(scenario.resolved(), new_run_folder(tmp_path / "run"))
+    assert outcome.status == "failed" and outcome.reason
+    report = make_report(tmp_path / "run")
+    assert (report.numbers["status"], report.numbers["reason"]) == ("failed", outcome.reason)
+    page = Page(report.html)
+    assert ("span", "failed") in page.texts
+    assert any(outcome.reason in text for _, text in page.texts)
+    assert page.rows["RMS error"][1] == pytest.approx(float(outcome.figures["rms_error"] or 0.0), abs=0)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_bag_without_its_end_and_perhaps_a_topic(tmp_path: Path) -> None:
+    file = write(tmp_path / "bag", messages(40)) / "bag_0.mcap"
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    report = make_report(file)
+    assert report.numbers["status"] == "damaged"
+    assert "the bag has lost its end" in str(report.numbers["reason"])
+    assert 0 < report.numbers["steps"] <= 40
+    Page(report.html)
+    # Nothing of a topic came before the end was lost.
+    file = write(tmp_path / "topic", [m for m in messages(40) if not isinstance(m, AgentState)]) / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-200])
+    report = make_report(file)
+    assert (report.numbers["status"], report.numbers["agents"], report.numbers["steps"]) == ("damaged", 0, 40)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_nothing_or_one_step_recorded(tmp_path: Path, count: int) -> None:
+    write(tmp_path / "bag", messages(0)[: 7 * count], aborted="interrupted")
+    report = make_report(tmp_path / "bag")
+    assert report.numbers["status"] == "interrupted"
+    assert report.numbers["steps"] == 0
+    assert any("nothing to draw" in text for _, text in Page(report.html).texts)
+    assert "<svg" not in report.html
+    assert report.png.startswith(b"\x89PNG")
+
+
+def test_two_hundred_robots(tmp_path: Path) -> None:
+    record(tmp_path / "run", "arise_het_200", "duration=0.5")
+    report = make_report(tmp_path / "run")
+    page = Page(report.html)
+    assert len(report.html) < 600_000
+    # What the pictures tell to those who do not see them, by heading.
+    labels = dict((attributes["aria-label"] or "").split(". ", 1) for tag, attributes in page.tags if tag == "svg")
+    assert "Where the mass of the robots is" in labels
+    assert "positions of 200 robots" in labels["Positions of the robots"]
+    assert any(tag == "image" for tag, _ in page.tags)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_many_events_share_rows(tmp_path: Path) -> None:
+    limits = [SwarmEvent(step * 10_000_000, step, 1 + step % 2, 7, step / 8, "limited") for step in range(41)]
+    more = [SwarmEvent(0, 0, 7, 6, float(step), "loss") for step in range(40)]
+    page = Page(make_report(write(tmp_path / "bag", [*messages(40), *limits, *more])).html)
+    cells = [text for tag, text in page.texts if tag in {"td", "th"}]
+    at = [place for place, text in enumerate(cells) if text == "limit hit"]
+    assert [cells[place + 1 : place + 6] for place in at] == [
+        ["1", "21", "0 s", "0.4 s", "0 to 5"],
+        ["2", "20", "0.01 s", "0.39 s", "0.125 to 4.875"],
+        ["7", "1", "0.03 s", "0.03 s", "0.3333"],
+    ]
+
+
+def test_refused_bags(tmp_path: Path) -> None:
+    with pytest.raises(NotABagError, match="holds no bag"):
+        make_report(tmp_path)
+    strange = [m._replace(kind=9) if isinstance(m, AgentState) and m.step == 4 else m for m in messages(40)]
+    with pytest.raises(DamagedBagError, match="agent 1 at step 4: 9 is no kind of robot"):
+        make_report(write(tmp_path / "strange", strange))
+    file = write(tmp_path / "flipped", messages(40)) / "bag_0.mcap"
+    content = bytearray(file.read_bytes())
+    content[len(content) // 3] ^= 0xFF
+    file.write_bytes(content)
+    with pytest.raises(DamagedBagError, match="can be read"):
+        make_report(file)

@@ -1,0 +1,172 @@
+"""Padding, wrong lengths and heads, and everything that is no message."""
+
+import struct
+
+import pytest
+from hypothesis import given, settings, strategies as st
+from tests.swarmabs_core.helpers import agent_state, broadcasts
+
+from swarmabs_core import messages as msg
+from swarmabs_core.cdr import canonical, decode, encode
+from swarmabs_core.desired_state import TORQUE_LIMITED
+from swarmabs_core.errors import InputError, MalformedMessageError
+from swarmabs_core.publishers import NodeName, publisher_of
+from swarmabs_core.record import Record
+from swarmabs_core.robot_controller import COMMAND_LIMITED
+
+STAMP, STEP = 12_340_000_001, 1234
+# Encapsulation; sec, nanosec; "plane" with its length, padded to a multiple of 8 after the encapsulation; step.
+HEAD = (
+    b"\x00\x01\x00\x00"
+    b"\x0c\x00\x00\x00" + (340_000_001).to_bytes(4, "little") + b"\x06\x00\x00\x00plane\x00"
+    b"\x00\x00\x00\x00\x00\x00"
+    b"\xd2\x04\x00\x00\x00\x00\x00\x00"
+)
+
+
+AGENT = msg.AgentState(STAMP, STEP, msg.NEVER, 258, 2, 3, 0.5, 0.75, -0.125, 0.25, -1.5)
+PARTS = (
+    msg.AbstractState(STAMP, STEP, 4, 1.0, 2.0, 3.0, 4.0),
+    msg.AuxiliaryState(STAMP, STEP, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
+    msg.DesiredAbstractState(STAMP, STEP, 1, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
+)
+CASES: dict[msg.Message, tuple[int, int]] = {
+    msg.PlaneState(STAMP, STEP, 0.1, -0.25): (0, 0),
+    AGENT: (12, 4),
+    PARTS[0]: (2, 6),
+    PARTS[1]: (0, 0),
+    PARTS[2]: (1, 7),
+    msg.SwarmEvent(STAMP, STEP, 7, 3, 0.5, "bé"): (3, 5),
+    msg.RecordingProgress(STAMP, STEP, 1230): (0, 0),
+    msg.Basis(STAMP, STEP, 1, msg.NEVER, 2, (4, 5, 2**32), (1, 258, 65535), (0, 1, 0)): (17, 3),
+    msg.Basis(STAMP, STEP, 1, 2, 3, (), (), ()): (17, 3),
+    msg.Steering(STAMP, STEP, 7, 1, 513, 1.0): (12, 4),
+    msg.Broadcast(STAMP, STEP, *PARTS): (18, 6),
+}
+"""Messages, and where they have padding behind `HEAD`: first offset and length."""
+each = pytest.mark.parametrize("message", CASES, ids=lambda message: type(message).__name__)
+
+
+def doubles(*values: float) -> bytes:
+    return b"".join(struct.pack("<d", value) for value in values)
+
+
+def test_bytes_by_hand() -> None:
+    """`tests/swarmabs_msgs` compares all messages with what ROS makes of them."""
+    body = b"\xff" * 8 + b"\x02\x01\x02\x03" + b"\x00" * 4 + doubles(0.5, 0.75, -0.125, 0.25, -1.5)
+    assert encode(AGENT) == HEAD + body
+    assert decode(msg.AgentState, HEAD + body) == AGENT
+    assert {type(message) for message in CASES} == {topic.message for topic in msg.TOPICS}
+
+
+@each
+def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(message: msg.Message) -> None:
+    canon, topic = encode(message), msg.TOPIC_OF[type(message)]
+    data = bytearray(canon)
+    data[2:4] = b"\xaa\xbb"  # options of the encapsulation
+    first, length = CASES[message]
+    for begin, size in ((22, 6), (len(HEAD) + first, length)):
+        assert not any(canon[begin : begin + size])
+        data[begin : begin + size] = b"\xcc" * size
+    padded = bytes(data + b"\xee" * 3)  # Fast DDS rounds the size up
+    assert decode(type(message), padded) == message
+    assert canonical(type(message), padded) == canon
+    made = Record(topic, {msg.AgentState: 258, msg.SwarmEvent: 7}.get(type(message), 0), message, canon)
+    assert Record.of(message) == Record.heard(topic, padded) == made
+    assert Record.read(topic, 5, padded, 7) == made._replace(payload=padded, time=5, published=7)
+
+
+@each
+def test_every_other_length_and_head_is_refused(message: msg.Message) -> None:
+    data = encode(message)
+    for wrong in (*(data[:length] for length in range(len(data))), data + b"\x00" * 4):
+        with pytest.raises(MalformedMessageError, match=f"malformed {type(message).__name__}: "):
+            decode(type(message), wrong)
+    for offset, put in ((0, b"\x00\x00"), (0, b"\x00\x03"), (12, b"\x07"), (16, b"plant"), (21, b"x")):
+        problem = "frame_id is not 'plane'" if offset else "not little-endian CDR"
+        with pytest.raises(MalformedMessageError, match=problem):
+            decode(type(message), data[:offset] + put + data[offset + len(put) :])
+
+
+EVENT = HEAD + b"\x07\x00\x03" + b"\x00" * 5 + doubles(0.5)
+SOURCES = HEAD + b"\x00" * 16 + b"\x01\x00\x00\x00"
+
+
+@pytest.mark.parametrize(
+    ("message_type", "data", "problem"),
+    [
+        (msg.SwarmEvent, EVENT + b"\x02\x00\x00\x00\xff\x00", "`detail` is not UTF-8"),
+        (msg.SwarmEvent, EVENT + b"\x02\x00\x00\x00ab", "cut off or not terminated"),
+        (msg.SwarmEvent, EVENT + b"\x00\x00\x00\x00", "cut off or not terminated"),
+        (msg.SwarmEvent, EVENT + b"\xff\xff\xff\xffab\x00", "cut off or not terminated"),
+        (msg.Basis, SOURCES + b"\xff\x00\x00\x00" + b"\x00" * 8, "bytes, expected"),
+        (msg.Basis, SOURCES + b"\xff\xff\xff\xff" + b"\x00" * 8, "4294967295 robots"),
+        (
+            msg.Basis,
+            SOURCES + b"\x01" + b"\x00" * 11 + b"\x02" + b"\x00" * 7 + b"\x01" + b"\x00" * 4,
+            "1 in `state_steps`, 2 in `agent_ids`, 1 in `standing`",
+        ),
+        (msg.PlaneState, HEAD + doubles(0.1, -0.25, 0.0), "bytes, expected"),
+    ],
+)
+def test_wrong_lengths_within_a_message_are_named(message_type: type[msg.Message], data: bytes, problem: str) -> None:
+    with pytest.raises(MalformedMessageError, match=problem):
+        decode(message_type, data)
+
+
+@settings(max_examples=50)
+@given(st.sampled_from([topic.message for topic in msg.TOPICS]), st.binary(max_size=200))
+def test_noise_gives_one_error_only(message_type: type[msg.Message], data: bytes) -> None:
+    with pytest.raises(MalformedMessageError):
+        decode(message_type, data)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        msg.PlaneState(0, -1, 0.0, 0.0),
+        msg.PlaneState(2**31 * 10**9, 0, 0.0, 0.0),
+        msg.RecordingProgress(0, 0, 2**64),
+        msg.AgentState(0, 0, 0, 65536, 1, 1, 1.0, 0.0, 0.0, 0.0, 0.0),
+        msg.SwarmEvent(0, 0, -1, 1, 0.0, ""),
+        msg.SwarmEvent(0, 0, 1, 1, 0.0, "\udcff"),
+        msg.Basis(STAMP, STEP, 1, 2, 3, (1, 2), (3,), (0,)),
+    ],
+)
+def test_fields_that_do_not_fit_are_refused(message: msg.Message) -> None:
+    with pytest.raises(MalformedMessageError, match=f"malformed {type(message).__name__}: "):
+        encode(message)
+
+
+def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
+    return msg.SwarmEvent(0, 1, 3, kind, 0.5, detail)
+
+
+@pytest.mark.parametrize(
+    ("message", "publisher"),
+    [
+        (agent_state(258), "agent:258"),
+        (msg.PlaneState(0, 0, 0.1, 0.2), "plane"),
+        *zip(broadcasts(), ("observer", "observer", "controller"), strict=True),
+        *((event(kind), "observer") for kind in (msg.EventKind.JOINED, msg.EventKind.LEFT, msg.EventKind.DEAD)),
+        *(
+            (event(kind), "agent:3")
+            for kind in (msg.EventKind.SAFE_STOP, msg.EventKind.RECOVERED, msg.EventKind.FAULT_INJECTED)
+        ),
+        (event(msg.EventKind.LIMIT_HIT, COMMAND_LIMITED), "agent:3"),
+        (event(msg.EventKind.LIMIT_HIT, TORQUE_LIMITED), "controller"),
+        (event(msg.EventKind.LIMIT_HIT, "end stop hit"), "plane"),
+        (event(msg.EventKind.STEERING, "disturbance"), "plane"),
+        (event(msg.EventKind.STEERING, "reference"), "controller"),
+        (event(msg.EventKind.MODE_CHANGED), "controller"),
+    ],
+)
+def test_each_message_has_one_publisher(message: msg.Message, publisher: str) -> None:
+    assert str(publisher_of(message)) == publisher
+    assert NodeName.parse(publisher) == publisher_of(message)
+
+
+def test_what_names_no_node_is_refused() -> None:
+    for text in ("", "agent", "agent:", "agent:x", "agent:03", "plane:1", "robot:3", "observer:"):
+        with pytest.raises(InputError, match=r"no node .*; name controller, observer, plane, or a robot as agent:N"):
+            NodeName.parse(text)

@@ -1,0 +1,228 @@
+"""What live pages are shown: a run from before its start into its bag, and a swarm that is only heard."""
+
+import asyncio
+import io
+import os
+import re
+import socket
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from tests.processes import until
+from tests.swarmabs_analysis.report.conftest import SCENARIO, write
+from tests.swarmabs_bag.sample_run import make_run
+from tests.swarmabs_view.speaking import SpeakingNode, eventually
+
+from swarmabs_bag.run_folder import RunFolder
+from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_core.cdr import encode
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import PlaneState
+from swarmabs_ros.start import initialise
+from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
+from swarmabs_view import sources
+from swarmabs_view.listener import Listener
+from swarmabs_view.protocol import Events, Frame, Health, Hello, Message, State, Steering
+from swarmabs_view.sources import RunView, SwarmView, show_live
+from swarmabs_view.steering_bridge import SteeredSession
+
+
+@pytest.mark.usefixtures("ros")
+def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_none() -> None:
+    state = SwarmState()
+    initialise("view", ["--ros-args", "--disable-external-lib-logs", "-r", "__ns:=/some/swarm"])
+    try:
+        node = SpeakingNode("hearer")
+        assert node.get_namespace() == "/some/swarm"
+        listener = Listener(node, 3)
+
+        def complete() -> bool:
+            last = node.step()
+            node.say(PlaneState(0, last, 0.0, 0.0), bytes_lost=8)
+            for heard in listener.poll():
+                assert heard.topic in listener.topics
+                assert heard.payload == encode(heard.message)
+                state.add(heard.message)
+            return state.instant() is not None and state.event_count == 1 and listener.malformed > 0
+
+        until(complete, "all has been heard", 15.0)
+        node.destroy_node()  # type: ignore[no-untyped-call]
+    finally:
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunFolder:
+    """Return the folder of a run that is about to begin; who looks at it keeps priority and environment."""
+    (tmp_path / "run").mkdir()
+    monkeypatch.setattr(os, "nice", lambda _: 0)
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    monkeypatch.setattr(sources, "SUMMARY_SECONDS", 0.3)
+    return RunFolder(tmp_path / "run")
+
+
+class Page:
+    """What a page has been told of a run."""
+
+    def __init__(self, view: RunView | SwarmView) -> None:
+        self._session = view.session()
+        self.told: list[Message] = self._session.hello()
+
+    def last(self, kind: type[Message]) -> Any:
+        """Return the latest message of a kind, None if there is none."""
+        self.told += self._session.poll(asyncio.get_running_loop().time())
+        return next((message for message in reversed(self.told) if isinstance(message, kind)), None)
+
+
+def follows(view: RunView | SwarmView, work: Callable[[Page], Awaitable[None]]) -> None:
+    """Have a page look while the view follows its swarm."""
+
+    async def main() -> None:
+        following = asyncio.ensure_future(view.follow())
+        try:
+            await work(Page(view))
+        finally:
+            following.cancel()
+            await asyncio.wait([following])
+
+    asyncio.run(main())
+
+
+@pytest.mark.usefixtures("ros")
+@pytest.mark.timeout(60)
+def test_a_run_is_shown_from_before_its_start_into_its_bag(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes: list[SpeakingNode] = []
+
+    def make(name: str) -> SpeakingNode:
+        nodes.append(SpeakingNode(name))
+        return nodes[-1]
+
+    monkeypatch.setattr(sources, "SwarmNode", make)
+
+    async def work(page: Page) -> None:
+        assert (page.last(Hello).title, page.last(Hello).robots) == ("run", [])
+        assert page.last(State) == State(phase="waiting", text="the processes start")
+        folder.logs.mkdir()
+        await eventually(lambda: page.last(Hello).robots == [], "the scenario is not there yet")
+        folder.scenario.write_text(SCENARIO)
+        await eventually(lambda: page.last(Hello).title == "sample", "the scenario is known")
+        assert [robot.id for robot in page.last(Hello).robots] == [1, 2, 7]
+        write_network(folder.logs, int(os.environ["ROS_DOMAIN_ID"]), 20)
+        write_processes(folder.logs, {"launcher": os.getpid()})
+        await eventually(lambda: nodes, "the view listens")
+        assert nodes[0].get_namespace() == "/"
+        await eventually(lambda: nodes[0].step() and page.last(Frame) and page.last(Events).events, "it is shown")
+        assert page.last(State) == State(phase="running", text="")
+        await eventually(lambda: page.last(Health), "the processes are looked at")
+        assert {one.name for one in page.last(Health).processes} == {"orchestrator", "launcher"}
+        write(folder.bag, make_run(10), scenario=SCENARIO)
+        folder.write_summary({"status": "ok"})
+        await eventually(lambda: page.last(Hello).source == "bag", "the bag is shown")
+        await eventually(lambda: page.last(Frame).step == 10, "its last step")
+
+    follows(RunView(folder.path), work)
+    assert not rclpy.ok()
+
+
+@pytest.mark.parametrize(
+    ("summary", "bag", "text"),
+    [
+        ('{"status": "failed"}', None, "the run has ended: failed"),
+        ('{"status": "ok"}', b"no bag", "the run has ended; its bag cannot be shown: .*"),
+        ("{}", None, "the run has ended; its bag cannot be shown: 'status'"),
+        (None, None, "the run has ended without a summary"),
+    ],
+)
+def test_how_a_run_ends_that_was_not_seen(folder: RunFolder, summary: str | None, bag: bytes | None, text: str) -> None:
+    folder.logs.mkdir()
+    if bag is not None:
+        folder.bag.mkdir()
+        (folder.bag / "bag_0.mcap").write_bytes(bag)
+    if summary is None:
+        folder.scenario.write_text(SCENARIO)
+        write_network(folder.logs, 5, 8)
+        write_processes(folder.logs, {})
+        ProgressFile(folder.logs).over()
+    else:
+        folder.summary.write_text(summary)
+
+    async def work(page: Page) -> None:
+        await eventually(lambda: re.fullmatch(text, page.last(State).text), text)
+        assert page.last(State).phase == "ended"
+
+    follows(RunView(folder.path), work)
+
+
+def test_a_run_is_steered_by_those_who_know_the_token(folder: RunFolder) -> None:
+    view = RunView(folder.path, "secret")
+    assert isinstance(view.session(), SteeredSession)
+    assert view.session().hello()[-1] == Steering(open=False)
+    for each in (view, RunView(folder.path)):
+        with pytest.raises(TimeoutError):
+            asyncio.run(asyncio.wait_for(each.steer(), 0.05))
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Have no page served; return what would be."""
+    found: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(sources, "serve", lambda *things, ready=None: found.append((*things, ready)))
+    return found
+
+
+def test_who_is_served_what(folder: RunFolder, served: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch) -> None:
+    listened: list[tuple[Any, ...]] = []
+
+    async def listen(*asked: Any) -> None:
+        listened.append(asked)
+
+    monkeypatch.setattr(sources, "listen", listen)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    listener: Any = object()
+    show_live("/some/swarm", listener, print)
+    (shown, session, follow, ready) = served.pop()
+    assert (shown, ready) == (listener, print)
+    (hello, _) = session().hello()
+    assert (hello.title, hello.place) == ("swarm /some/swarm", "namespace /some/swarm of ROS domain 7")
+    asyncio.run(follow())
+    ((_, namespace, over),) = listened
+    assert (namespace, over()) == ("/some/swarm", False)
+
+    folder.logs.mkdir()
+    write_network(folder.logs, 5, 8)
+    show_live(str(folder.path), listener, print)
+    assert served.pop()[1]().hello()[0].title == "run"
+    ProgressFile(folder.logs).over()
+    with pytest.raises(InputError, match="this run is over; view its bag without --live"):
+        show_live(str(folder.path), listener, print)
+    with pytest.raises(InputError, match=r"--live some/swarm: neither the folder of a run nor a namespace such as"):
+        show_live("some/swarm", listener, print)
+
+
+def test_a_viewer_serves_a_run_until_its_standard_input_ends(
+    folder: RunFolder, served: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    number = socket.socket().detach()
+    monkeypatch.setattr(sys, "argv", ["sources", str(folder.path), str(number)])
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"secret\n{}")))
+    assert sources.main() == 0
+    (shown, session, *tasks, ready) = served.pop()
+    assert (shown.fileno(), len(tasks), ready) == (-1, 3, None)
+    assert isinstance(session(), SteeredSession)
+
+    read, write = os.pipe2(os.O_NONBLOCK)
+
+    async def end() -> None:
+        waiting = asyncio.ensure_future(sources.closed(read))
+        os.write(write, b"more")
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(asyncio.shield(waiting), 0.05)
+        os.close(write)
+        await asyncio.wait_for(waiting, 5.0)
+
+    asyncio.run(end())
+    os.close(read)
