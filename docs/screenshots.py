@@ -102,7 +102,7 @@ def main() -> int:
         steered = ("run", "pd_het_4", "--duration", LIVE, "--view", "--steer", "--rate", "1")
         with page_of(here, *steered, said="view, to steer: ") as url:
             page = opened(browser, url, (1280, 960), "light")
-            page.get_by_label("Offset of the reference, rad").fill("0.05")
+            page.get_by_label("Reference offset, rad").fill("0.05")
             page.get_by_role("button", name="Set reference").click()
             page.get_by_text("reference 0.05: from step").wait_for()
             page.wait_for_timeout(4000)

@@ -44,7 +44,7 @@ def test_pictures_say_what_they_show_and_what_is_shaded_follows_who_takes_part(p
     page.keyboard.press("z")  # the whole, in which nothing moves but what is shaded
     said = "The plane at 0 s: angle 0.1000 rad, which is 5.73 degrees; 4 robots, listed in the table of robots"
     expect(page.locator("#plane")).to_have_attribute("aria-label", said)
-    assert "newton metres wanted" in (page.locator("#abstract").get_attribute("aria-label") or "")
+    assert "newton metres, desired" in (page.locator("#abstract").get_attribute("aria-label") or "")
     canvases = [page.locator(f"#{name}") for name in ("plane", "abstract")]
     before = [canvas.evaluate("(canvas) => canvas.toDataURL()") for canvas in canvases]
     expect(page.locator(".uplot canvas")).to_have_count(5)
@@ -109,7 +109,7 @@ def test_buttons_keys_and_slider_move_the_playback(page: Page, served: Served) -
     def expect_step(found: float) -> None:
         expect(step).to_have_attribute("value", f"{found:.0f}")
 
-    for button, found in (("One step on", 1), ("Last step", 400), ("One step back", 399)):
+    for button, found in (("One step forward", 1), ("Last step", 400), ("One step back", 399)):
         page.get_by_role("button", name=button).click()
         expect_step(found)
     page.locator("h1").click()
@@ -152,7 +152,7 @@ def test_plays_pauses_changes_its_speed_and_goes_to_where_a_curve_is_clicked(pag
     expect(play).to_be_visible()
     expect(rate).to_have_text("–")
     where = number(page, "step")  # frames come before the state that they lead to
-    page.get_by_role("button", name="One step on").click()
+    page.get_by_role("button", name="One step forward").click()
     expect(page.locator("#step")).to_have_attribute("value", f"{where + 1:.0f}")
     page.get_by_label("Speed").select_option("5")
     page.locator("h1").click()
@@ -172,13 +172,13 @@ def test_a_lost_connection_is_shown_and_the_page_goes_on_where_it_was(page: Page
         first.process.send_signal(signal.SIGKILL)
         lost = page.get_by_role("alert")
         expect(lost).to_be_visible()
-        expect(lost).to_contain_text("connection to the program is lost")
+        expect(lost).to_contain_text("Connection lost")
         expect(page.locator("#state")).to_have_attribute("data-phase", "lost")
     with serving(run, port):
         expect(lost).to_be_hidden(timeout=20_000)
         expect(page.locator("#state")).to_have_attribute("data-phase", "recorded")
         expect(page.locator("#step")).to_have_attribute("value", "123")
-        page.get_by_role("button", name="One step on").click()
+        page.get_by_role("button", name="One step forward").click()
         expect(page.locator("#step")).to_have_attribute("value", "124")
         page.close()  # or it would try again when this program ends
     assert all("net::ERR_CONNECTION_" in fault for fault in faults)  # of the end, and of the tries in between
@@ -190,7 +190,7 @@ def test_one_page_too_many_says_so_and_gets_its_turn(page: Page, page_server: Pa
     page_server.refusing = TRY_AGAIN_LATER
     page_server.close()
     lost = page.get_by_role("alert")
-    expect(lost).to_contain_text("Too many pages show this already")
+    expect(lost).to_contain_text("Too many pages")
     expect(page.locator("#state")).to_have_text("lost: too many pages")
     page_server.refusing = 0
     expect(lost).to_be_hidden(timeout=20_000)
@@ -397,7 +397,7 @@ def test_the_time_stands_in_the_address_and_an_address_leads_to_its_time(page: P
     page.goto(f"{served.url}#t=1.23")
     expect(page.locator("#step")).to_have_attribute("value", "123")
     expect(page.locator("#clock")).to_have_text("1.23 of 4.00 s")
-    page.get_by_role("button", name="One step on").click()
+    page.get_by_role("button", name="One step forward").click()
     page.wait_for_url(re.compile("#t=1.24$"))
     page.evaluate("location.hash = '#t=9999'")
     expect(page.locator("#step")).to_have_attribute("value", "400")
@@ -416,9 +416,9 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
     events = [Event(step=s, time=0.01 * s, agent=1, kind="REFUSED", value=None, detail="x" * 60) for s in range(40)]
     page_server.open(STEERED, Events(replace=True, events=events, left_out=7), hash_=f"#steer={TOKEN}")
     more = page.locator("#events + .more")
-    expect(more).to_have_text("more rows below; 7 earlier ones not listed")
+    expect(more).to_have_text("more rows below; 7 earlier events not listed")
     page.locator("#events").evaluate("(list) => { list.scrollTop = list.scrollHeight; }")
-    expect(more).to_have_text("7 earlier ones not listed")
+    expect(more).to_have_text("7 earlier events not listed")
     tops = page.locator("#now-panel, #plane-panel").evaluate_all(
         "(parts) => Object.fromEntries(parts.map((part) => [part.id, part.getBoundingClientRect().top]))"
     )
@@ -463,7 +463,7 @@ def opened(page: Page, server: PageServer, hash_: str = f"#steer={TOKEN}") -> No
 
 
 def ask(page: Page, value: str = "0.1") -> None:
-    page.get_by_label("Offset of the reference, rad").fill(value)
+    page.get_by_label("Reference offset, rad").fill(value)
     page.get_by_role("button", name="Set reference").click()
 
 
@@ -472,7 +472,7 @@ def test_numbers_are_taken_with_comma_or_point(page: Page, page_server: PageServ
     opened(page, page_server)
     expect(page.locator("#range-reference")).to_have_text("-1.00 to 1.00 rad")
     ask(page, typed)
-    expect(page.locator("#steered")).to_have_text(re.compile("asked$"))
+    expect(page.locator("#steered")).to_have_text(re.compile("requested$"))
     assert [wish["value"] for wish in page_server.heard("steer")] == [value]
 
 
@@ -483,7 +483,7 @@ def test_what_is_no_number_or_too_large_is_refused_and_a_large_step_asked_back(
     wrong, sure = page.locator("#wrong-reference"), page.locator("#steer-sure")
     for typed, why in (
         *(
-            (text, f'"{text}" is no number: write 0.05 or 0,05')
+            (text, f'"{text}" is not a number: write 0.05 or 0,05')
             for text in ("1,000.5", "1.2.3", "0 05", "x", "Infinity")
         ),
         ("5", "5.0000 rad is out of range"),
@@ -499,7 +499,7 @@ def test_what_is_no_number_or_too_large_is_refused_and_a_large_step_asked_back(
     assert page_server.heard("steer") == []
     ask(page, "0,5")
     page.get_by_role("button", name="Yes, set it").click()
-    expect(page.locator("#steered")).to_have_text("reference 0.5: asked")
+    expect(page.locator("#steered")).to_have_text("reference 0.5: requested")
     assert page_server.heard("steer")[-1]["value"] == 0.5
 
 
@@ -516,12 +516,12 @@ def test_what_is_asked_when_the_connection_goes_gets_no_answer(page: Page, page_
     opened(page, page_server)
     said = page.locator("#steered")
     ask(page)
-    expect(said).to_have_text("reference 0.1: asked")
+    expect(said).to_have_text("reference 0.1: requested")
     page.get_by_role("button", name="Kill").click()
     page_server.refusing = 1011
     page_server.close()
-    expect(said).to_contain_text("reference 0.1, kill robot 1: no answer: the connection was lost")
-    for name in ("Set reference", "Set disturbance", "Kill", "Freeze", "Take off"):
+    expect(said).to_contain_text("reference 0.1, kill robot 1: no answer: connection lost")
+    for name in ("Set reference", "Set disturbance", "Kill", "Freeze", "Remove"):
         expect(page.get_by_role("button", name=name)).to_be_disabled()
     page_server.refusing = 0
     expect(page.get_by_role("button", name="Kill")).to_be_enabled(timeout=10_000)
@@ -560,20 +560,20 @@ def test_a_token_is_found_in_what_is_pasted_and_what_is_none_is_refused(
     for text, why in (
         ("y" * 101, "it has more than 100 characters"),
         (f"http://x/#steer={'y' * 5000}", "it has more than 100 characters"),
-        ("http://127.0.0.1:1/#steer=", "there is none in it"),
-        ("  ", "there is none in it"),
+        ("http://127.0.0.1:1/#steer=", "the text contains none"),
+        ("  ", "the text contains none"),
     ):
-        page.get_by_label("Token, from the terminal of the run").fill(text)
+        page.get_by_label("Token, as printed in the terminal of the run").fill(text)
         page.get_by_role("button", name="Use").click()
-        expect(page.locator("#steered")).to_have_text(f"this is no token: {why}")
+        expect(page.locator("#steered")).to_have_text(re.compile(why))
         expect(page.locator("#steer-token")).to_be_visible()
         expect(page.locator("#steer-controls")).to_be_hidden()
         assert page.evaluate("sessionStorage.getItem('swarmabs-steer')") is None
     assert page_server.heard("steer") == []
-    page.get_by_label("Token, from the terminal of the run").fill(pasted)
+    page.get_by_label("Token, as printed in the terminal of the run").fill(pasted)
     page.get_by_role("button", name="Use").click()
     ask(page)
-    expect(page.locator("#steered")).to_have_text("reference 0.1: asked")
+    expect(page.locator("#steered")).to_have_text("reference 0.1: requested")
     assert page_server.heard("steer")[-1]["token"] == TOKEN
 
 
@@ -581,9 +581,9 @@ def test_a_request_that_the_server_closes_upon_brings_the_form_back(page: Page, 
     opened(page, page_server)
     assert not re.search("steer|x{5}", page.url)  # the token leaves the address
     ask(page)
-    expect(page.locator("#steered")).to_have_text("reference 0.1: asked")
+    expect(page.locator("#steered")).to_have_text("reference 0.1: requested")
     page_server.close(1008)
-    expect(page.locator("#steered")).to_have_text("reference 0.1: not done: the program has refused the request")
+    expect(page.locator("#steered")).to_have_text("reference 0.1: rejected by the program")
     expect(page.locator("#steer-token")).to_be_visible()
     assert page.evaluate("sessionStorage.getItem('swarmabs-steer')") is None
     expect(page.get_by_role("alert")).to_be_hidden(timeout=10_000)

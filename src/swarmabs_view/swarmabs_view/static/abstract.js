@@ -1,4 +1,4 @@
-// The abstract state, torque and inertia, against its manifold and the sets A_A and A_P.
+// The abstract state, torque and inertia, with its manifold and the sets A_A and A_P.
 import { colours, prepared, short, ticks } from "./drawing.js";
 
 const LEFT = 52;
@@ -7,7 +7,7 @@ const TOP = 10;
 const RIGHT = 12;
 const TRAIL = 400;
 
-export class AbstractPicture {
+export class AbstractView {
   constructor(canvas) {
     this.canvas = canvas;
     this.near = true;
@@ -86,13 +86,13 @@ export class AbstractPicture {
     context.restore();
   }
 
-  // The whole manifold in the corner in which the least is covered, with the part that is shown near.
+  // An inset of the whole manifold with the part shown, in the corner where it covers the least.
   inset(context, hello, frame, trail, colour, box, shown, at) {
     const [w, h] = [Math.min(0.36 * box.w, 170), Math.min(0.36 * box.h, 100)];
     const points = [...trail.map((one) => at(...one))];
     for (const { torque, inertia } of [frame.abstract, frame.desired]) {
       if (torque !== null && inertia !== null) {
-        points.push(...Array(trail.length).fill(at(torque, inertia))); // what must not be covered first of all
+        points.push(...Array(trail.length).fill(at(torque, inertia))); // these weigh most: cover them last
       }
     }
     const corners = [[1, 0], [0, 0], [1, 1], [0, 1]].map(([right, low]) => {
@@ -118,7 +118,7 @@ export class AbstractPicture {
     context.fillText("whole", corner.x + 4, corner.y + 12);
   }
 
-  // The last points up to a time.
+  // The last points of the path up to a time.
   trail(curves, time) {
     let end = curves.time.length;
     while (end > 0 && curves.time[end - 1] > time + 1e-9) {
@@ -152,7 +152,7 @@ export class AbstractPicture {
     context.fill();
   }
 
-  // The torques of the manifold that are shown, from the first to the last.
+  // Torques along the visible part of the manifold.
   torques({ torque_max: most }, [left, right]) {
     const [from, to] = [Math.max(left, -most), Math.min(right, most)];
     return Array.from({ length: 121 }, (_, index) => from + ((to - from) * index) / 120);
@@ -233,7 +233,7 @@ export class AbstractPicture {
     }
     this.described = now;
     const { abstract, desired } = frame;
-    const text = `The abstract state: torque ${short(abstract.torque, 4)} of ${short(desired.torque, 4)} newton metres wanted, inertia ${short(abstract.inertia, 4)} of ${short(desired.inertia, 4)} kilogram square metres wanted`;
+    const text = `The abstract state: torque ${short(abstract.torque, 4)} newton metres, desired ${short(desired.torque, 4)}; inertia ${short(abstract.inertia, 4)} kilogram square metres, desired ${short(desired.inertia, 4)}`;
     this.canvas.setAttribute("aria-label", text);
   }
 }

@@ -2,10 +2,10 @@
 import { colours, eventColour, short } from "./drawing.js";
 
 const HEIGHT = 150;
-const INTERVAL = 120; // ms between two drawings of growing curves
+const INTERVAL = 120; // ms between two redraws of growing curves
 const FONT = "11px system-ui, sans-serif";
-const NARROWEST = 62; // px of the axis on the left
-const BESIDE = 18; // px of it that are no label: ticks and gaps
+const NARROWEST = 62; // px, width of the left axis
+const TICKS = 18; // px of it for ticks and gaps
 
 const minus = (wanted, actual) => wanted.map((one, index) => (one === null || actual[index] === null ? null : one - actual[index]));
 
@@ -18,15 +18,15 @@ const CHARTS = [
       { label: "reference", colour: "reference", dash: [8, 5], of: (c) => c.reference },
     ],
   },
-  { place: "chart-error", title: "error of the angle, rad", lines: [{ label: "reference − angle", colour: "error", of: (c) => minus(c.reference, c.angle) }] },
-  { place: "chart-torque", title: "error of the torque, N m", lines: [{ label: "wanted − torque", colour: "torque", of: (c) => minus(c.desired_torque, c.torque) }] },
-  { place: "chart-inertia", title: "error of the inertia, kg m²", lines: [{ label: "wanted − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
+  { place: "chart-error", title: "tracking error, rad", lines: [{ label: "reference − angle", colour: "error", of: (c) => minus(c.reference, c.angle) }] },
+  { place: "chart-torque", title: "torque error, N m", lines: [{ label: "desired − torque", colour: "torque", of: (c) => minus(c.desired_torque, c.torque) }] },
+  { place: "chart-inertia", title: "inertia error, kg m²", lines: [{ label: "desired − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
 ];
 const POSITIONS = "chart-positions";
 const FLAG = 16; // px above a chart, for the marks of events
-const MOST_NAMED = 12; // robots that are named below their positions
+const MOST_NAMED = 12; // robots named in the legend of the positions
 
-// Labels of an axis, with as many digits as tell them apart.
+// Labels of an axis, with enough digits to tell them apart.
 function labels(splits, increment) {
   const largest = Math.max(...splits.map(Math.abs));
   const plain = largest >= 1e-3 && largest < 1e6;
@@ -45,18 +45,18 @@ function widest(texts) {
 }
 
 export class Charts {
-  // `seek` is told at which time a click was.
+  // `seek` receives the time of a click, s.
   constructor(seek) {
     this.seek = seek;
     this.curves = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
     this.steepest = 0; // the largest angle, rad
     this.drawn = 0;
     this.stale = false;
-    this.zoom = null; // what was dragged over, { min, max } in s, until a double click
+    this.zoom = null; // the range chosen by dragging, { min, max } in s, until a double click
     this.left = NARROWEST;
     this.events = [];
     this.robots = [];
-    this.span = 0; // s before the time shown; 0: everything
+    this.span = 0; // s before the time shown; 0: the whole run
     this.positions = { time: [], labels: [], bands: false, lines: [] };
     document.getElementById("span").addEventListener("change", (event) => {
       this.span = Number(event.target.value);
@@ -114,7 +114,7 @@ export class Charts {
     this.mark(this.time ?? null);
   }
 
-  // The chart of the positions: a line for each robot, or of many robots bands of the swarm.
+  // The chart of the positions: a line per robot, or percentile bands for many robots.
   positionsChart() {
     const { labels, bands } = this.positions;
     const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
@@ -147,7 +147,7 @@ export class Charts {
     this.stale = true;
   }
 
-  // Marks of events above a chart, at most one in a pixel, and a faint line down from each.
+  // Marks of events above a chart, at most one per pixel, each with a faint line down.
   flags({ ctx, bbox, valToPos, scales, root }, colour) {
     const ratio = window.devicePixelRatio || 1;
     const seen = new Set();
@@ -198,7 +198,7 @@ export class Charts {
     return [time[0], time[time.length - 1]];
   }
 
-  // Note whether a part is shown, of the data that the plot was given: more may have come since.
+  // Note whether a part of the plot's data is shown; newer data may not be in the plot yet.
   zoomed(plot) {
     const { min, max } = plot.scales.x;
     const { span, window: wanted } = this;
@@ -206,19 +206,19 @@ export class Charts {
       return;
     }
     if (span && wanted) {
-      this.span = 0; // another part was chosen
+      this.span = 0; // the user chose another range
       document.getElementById("span").value = "0";
     }
     const [first, last] = plot.given ?? [];
     if (first === undefined) {
-      return; // nothing of it has come: it says nothing of what is shown
+      return; // no data yet: the scale is meaningless
     }
     this.zoom = min > first || max < last ? { min, max } : null;
   }
 
-  // The room for labels on the left, px: of all charts that of the widest, so that their times stand below each other.
+  // The width of the left axis, px: that of the widest labels for all charts, which aligns their time axes.
   room(texts) {
-    const wanted = Math.ceil(widest(texts)) + BESIDE;
+    const wanted = Math.ceil(widest(texts)) + TICKS;
     if (wanted > this.left) {
       this.left = wanted;
       queueMicrotask(() => this.plots.forEach((plot) => plot.redraw(true, true)));
@@ -252,12 +252,12 @@ export class Charts {
     if (message.replace) {
       this.drawn = 0;
       if (this.zoom && !(this.zoom.min < this.ends()[1])) {
-        this.zoom = null; // of something else
+        this.zoom = null; // of another run
       }
     }
   }
 
-  // Draw what has come, not too often, and mark the time that is shown.
+  // Draw new data at a limited rate, and mark the time shown.
   draw(now, time) {
     if (this.stale && now - this.drawn > INTERVAL) {
       this.drawn = now;
@@ -272,7 +272,7 @@ export class Charts {
     this.mark(time);
   }
 
-  // Show the last seconds up to a time, if these were chosen.
+  // Show the last seconds up to a time, if the user chose so.
   follow(time) {
     const first = this.ends()[0];
     if (!this.span || time === null || first === undefined) {
@@ -294,7 +294,7 @@ export class Charts {
 
   place({ now, over, valToPos }) {
     if (!now) {
-      return; // the plot is just being made
+      return; // the plot is still being built
     }
     const place = this.time === null ? -1 : valToPos(this.time, "x");
     const inside = place >= 0 && place <= over.clientWidth;

@@ -1,13 +1,13 @@
-// The WebSocket to the server: it comes back by itself, and silence counts as a lost connection.
-const SILENCE = 4000; // ms; the server says something at least once a second
+// The WebSocket to the server. It reconnects by itself; silence counts as a lost connection.
+const SILENCE = 4000; // ms; the server sends something at least once a second
 const FIRST_WAIT = 300;
 const LONGEST_WAIT = 3000;
 const WHY = { 1008: "refused", 1009: "refused", 1013: "full" }; // close codes of the server
 export const VERSION = 1;
 
 export class Connection {
-  // `take` gets each message; `status` gets "open", "lost", "refused" (what was said), "full" (too many pages look) or
-  // "other" (with the version that the server speaks).
+  // `take` receives each message; `status` receives "open", "lost", "refused" (the server rejected a message), "full"
+  // (too many pages are connected) or "other" (with the protocol version of the server).
   constructor(take, status) {
     this.take = take;
     this.status = status;
@@ -57,7 +57,7 @@ export class Connection {
     }
   }
 
-  // Tell whether there is a connection to say it over; whether it arrives is not known.
+  // Return whether a connection was open to send on; delivery is not confirmed.
   send(message) {
     const open = this.socket !== null && this.socket.readyState === WebSocket.OPEN;
     if (open) {

@@ -1,9 +1,9 @@
 // Playback of a bag: buttons, slider, speed, keys.
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 25, 50, 100];
-const HOLD = 300; // ms for which a step that was asked for stands, though others are played
-const PATIENCE = 2000; // ms for which it stands while nothing is played, and for which a speed does
+const HOLD = 300; // ms for which a requested step is kept during playback
+const PATIENCE = 2000; // ms for which it is kept while paused, and for which a requested speed is
 
-const ADDRESS = 500; // ms between two changes of the time in the address
+const ADDRESS = 500; // ms between two updates of the time in the address
 
 // The time in the address, s, as in #t=12.3; null if there is none.
 function addressed() {
@@ -13,7 +13,7 @@ function addressed() {
 
 const element = (id) => document.getElementById(id);
 
-// Whether a part of the page that has the focus is scrolled by a key.
+// Return whether a key scrolls the focused part of the page.
 function scrolls(target, key) {
   const place = target.closest(".scroll, .events");
   if (!place) {
@@ -29,11 +29,11 @@ export class Controls {
     this.enabled = false;
     this.lost = false;
     this.playing = false;
-    this.step = 0; // the one that is shown, or that was asked for and is on its way
+    this.step = 0; // the step shown, or the one requested
     this.last = 0;
     this.asked = -1e9;
     this.askedSpeed = -1e9;
-    this.link = addressed(); // a time to begin at, s
+    this.link = addressed(); // start time from the address, s
     this.linked = -1e9;
     this.scrub = element("scrub");
     this.speed = element("speed");
@@ -74,13 +74,13 @@ export class Controls {
     }
   }
 
-  // Nothing can be played while there is no connection.
+  // Disable playback without a connection.
   connected(connected) {
     this.lost = !connected;
     element("playback").disabled = this.lost;
   }
 
-  // A page that comes back goes on where it was.
+  // Continue where the page was before it lost the connection.
   resume({ step, playing, speed }) {
     this.send({ type: "speed", speed });
     this.seek(step);
@@ -103,7 +103,7 @@ export class Controls {
     }
   }
 
-  // A frame that was under way when a step was asked for must not become the one from which the next key counts.
+  // Ignore a frame that was sent before the requested step: the next key must count from the requested one.
   frame(frame) {
     const since = performance.now() - this.asked;
     if (frame.step !== this.step && since < (this.playing ? HOLD : PATIENCE)) {
@@ -116,7 +116,7 @@ export class Controls {
     this.scrub.setAttribute("aria-valuetext", `step ${frame.step}, ${frame.time.toFixed(2)} seconds`);
   }
 
-  // Keep the time in the address: browsers take it amiss if that changes with each picture.
+  // Keep the time in the address, at a limited rate: browsers throttle frequent changes.
   address(time) {
     const wanted = `#t=${Number(time.toFixed(6))}`;
     const wait = this.linked + ADDRESS - performance.now();

@@ -1,4 +1,4 @@
-// What both pictures need: a canvas that has the size of its place, colours of the theme, numbers as text.
+// Shared by the canvases: size in device pixels, colours of the theme, numbers as text.
 
 const NAMES = [
   ...["paper", "panel", "ink", "quiet", "line", "grid", "board", "lane", "edge", "admissible", "partial", "manifold"],
@@ -33,7 +33,7 @@ export function prepared(canvas) {
   return { context, width, height };
 }
 
-// A number for people; `data` elements carry the exact one beside it.
+// A rounded number; `data` elements also carry the exact one.
 export function short(value, digits = 5) {
   if (value === null || value === undefined) {
     return "–";
@@ -45,7 +45,7 @@ export function short(value, digits = 5) {
   return size < 1e-4 || size >= 1e6 ? value.toExponential(digits - 2) : value.toPrecision(digits);
 }
 
-// Round numbers between two bounds, some `count` of them.
+// Round numbers between two bounds, about `count` of them.
 export function ticks(low, high, count) {
   const raw = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(raw));
@@ -57,8 +57,8 @@ export function ticks(low, high, count) {
   return found;
 }
 
-// The number that somebody has typed, with a point or a comma before the decimals; null for anything else. Both signs
-// in one number, as in 1,000.5, say nothing certain.
+// The typed number, with a decimal point or comma; null for anything else. A number with both, as 1,000.5, is
+// ambiguous.
 export function parsed(text) {
   const plain = text.trim().replace("\u2212", "-");
   return /^[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?$/i.test(plain) ? Number(plain.replace(",", ".")) : null;

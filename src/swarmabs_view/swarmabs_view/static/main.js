@@ -1,9 +1,9 @@
-// The page: takes the messages of the server and shows the latest of everything, once per picture of the screen.
-import { AbstractPicture } from "./abstract.js";
+// The page: receives the messages of the server and draws the latest data once per animation frame.
+import { AbstractView } from "./abstract.js";
 import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
-import { PlanePicture } from "./plane.js";
+import { PlaneView } from "./plane.js";
 import { Steering } from "./steering.js";
 import { Events, More, Numbers, Processes, Robots } from "./tables.js";
 
@@ -15,8 +15,8 @@ let state = { phase: "waiting", playing: null, speed: null };
 let dirty = false;
 let before = null; // what was shown when the connection was lost
 
-const plane = new PlanePicture(element("plane"));
-const abstract = new AbstractPicture(element("abstract"));
+const plane = new PlaneView(element("plane"));
+const abstract = new AbstractView(element("abstract"));
 const numbers = new Numbers();
 const robots = new Robots();
 const events = new Events();
@@ -91,21 +91,21 @@ function badge(phase, text) {
   }
 }
 
-const LOST = "The connection to the program is lost; trying again. What is shown is what came last.";
-const FULL = "Too many pages show this already. This one is shown as soon as another is closed; trying again.";
+const LOST = "Connection lost; reconnecting. The page shows the last data received.";
+const FULL = "Too many pages are connected. This page connects as soon as another one is closed; trying again.";
 
 function shown(status, version) {
   const lost = status !== "open";
   document.body.classList.toggle("lost", lost);
   const banner = element("lost");
   if (lost && hello && frame && !before) {
-    // The step that was asked for, even if it has not come any more.
+    // The requested step, even if its frame has not arrived.
     before = { place: hello.place, step: controls.step, playing: state.playing, speed: state.speed ?? 1 };
   }
   controls.connected(!lost);
   steering.connected(!lost, status === "refused");
   if (lost) {
-    const other = `The program speaks version ${version}, this page version ${VERSION}: load the page again.`;
+    const other = `The program uses protocol version ${version}, this page version ${VERSION}: reload the page.`;
     const text = { full: FULL, other }[status] ?? LOST;
     if (banner.hidden || banner.textContent !== text) {
       banner.textContent = text;
@@ -136,7 +136,7 @@ function zoom() {
   abstract.near = !abstract.near;
   const button = element("zoom");
   button.setAttribute("aria-pressed", String(!abstract.near));
-  button.textContent = abstract.near ? "Show whole" : "Show near";
+  button.textContent = abstract.near ? "Show whole" : "Zoom in";
   redraw();
 }
 
@@ -145,7 +145,7 @@ function fitted(fit) {
   const button = element("fit");
   button.setAttribute("aria-pressed", String(fit));
   button.textContent = fit ? "Whole plane" : "Fit to swarm";
-  const robots = plane.crowded(hello) ? "bars: how many robots stand where; red: not following" : "area by mass; who has left is not drawn";
+  const robots = plane.crowded(hello) ? "bars: robots per interval; red: not following" : "area proportional to mass; robots that left are not drawn";
   element("drawn").textContent = robots;
   redraw();
 }

@@ -1,19 +1,19 @@
-// The tilting plane, seen from above at a slant: lanes one behind the other, each robot in its own.
+// The tilting plane in oblique view, with one lane per robot.
 import { colours, prepared, short, ticks } from "./drawing.js";
 import { STATUS } from "./tables.js";
 
 const FULL = 2 * Math.PI;
-const CROWD = 60; // robots beyond which their density is drawn, not each of them
+const CROWD = 60; // above this number of robots, draw their density
 const BINS = 48;
-const NEAR = 5; // px from the edge of a robot that still point to it
+const NEAR = 5; // px around a robot within which the pointer selects it
 
-export class PlanePicture {
+export class PlaneView {
   constructor(canvas) {
     this.canvas = canvas;
     this.label = document.getElementById("pointed");
     this.pointer = null;
-    this.spots = []; // of the robots that are drawn
-    this.fit = false; // whether the scale follows the swarm
+    this.spots = []; // places of the robots drawn
+    this.fit = false; // whether the scale follows the swarm, not the plane
     for (const kind of ["pointermove", "pointerdown"]) {
       canvas.addEventListener(kind, (event) => this.point({ x: event.offsetX, y: event.offsetY }));
     }
@@ -24,7 +24,7 @@ export class PlanePicture {
     return hello.robots.length > CROWD;
   }
 
-  // Half the length that is shown, m: of the plane, of the swarm, or where the plane is not known what the robots need.
+  // Half the length shown, m: of the plane, or of the swarm if chosen or if the plane is not known.
   halfLength(hello, frame) {
     const far = Math.max(0, ...frame.robots.position.map((p) => Math.abs(p ?? 0)));
     if (hello.plane && !this.fit) {
@@ -32,12 +32,12 @@ export class PlanePicture {
     }
     const needed = Math.min(Math.max(1.2 * far, 0.02), hello.plane ? hello.plane.length / 2 : Infinity);
     if (!(this.far >= needed && this.far <= 2 * needed)) {
-      this.far = needed; // it follows when the swarm grows, or has shrunk by much, and rests otherwise
+      this.far = needed; // it changes only when the swarm grows, or has shrunk to half
     }
     return this.far;
   }
 
-  // `steepest` is the largest angle so far, rad: the plane has room for it.
+  // `steepest` is the largest angle so far, rad; the scale leaves room for it.
   draw(hello, frame, steepest) {
     const { context, width, height } = prepared(this.canvas);
     const colour = colours();
@@ -112,10 +112,10 @@ export class PlanePicture {
     context.fill();
   }
 
-  // The horizontal, and the reference, both beside the near edge: between its ends stand the labels.
+  // The horizontal and the reference, on both sides of the near edge, which has the labels below it.
   level(context, at, colour, { half, scale, wanted }) {
     const [x, y] = at(0, 0);
-    const beside = (angle) => {
+    const dashes = (angle) => {
       context.beginPath();
       for (const side of [-1, 1]) {
         const along = [side * Math.cos(angle) * half * scale, -side * Math.sin(angle) * half * scale];
@@ -127,17 +127,17 @@ export class PlanePicture {
     context.setLineDash([3, 4]);
     context.lineWidth = 1;
     context.strokeStyle = colour.quiet;
-    beside(0);
+    dashes(0);
     if (wanted !== null) {
       context.setLineDash([9, 5]);
       context.lineWidth = 2.5;
       context.strokeStyle = colour.reference;
-      beside(wanted);
+      dashes(wanted);
     }
     context.setLineDash([]);
   }
 
-  // How many robots stand where, as bars along the plane: by kind, and those that do not follow.
+  // The number of robots per interval, as bars along the plane: by kind, and those that do not follow.
   density(context, hello, frame, at, colour, half, height) {
     const groups = ["si", "di", "other"];
     const words = { si: "velocity-driven", di: "force-driven", other: "not following" };
@@ -200,7 +200,7 @@ export class PlanePicture {
       const round = hello.robots[index].kind === "single_integrator";
       this.robot(context, x, y, size, round, status[index], colour);
       const { id } = hello.robots[index];
-      this.spots.push({ x, y, size, text: `robot ${id}: ${STATUS[status[index]] ?? "not heard"}, ${short(position[index], 4)} m` });
+      this.spots.push({ x, y, size, text: `robot ${id}: ${STATUS[status[index]] ?? "no data"}, ${short(position[index], 4)} m` });
       if (size >= 9 && status[index] === "active") {
         context.fillStyle = "#000000";
         context.font = `600 ${Math.round(size)}px system-ui, sans-serif`;
@@ -258,7 +258,7 @@ export class PlanePicture {
     this.tell();
   }
 
-  // Say which robot is pointed to, also one that is too small for its number.
+  // Label the robot under the pointer, even one that is too small for its number.
   tell() {
     const { pointer, label, canvas } = this;
     const far = (spot) => Math.hypot(spot.x - pointer.x, spot.y - pointer.y) - spot.size;
@@ -274,7 +274,7 @@ export class PlanePicture {
     label.style.transform = `translate(${x}px, ${y}px)`;
   }
 
-  // Said to those who do not see the picture, once a second at most.
+  // Describe the canvas for screen readers, at most once a second.
   describe(hello, frame) {
     const now = performance.now();
     if (now - (this.described ?? -1e9) < 1000) {

@@ -1,15 +1,15 @@
-// Steering of a run that goes on, for those who know its token. Asks, shows the answer, and what holds now.
+// Steers a running simulation for users who know its token: sends requests, shows the answers and current settings.
 import { parsed, short } from "./drawing.js";
 
 const STORE = "swarmabs-steer";
-const LONGEST = 100; // characters of a token that the server takes
-const LARGE = 0.2; // part of the largest value by which a change is asked back
-const WRONG = "The token is wrong. It stands in the terminal of the run; load the page again to enter it.";
+const LONGEST = 100; // characters; longer tokens are rejected by the server
+const LARGE = 0.2; // fraction of the largest value above which a change needs a confirmation
+const WRONG = "The token is wrong. The terminal of the run shows it; reload the page to enter it.";
 const SETTINGS = { reference: "rad", disturbance: "N m" };
 
 const element = (id) => document.getElementById(id);
 
-// The token in what somebody has pasted: it alone, or the address that ends with it.
+// The token in pasted text: either the token alone, or an address that ends with it.
 function pasted(text) {
   const [, given] = text.match(/#(.*)/s) ?? [];
   return (given === undefined ? text : new URLSearchParams(given).get("steer") ?? "").trim();
@@ -17,7 +17,7 @@ function pasted(text) {
 
 const possible = (given) => given !== "" && given.length <= LONGEST;
 
-// The token comes behind the # of the address, which browsers send to nobody, and stays in this tab alone.
+// The token follows the # of the address, a part that browsers never send, and is stored for this tab only.
 function token() {
   const given = pasted(location.hash);
   if (given) {
@@ -67,9 +67,9 @@ export class Steering {
     for (const name of ["member", "absent"]) {
       element(`steer-${name}`).addEventListener("submit", (event) => {
         event.preventDefault();
-        const { value: action, textContent: words } = event.submitter;
+        const { value: action, textContent: label } = event.submitter;
         const agent = Number(element(name).value);
-        this.ask({ action, agent }, `${words.toLowerCase()} robot ${agent}`);
+        this.ask({ action, agent }, `${label.toLowerCase()} robot ${agent}`);
       });
     }
     element("steer-token").addEventListener("submit", (event) => {
@@ -80,7 +80,7 @@ export class Steering {
     this.show();
   }
 
-  // A token in an address that is opened where this page is shown already.
+  // Use the token of an address that is opened in the tab of this page.
   arrived() {
     const given = token();
     if (given && given !== this.token) {
@@ -89,14 +89,14 @@ export class Steering {
     }
   }
 
-  // Set what was typed, if it is a number in its range; ask back before a large change.
+  // Set the typed value if it is a number in range; a large change needs a confirmation.
   set(name, text) {
     const value = parsed(text);
     const { largest, held } = this.limits[name];
     const unit = SETTINGS[name];
     let why = "";
     if (value === null) {
-      why = `"${text}" is no number: write 0.05 or 0,05`;
+      why = `"${text}" is not a number: write 0.05 or 0,05`;
     } else if (Math.abs(value) > largest) {
       why = `${short(value)} ${unit} is out of range`;
     }
@@ -105,7 +105,7 @@ export class Steering {
     if (why) {
       this.sure(null);
     } else if (Math.abs(value - held) > LARGE * largest) {
-      this.sure({ name, value }, `A large step: set the ${name} from ${short(held)} to ${short(value)} ${unit}?`);
+      this.sure({ name, value }, `Large step: set the ${name} from ${short(held)} to ${short(value)} ${unit}?`);
     } else {
       this.sure(null);
       this.ask({ action: name, value }, `${name} ${value}`);
@@ -124,7 +124,7 @@ export class Steering {
     }
   }
 
-  // Have the server say whether the token is right before anything is shown that needs it.
+  // Let the server check the token before the page shows controls that need it.
   check() {
     if (this.token) {
       this.send({ type: "unlock", token: this.token });
@@ -133,7 +133,7 @@ export class Steering {
 
   use(given) {
     if (!possible(given)) {
-      this.say(`this is no token: ${given ? `it has more than ${LONGEST} characters` : "there is none in it"}`);
+      this.say(`not a token: ${given ? `it has more than ${LONGEST} characters` : "the text contains none"}`);
       return;
     }
     this.token = given;
@@ -151,30 +151,30 @@ export class Steering {
     this.show();
   }
 
-  ask(wish, words) {
+  ask(request, label) {
     const bytes = crypto.getRandomValues(new Uint8Array(12));
-    const request = [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-    if (this.send({ type: "steer", token: this.token, request, ...wish })) {
-      this.asked.set(request, words);
-      this.say(`${words}: asked`);
+    const id = [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+    if (this.send({ type: "steer", token: this.token, request: id, ...request })) {
+      this.asked.set(id, label);
+      this.say(`${label}: requested`);
     } else {
-      this.say(`${words}: not sent: no connection`);
+      this.say(`${label}: not sent: no connection`);
     }
   }
 
-  // No answers come over a connection that is gone; one that the server has ended because of a request took no token.
+  // A lost connection delivers no answers; if the server closed it because of a request, it did not accept the token.
   connected(connected, refused) {
     element("steer-controls").disabled = !connected;
     if (connected || !this.asked.size) {
       return;
     }
-    const words = [...this.asked.values()].join(", ");
+    const labels = [...this.asked.values()].join(", ");
     this.asked.clear();
     if (refused) {
-      this.say(`${words}: not done: the program has refused the request`);
+      this.say(`${labels}: rejected by the program`);
       this.forget();
     } else {
-      this.say(`${words}: no answer: the connection was lost; the events say whether it was done`);
+      this.say(`${labels}: no answer: connection lost; the events show whether it was applied`);
     }
   }
 
@@ -187,7 +187,7 @@ export class Steering {
     element("steer-controls").hidden = this.token === "";
   }
 
-  // What is shown now cannot be steered, unless the server says so again.
+  // Hide the panel until the server says that the run can be steered.
   hello() {
     element("steering").hidden = true;
     this.check();
@@ -217,8 +217,8 @@ export class Steering {
       this.say(WRONG);
       return;
     }
-    const words = this.asked.get(message.request) ?? "request";
+    const label = this.asked.get(message.request) ?? "request";
     this.asked.delete(message.request);
-    this.say(`${words}: ${message.ok ? "" : "not done: "}${message.text}`);
+    this.say(`${label}: ${message.ok ? "" : "rejected: "}${message.text}`);
   }
 }

@@ -1,8 +1,8 @@
-// Numbers, robots, events and processes as text. Whatever comes from outside is set as text, never as markup.
+// Numbers, robots, events and processes as text. Data from outside is always set as text, never as markup.
 import { short } from "./drawing.js";
 
 const ROBOTS_INTERVAL = 250; // ms
-const FEW = 24; // robots whose table is open at first
+const FEW = 24; // largest number of robots whose table is open initially
 const MOST_EVENTS = 1000;
 const LONGEST_DETAIL = 200; // characters
 const KINDS = { single_integrator: "velocity (SI)", double_integrator: "force (DI)" };
@@ -11,7 +11,7 @@ const BAD = new Set(["stopped", "zombie", "dead", "gone", "tracing-stop"]);
 
 const element = (id) => document.getElementById(id);
 
-// Say beside a table or list what of it is out of sight.
+// Notes below each table and list what is out of sight.
 export class More {
   constructor() {
     const places = [...document.querySelectorAll(".scroll, .events")];
@@ -29,7 +29,7 @@ export class More {
       const below = place.scrollHeight - place.clientHeight - place.scrollTop > 2;
       const right = place.scrollWidth - place.clientWidth - place.scrollLeft > 2;
       const left = Number(place.dataset.leftOut ?? 0);
-      const says = [below && "more rows below", right && "more columns to the right", left && `${left} earlier ones not listed`];
+      const says = [below && "more rows below", right && "more columns to the right", left && `${left} earlier events not listed`];
       const text = says.filter(Boolean).join("; ");
       if (note.textContent !== text) {
         note.textContent = text;
@@ -39,7 +39,7 @@ export class More {
   }
 }
 
-// Show a number: exact in the element's value, rounded to be read.
+// Show a number: exact in the element's value, rounded in its text.
 function show(node, value, text) {
   node.value = value === null || value === undefined ? "" : String(value);
   node.textContent = text ?? short(value);
@@ -58,8 +58,8 @@ function cell(row, tag = "td") {
   return node;
 }
 
-// What stands under "Now": id, label, value and, where it is not a rounded number, its text. `going` says whether steps
-// follow each other, so that there is a rate.
+// The entries of "Now": id, label, value and, unless it is a rounded number, its text. `going` says whether steps
+// follow each other, so that a rate exists.
 const NUMBERS = [
   ["step", "step", ({ frame }) => frame.step, String],
   ["time", "time, s", ({ frame }) => frame.time, (time) => time.toFixed(2)],
@@ -68,9 +68,9 @@ const NUMBERS = [
   ["error", "error, rad", ({ frame }) => difference(frame.reference, frame.angle)],
   ["angular_velocity", "angular velocity, rad/s", ({ frame }) => frame.angular_velocity],
   ["torque", "torque, N m", ({ frame }) => frame.abstract.torque],
-  ["desired_torque", "torque wanted, N m", ({ frame }) => frame.desired.torque],
+  ["desired_torque", "desired torque, N m", ({ frame }) => frame.desired.torque],
   ["inertia", "inertia, kg m²", ({ frame }) => frame.abstract.inertia],
-  ["desired_inertia", "inertia wanted, kg m²", ({ frame }) => frame.desired.inertia],
+  ["desired_inertia", "desired inertia, kg m²", ({ frame }) => frame.desired.inertia],
   ["step_rate", "steps per second", ({ frame, going }) => (going ? frame.step_rate : null), (rate) => rate?.toFixed(0) ?? "–"],
   [
     "following",
@@ -136,7 +136,7 @@ export class Robots {
     this.details.open = hello.robots.length <= FEW;
   }
 
-  // The table follows more slowly than the pictures; what it shows is at last what stands in the frame.
+  // The table is updated less often than the canvases, but always ends up with the latest frame.
   draw(now, frame) {
     this.again = false;
     if (!this.details.open || !this.rows) {
@@ -148,7 +148,7 @@ export class Robots {
     this.drawn = now;
     this.rows.forEach(({ row, status, numbers }, index) => {
       const found = frame.robots.status[index];
-      status.textContent = found ? STATUS[found] : "not heard";
+      status.textContent = found ? STATUS[found] : "no data";
       row.classList.toggle("bad", found !== "active");
       ["position", "velocity", "command"].forEach((name, column) => show(numbers[column], frame.robots[name][index]));
     });
@@ -156,7 +156,7 @@ export class Robots {
   }
 }
 
-// Units of the values of events, as far as they are known, by what reached its limit or was set.
+// The unit of an event's value, where it is known, by what reached its limit or was set.
 function unit(event, kinds) {
   const begins = (text) => event.detail.startsWith(text);
   if (event.kind === "STEERING") {
@@ -174,7 +174,7 @@ function unit(event, kinds) {
   return begins("command limited") ? { single_integrator: " m/s", double_integrator: " N" }[kinds.get(event.agent)] ?? "" : "";
 }
 
-// The value of an event, if it has one: 0 is one only where a setting returns to it.
+// The value of an event, if it has one: 0 is a value only where a setting returns to it.
 function worth(event, kinds) {
   return event.value || (event.kind === "STEERING" && event.value === 0) ? `, ${short(event.value)}${unit(event, kinds)}` : "";
 }
@@ -209,7 +209,7 @@ export class Events {
       const whom = event.agent ? `robot ${event.agent}, ` : "";
       item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, worth(event, this.kinds));
       if (event.detail) {
-        const detail = document.createElement("bdi"); // keeps to itself in which direction it is written
+        const detail = document.createElement("bdi"); // isolates the writing direction of the text
         detail.textContent = cut(event.detail);
         if (detail.textContent !== event.detail) {
           detail.title = event.detail;
@@ -229,7 +229,7 @@ export class Events {
     this.shown = null;
   }
 
-  // In a bag, what is still to come at the step shown is set apart.
+  // In a bag, mark the events after the step shown.
   draw(frame) {
     if (this.shown === frame.step) {
       return;

@@ -1,4 +1,4 @@
-// Light, dark, or as the system says. It is no module, so that the page does not flash in the other colours first.
+// Light, dark, or the system's theme. Not a module, so that it runs before the first paint and nothing flashes.
 "use strict";
 (() => {
   const KEY = "swarmabs-theme";
@@ -8,7 +8,7 @@
   try {
     chosen = localStorage.getItem(KEY) || "auto";
   } catch {
-    // Storage may be forbidden; then the choice lasts as long as the page.
+    // Storage may be blocked; then the choice lasts until the page is closed.
   }
   if (!CHOICES.includes(chosen)) {
     chosen = "auto";
