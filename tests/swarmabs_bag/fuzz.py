@@ -32,7 +32,7 @@ from tests.swarmabs_bag.sample_run import bag_writer
 from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_analysis.replay.playback import choose_topics
 from swarmabs_analysis.rerun import recorded_run
-from swarmabs_bag.arrays import digest_of, load_arrays, load_tables
+from swarmabs_bag.arrays import digest_of, load_arrays, load_messages
 from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.channels import bag_channel
 from swarmabs_bag.info import bag_info
@@ -149,7 +149,7 @@ class Commands(Trial):
         """Verify, compare, replay, export and report a bag; see what would be run again or played."""
         code = self._judge("verify", "ok", self.bag)
         if code == 0 and tried(lambda: scenario_of(str(self.bag))) == scenario_of(str(self.whole)):
-            digests = [digest_of(load_tables(open_bag(bag))) for bag in (self.bag, self.whole)]
+            digests = [digest_of(load_messages(open_bag(bag)).tables) for bag in (self.bag, self.whole)]
             if bag_info(self.bag).complete and digests[0] != digests[1] and not bag_info(self.bag).aborted:
                 raise WrongAnswerError("another run of the same scenario is verified")
         bags = self.draw.sample([self.bag, self.whole], 2)

@@ -13,7 +13,7 @@ from tests.swarmabs_bag.sample_run import bag_writer, write_all
 
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_bag import arrays
-from swarmabs_bag.arrays import digest_of, load_arrays, load_tables
+from swarmabs_bag.arrays import digest_of, load_arrays, load_messages
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.writer import BagWriter
@@ -170,7 +170,7 @@ def test_digest_is_of_the_run(tmp_path: Path, bag: Path, run: list[Message], wri
     expected = digest(bag / "bag_0.mcap")
     assert digest(write_bag(tmp_path / "order", list(reversed(run)), chunk_bytes=1) / "bag_0.mcap") == expected
     assert digest(write_bag(tmp_path / "less", run[:-1]) / "bag_0.mcap") != expected
-    tables = load_tables(open_bag(bag))
+    tables = load_messages(open_bag(bag)).tables
     assert digest_of(tables) == expected
     draw = np.random.default_rng(3)
     assert digest_of({topic: draw.permutation(rows) for topic, rows in tables.items()}) == expected
@@ -188,4 +188,9 @@ def test_digest_of_loaded_messages_is_that_of_compare_whatever_the_padding(bag: 
     padded = rewritten(bag, tmp_path / "padded.mcap", pad)
     found = compare_bags(bag, padded)
     assert found.equal
-    assert digest(padded) != digest_of(load_tables(open_bag(padded))) == found.b.digest == digest(bag / "bag_0.mcap")
+    assert (
+        digest(padded)
+        != digest_of(load_messages(open_bag(padded)).tables)
+        == found.b.digest
+        == digest(bag / "bag_0.mcap")
+    )

@@ -9,17 +9,18 @@ from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from swarmabs_bag.attached import is_realtime, step_period
+from swarmabs_bag.attached import event_time, is_realtime
 from swarmabs_bag.bag_summary import desired_angle, summarise_bag
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import digest_head
-from swarmabs_core.arrays import LAYOUT, PADDING, RunArrays, RunEvent, Tables, run_arrays, run_event, table
+from swarmabs_core.arrays import LAYOUT, PADDING, RunArrays, Tables, run_arrays, run_event, table
 from swarmabs_core.cdr import ENCAPSULATION, FRAME
 from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, SwarmEvent, Topic
 
@@ -58,15 +59,23 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
         If the bag is damaged, or a message is not as the contract says.
     """
     bag = open_bag(path, namespace=namespace, damaged=damaged)
-    return arrays_since(bag, load_tables(bag, every=every))[0]
+    return arrays_since(bag, load_messages(bag, every=every))[0]
 
 
-def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
-    """Arrange what `load_tables` returns of a bag; return the time (s), too, from which that of the arrays counts."""
+class LoadedMessages(NamedTuple):
+    """Messages of the main topics as rows of structured arrays, and the events, each in the order of the file."""
+
+    tables: dict[Topic, NDArray[np.void]]
+    events: tuple[SwarmEvent, ...]
+
+
+def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays, float]:
+    """Arrange the messages of a bag by step; return also the time (s) from which that of the arrays counts."""
+    time = event_time(bag)
     arrays = run_arrays(
-        tables,
+        messages.tables,
         reference=desired_angle(bag),
-        events=_events(bag),
+        events=[run_event(event, time(event)) for event in messages.events],
         figures=partial(summarise_bag, bag.path, bag.namespace),
     )
     if not is_realtime(bag) or not len(arrays.time):
@@ -76,20 +85,10 @@ def arrays_since(bag: BagReader, tables: Tables) -> tuple[RunArrays, float]:
     return replace(arrays, time=arrays.time - start, events=events), start
 
 
-def _events(bag: BagReader) -> list[RunEvent]:
-    """Return the events in the order of the file, at the times of their steps or, without a period, of their stamps."""
-    period = step_period(bag)
-    return [
-        run_event(message, (message.stamp if period is None else message.step * period) / 1e9)
-        for _, _, message in bag.decoded((EVENTS,))
-        if isinstance(message, SwarmEvent)
-    ]
+def load_messages(bag: BagReader, *, every: int = 1) -> LoadedMessages:
+    """Load the messages of a bag in one pass; `every` and errors are as of `load_arrays`.
 
-
-def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.void]]:
-    """Load the messages of each main topic as rows of a structured array, in the order of the file.
-
-    `every` and errors are as of `load_arrays`; a bag without its end may lack topics.
+    A bag without its end may lack topics.
     """
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
@@ -97,7 +96,11 @@ def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.voi
     _check_memory(bag, every)
     sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
-    for topic, log_time, payload in bag.messages(MAIN_TOPICS):
+    events: list[tuple[Topic, int, bytes]] = []
+    for topic, log_time, payload in bag.messages((*MAIN_TOPICS, EVENTS)):
+        if topic is EVENTS:
+            events.append((topic, log_time, payload))
+            continue
         size = sizes[topic]
         # DDS may pad a payload to four bytes.
         if not size <= len(payload) < size + 4:
@@ -110,7 +113,7 @@ def load_tables(bag: BagReader, *, every: int = 1) -> dict[Topic, NDArray[np.voi
     for topic, rows in tables.items():
         _check_heads(bag, topic, rows)
     _check_density(bag, tables)
-    return tables
+    return LoadedMessages(tables, tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent)))
 
 
 def _check_memory(bag: BagReader, every: int) -> None:

@@ -23,7 +23,7 @@ from swarmabs_core.messages import BASIS, EVENTS, SwarmEvent
 from swarmabs_core.swarm_law import LAWS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from swarmabs_config.scenario import Scenario
 
@@ -174,6 +174,12 @@ def step_period(bag: BagReader) -> int | None:
         return attached_scenario(bag, steered=False).step_ns
     except (InputError, DamagedBagError):
         return None
+
+
+def event_time(bag: BagReader) -> Callable[[SwarmEvent], float]:
+    """Return what gives the time (s) of an event: that of its step, or of its stamp where steps have no period."""
+    period = step_period(bag)
+    return lambda event: (event.stamp if period is None else event.step * period) / 1e9
 
 
 def is_realtime(bag: BagReader) -> bool:

@@ -120,14 +120,20 @@ class BagReader:
 
     def records(self, topics: Collection[Topic] | None = None) -> Iterator[Record]:
         """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as of `messages`."""
-        return self._each(topics, lambda topic, payload, _: Record.heard(topic, payload))
+        return self._each(self.messages(topics), lambda topic, payload, _: Record.heard(topic, payload))
 
     def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
         """Yield topic, log time in ns and message, in file order; parameters and errors as of `messages`."""
-        return self._each(topics, lambda topic, payload, time: (topic, time, decode(topic.message, payload)))
+        return self.decode(self.messages(topics))
 
-    def _each(self, topics: Collection[Topic] | None, read: Callable[[Topic, bytes, int], T]) -> Iterator[T]:
-        for topic, log_time, payload in self.messages(topics):
+    def decode(self, messages: Iterable[tuple[Topic, int, bytes]]) -> Iterator[tuple[Topic, int, Message]]:
+        """Decode what `messages` has yielded; a `DamagedBagError` if a payload does not fit its topic."""
+        return self._each(messages, lambda topic, payload, time: (topic, time, decode(topic.message, payload)))
+
+    def _each(
+        self, messages: Iterable[tuple[Topic, int, bytes]], read: Callable[[Topic, bytes, int], T]
+    ) -> Iterator[T]:
+        for topic, log_time, payload in messages:
             try:
                 found = read(topic, payload, log_time)
             except MalformedMessageError as error:

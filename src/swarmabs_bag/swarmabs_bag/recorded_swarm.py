@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bag.arrays import arrays_since, load_tables
+from swarmabs_bag.arrays import LoadedMessages, arrays_since, load_messages
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
@@ -26,7 +26,6 @@ from swarmabs_bag.swarm_state import (
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.messages import (
     AGENT_STATE,
-    EVENTS,
     NEVER,
     PLANE_STATE,
     AbstractState,
@@ -213,15 +212,15 @@ def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
     or holds a robot of an unknown kind.
     """
     bag = open_bag(path, namespace=namespace, damaged=True)
-    tables = load_tables(bag)
-    return recorded_swarm(bag, tables, arrays_since(bag, tables)[0])
+    messages = load_messages(bag)
+    return recorded_swarm(bag, messages, arrays_since(bag, messages)[0])
 
 
-def recorded_swarm(bag: BagReader, tables: Tables, arrays: RunArrays) -> RecordedSwarm:
-    """Return the swarm of an open bag whose tables and arrays were loaded; errors as of `read_swarm`."""
-    scenario = attached_scenario(bag)
+def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: RunArrays) -> RecordedSwarm:
+    """Return the swarm of an open bag whose messages and arrays were loaded; errors as of `read_swarm`."""
+    scenario, tables = attached_scenario(bag), messages.tables
     _check_kinds(bag, tables)
-    events = _events(bag)
+    events = tuple(sorted(messages.events, key=lambda event: event.step))
     realtime = is_realtime(bag)
     if realtime:
         events = _since_first(events, tables)
@@ -251,11 +250,6 @@ def _check_kinds(bag: BagReader, tables: Tables) -> None:
         raise DamagedBagError(
             f"{bag.path}: agent {first['agent_id']} at step {first['step']}: {first['kind']} is no kind of robot"
         )
-
-
-def _events(bag: BagReader) -> tuple[SwarmEvent, ...]:
-    found = [message for _, _, message in bag.decoded((EVENTS,)) if isinstance(message, SwarmEvent)]
-    return tuple(sorted(found, key=lambda event: event.step))
 
 
 def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmEvent, ...]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.export.tables import TABLES, WORD
-from swarmabs_bag.arrays import arrays_since, available_memory, load_tables
-from swarmabs_bag.attached import step_period
+from swarmabs_bag.arrays import arrays_since, available_memory, load_messages
+from swarmabs_bag.attached import event_time
 from swarmabs_bag.errors import BagTooLargeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.arrays import MessageArrays
@@ -18,7 +18,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Field, SwarmEvent, fields_of, word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -47,8 +47,9 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     if file.exists():
         raise InputError(f"{file} is there already; name another with -o, or remove it")
     bag = open_bag(path, namespace=namespace)
-    run, start = arrays_since(bag, load_tables(bag))
-    arrays: dict[str, NDArray[Any]] = {**dict(_named(run)), **_events(bag, start)}
+    messages = load_messages(bag)
+    run, start = arrays_since(bag, messages)
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(run)), **_events(bag, messages.events, start)}
     units = {name: unit for name, unit in _units().items() if name in arrays}
     described = {"units": units, "words": _words(), "summary": run.summary()}
     texts = {name: np.array(json.dumps(content)) for name, content in described.items()}
@@ -74,15 +75,14 @@ def _named(run: RunArrays) -> Iterator[tuple[str, NDArray[Any]]]:
             yield field.name, value
 
 
-def _events(bag: BagReader, start: float) -> dict[str, NDArray[Any]]:
-    """Return the events' fields, each of shape (E,), times since `start` (s); a bag without the topic has none."""
-    period = step_period(bag)
-    events = [message for _, _, message in bag.decoded((EVENTS,)) if isinstance(message, SwarmEvent)]
+def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[str, NDArray[Any]]:
+    """Return the events' fields, each of shape (E,), with times since `start` (s)."""
+    time = event_time(bag)
     widest = max((len(event.detail) for event in events), default=1)
     _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
     stamps = np.array([event.stamp for event in events], dtype=np.float64) / 1e9
-    steps = [event.stamp if period is None else event.step * period for event in events]
-    arrays = {"events_stamp": stamps, "events_time": np.array(steps, dtype=np.float64) / 1e9 - start}
+    times = np.array([time(event) for event in events], dtype=np.float64)
+    arrays = {"events_stamp": stamps, "events_time": times - start}
     for name, field in fields_of(SwarmEvent).items():
         if name != "stamp" and isinstance(field, Field):
             kind = f"U{max(widest, 1)}" if field.ros_type == "string" else field.ros_type

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
-from swarmabs_bag.arrays import arrays_since, digest_of, load_tables
+from swarmabs_bag.arrays import arrays_since, digest_of, load_messages
 from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
 from swarmabs_bag.figures import RunFigures
 from swarmabs_bag.reader import open_bag
@@ -174,9 +174,10 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     """Read a bag for a report; one that has lost its end too, as far as it goes. Errors as of `make_report`."""
     bag = open_bag(path, namespace=namespace, damaged=True)
     supply_scenario(bag, scenario)
-    tables = load_tables(bag)
-    arrays, _ = arrays_since(bag, tables)
-    swarm = recorded_swarm(bag, tables, arrays)
+    messages = load_messages(bag)
+    tables = messages.tables
+    arrays, _ = arrays_since(bag, messages)
+    swarm = recorded_swarm(bag, messages, arrays)
     realtime = realtime_figures(bag, swarm.scenario) if is_realtime(bag) else None
     if realtime is None:
         metrics = {**_metrics(swarm.scenario, arrays), "messages": sum(map(len, tables.values())) + len(swarm.events)}
