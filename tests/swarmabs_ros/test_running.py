@@ -19,19 +19,25 @@ from typing import Any, cast
 import pytest
 import rclpy
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 from tests.swarmabs_ros.nodes import COMMAND_LINE, given
 
 from swarmabs_config.graph import DIAGNOSTICS, PLANE, REALTIME, endpoints
+from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Message, Messages, Topic
+from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros import managed as managed_module, realtime_runner, status
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec, diagnostic_array, one_line
+from swarmabs_ros.parameters import declare_values
 from swarmabs_ros.realtime_runner import SWITCH_INTERVAL, Server, lock_memory, run_realtime, schedule_threads
-from swarmabs_ros.runner import run_node
+from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import REPORT_FD, START_FD, Heartbeat, StatusChannel, epoch_records, notify
+from swarmabs_ros.tuning import Tuning, gains_among
 
 LOCKS = "from swarmabs_ros.realtime_runner import lock_memory; lock_memory(); print(open('/proc/self/status').read())"
 
@@ -292,6 +298,7 @@ def test_a_request_that_fails_is_logged_and_the_next_one_is_served() -> None:
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 HUNG = RunError("the drive hangs")
+FORBIDDEN = 13.0
 
 
 class Loop:
@@ -314,6 +321,9 @@ class Loop:
     def command(self, work: object) -> None:
         self._ask("command")
 
+    def call(self, work: Callable[[], object]) -> None:
+        work()
+
     def health(self, _: float) -> Health:
         return Health(Level.OK, "fine", (("age", "3"),))
 
@@ -323,9 +333,26 @@ class Managed:
         self.node, self.loop = node, Loop()
         self.sent: list[str] = []
         status = SimpleNamespace(send=lambda event, **_: self.sent.append(event))
-        spec = RealtimeSpec(cast("Any", None), 0.5, services={"~/stop": lambda _: ()})
-        parts: tuple[Any, ...] = (self.loop, None, status)
+        table = (*parameters_of(SwarmGains, prefix="gains."), Parameter("mass", 0.5, "mass, kg"))
+        values = {parameter.name: parameter.default for parameter in table}
+        gains = gains_among(table, ("gains",))
+        declare_values(node, table, values, gains)
+        self.tuning = Tuning(Settings(values), gains)
+        spec = RealtimeSpec(cast("Any", None), 0.5, services={"~/stop": lambda _: ()}, tune=self._tune)
+        parts: tuple[Any, ...] = (self.loop, None, status, self.tuning)
         node.prepare(lambda: spec, endpoints(PLANE, REALTIME, robots=4), Schedule(10_000_000), *parts)
+
+    def _tune(self, settings: Settings) -> Callable[[], None]:
+        ksd = settings.number("gains.ksd")
+        if ksd == FORBIDDEN:
+            raise InputError("the law cannot have it")
+        return lambda: self.loop.asked.append(f"ksd {ksd}")
+
+    def set(self, name: str, value: object) -> str:
+        """Set a parameter, and return why that was refused, "" if it was not."""
+        (result,) = self.node.set_parameters([RosParameter(name, value=value)])
+        assert result.successful == (not result.reason)
+        return str(result.reason)
 
     def entities(self) -> list[list[object]]:
         return [list(kind) for kind in (self.node.services, self.node.subscriptions, self.node.publishers)]
@@ -388,6 +415,44 @@ def test_what_fails_is_told_and_leaves_a_state_that_is_known(
     assert (managed.node.state, managed.node.failure) == (state, HUNG)
     assert managed.loop.asked == told
     assert managed.node.health()[:2] == (Level.ERROR, f"{state} after an error: the drive hangs")
+
+
+def test_gains_are_set_until_the_node_is_active_and_used_from_its_activation_on(managed: Managed) -> None:
+    assert not managed.set("gains.ksd", 2.0)
+    managed.trigger("configure", "activate", "deactivate")
+    assert managed.loop.asked == ["attach", "activate", "deactivate"], "it was made with what was set before"
+    assert not managed.set("gains.k", [3.0, 4.0])
+    assert not managed.set("gains.ksd", 5.0)
+    managed.trigger("activate")
+    assert managed.loop.asked[3:] == ["ksd 5.0", "activate"]
+    refusal = managed.set("gains.ksd", 6.0)
+    assert "parameter gains.ksd: probe is active" in refusal and "ros2 lifecycle set probe deactivate" in refusal
+    managed.trigger("deactivate", "activate")
+    assert managed.loop.asked[5:] == ["deactivate", "activate"], "the gains are the same"
+    settings = managed.tuning.settings
+    assert (settings.number("gains.ksd"), managed.node.get_parameter("gains.ksd").value) == (5.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("gains.ksd", -1.0, "ksd"),
+        ("gains.ksd", FORBIDDEN, "the law cannot have it"),
+        ("gains.ksd", None, "cannot be undeclared"),
+        ("gains.k", [1.0], "is not allowed; give 2 elements"),
+        ("mass", 0.7, "read-only"),
+        ("use_sim_time", True, "parameter use_sim_time: in real time the system's clock"),
+    ],
+)
+def test_what_cannot_be_set_is_refused_with_its_reason_and_nothing_changes(
+    name: str, value: object, why: str, managed: Managed
+) -> None:
+    managed.trigger("configure")
+    before = managed.node.get_parameter(name).value, managed.tuning.settings
+    assert why in managed.set(name, value)
+    assert before == (managed.node.get_parameter(name).value, managed.tuning.settings)
+    managed.trigger("activate")
+    assert managed.loop.asked == ["attach", "activate"]
 
 
 def test_health_becomes_one_status_and_an_error_one_line() -> None:

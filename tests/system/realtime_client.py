@@ -11,9 +11,12 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from std_srvs.srv import Trigger
 from tests.system.stock_node import StockNode, serve
@@ -39,6 +42,7 @@ class Client(StockNode):
         self.heard: Counter[str] = Counter()
         self.repeated = 0
         self.modes: list[int] = []
+        self.logged: list[list[str]] = []
         self.events: list[list[Any]] = []
         self.fallen_silent: Counter[str] = Counter()
         self.come_alive: Counter[str] = Counter()
@@ -54,6 +58,7 @@ class Client(StockNode):
             self.node.create_subscription(kind, topic, self._hear(topic), qos, event_callbacks=changed)
         self.node.create_subscription(SwarmEvent, "swarm/events", self._event, 100)
         self.node.create_subscription(DiagnosticArray, "diagnostics", self._diagnose, 100)
+        self.node.create_subscription(Log, "/rosout", lambda log: self.logged.append([log.name, log.msg]), 100)
 
     def _liveliness(self, topic: str) -> Any:
         # Changes, not totals: of those Fast DDS loses count (eProsima/Fast-DDS#4610).
@@ -122,9 +127,29 @@ class Client(StockNode):
         answer = self.call(Trigger, service, Trigger.Request())
         return None if answer is None else [answer.success, answer.message]
 
+    def set_parameter(self, node: str, name: str, value: Any) -> str | None:
+        """Set a parameter; return why that was refused, "" if it was not."""
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        answer = self.call(SetParameters, f"{node}/set_parameters", request)
+        return None if answer is None else answer.results[0].reason
+
+    def parameter(self, node: str, name: str) -> Any:
+        answer = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
+        return None if answer is None else parameter_value_to_python(answer.values[0])
+
     def look(self) -> dict[str, Any]:
         """Return all that was heard so far."""
-        names = ("diagnostics", "newest", "heard", "repeated", "modes", "events", "fallen_silent", "come_alive")
+        names = (
+            "logged",
+            "diagnostics",
+            "newest",
+            "heard",
+            "repeated",
+            "modes",
+            "events",
+            "fallen_silent",
+            "come_alive",
+        )
         return {name: getattr(self, name) for name in names}
 
     def calm(self, limit: float) -> list[float]:

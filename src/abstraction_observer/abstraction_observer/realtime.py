@@ -19,18 +19,22 @@ if TYPE_CHECKING:
 
 MEMORY = Parameter("memory", "", "file that keeps the positions of silent robots across restarts; empty: none")
 PARAMETERS = (RealtimeObserverConfig, MEMORY)
+GAINS = ("ksd",)
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour."""
     path = settings.text(MEMORY.name)
     memory = MemoryFile(Path(path), node.notes.warning) if path else None
-    return RealtimeSpec(RealtimeObserver(settings.made(RealtimeObserverConfig), memory), OBSERVER_PHASE)
+    observer = RealtimeObserver(settings.made(RealtimeObserverConfig), memory)
+    return RealtimeSpec(
+        observer, OBSERVER_PHASE, tune=lambda changed: observer.tuned(changed.made(RealtimeObserverConfig))
+    )
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime(OBSERVER, PARAMETERS, make, args)
+    return run_realtime(OBSERVER, PARAMETERS, make, args, gains=GAINS)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
 PARAMETERS = (RealtimeAgentConfig,)
+GAINS = ("gains", "law")
 
 
 def drive_of(config: RealtimeAgentConfig, node: RealtimeNode) -> Drive:
@@ -58,12 +59,13 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
         agent,
         AGENT_PHASE,
         services=dict(zip(SERVICES[ROBOT], (agent.leave, agent.join), strict=True)),
+        tune=lambda changed: agent.tuned(changed.made(RealtimeAgentConfig)),
     )
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime(ROBOT, PARAMETERS, make, args)
+    return run_realtime(ROBOT, PARAMETERS, make, args, gains=GAINS)
 
 
 if __name__ == "__main__":

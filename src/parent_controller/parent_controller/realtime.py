@@ -13,26 +13,36 @@ from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.realtime_runner import run_realtime
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_core.controllers import ParentController
     from swarmabs_ros.runner import Settings
 
 PARAMETERS = (RealtimeControllerConfig,)
+GAINS = ("controller",)
+
+
+def law_of(config: RealtimeControllerConfig) -> Callable[[], ParentController]:
+    """Return what makes the control law of a configuration."""
+    return lambda: config.law.make(config.schedule.period, config.manifold)
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
     """Return the behaviour."""
     config = settings.made(RealtimeControllerConfig)
-    controller = RealtimeController(config, lambda: config.law.make(config.schedule.period, config.manifold))
+    controller = RealtimeController(config, law_of(config))
     return RealtimeSpec(
         controller,
         CONTROLLER_PHASE,
         wakes=(PLANE_STATE,),
         services=dict(zip(SERVICES[CONTROLLER], (controller.stop, controller.reset), strict=True)),
+        tune=lambda changed: controller.tuned(law_of(changed.made(RealtimeControllerConfig))),
     )
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_realtime(CONTROLLER, PARAMETERS, make, args)
+    return run_realtime(CONTROLLER, PARAMETERS, make, args, gains=GAINS)
 
 
 if __name__ == "__main__":

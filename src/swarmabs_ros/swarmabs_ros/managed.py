@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_core.realtime.base import RealtimeBehaviour
     from swarmabs_ros.status import StatusChannel
+    from swarmabs_ros.tuning import Tune, Tuning
 
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages of diagnostics, s."""
@@ -64,6 +65,8 @@ class RealtimeSpec:
         Topics that are answered at once.
     services : mapping
         An operator's commands (``std_srvs/Trigger``) by name: what the behaviour does at a time, ns since 1970.
+    tune : callable, optional
+        Makes, from settings with other gains, what has the behaviour use them; raises `InputError` if they are refused.
     """
 
     behaviour: RealtimeBehaviour
@@ -71,6 +74,7 @@ class RealtimeSpec:
     endpoints: Endpoints | None = None
     wakes: tuple[Topic, ...] = ()
     services: Mapping[str, Callable[[int], Messages]] = field(default_factory=dict)
+    tune: Tune | None = None
 
 
 class RealtimeNode(LifecycleNode):
@@ -90,6 +94,7 @@ class RealtimeNode(LifecycleNode):
         self._endpoints: Endpoints
         self._schedule: Schedule
         self._status: StatusChannel
+        self._tuning: Tuning
         self._executor: Executor
         self._clock_of_steps: StepClock | None = None
         self._before: tuple[Any, ...] | None = None
@@ -105,10 +110,12 @@ class RealtimeNode(LifecycleNode):
         loop: RealtimeLoop,
         executor: Executor,
         status: StatusChannel,
+        tuning: Tuning,
     ) -> None:
         """Say what configuring makes, and who does what; before the executor runs."""
         self._make, self._endpoints, self._schedule = make, endpoints, schedule
-        self._loop, self._executor, self._status = loop, executor, status
+        self._loop, self._executor, self._status, self._tuning = loop, executor, status, tuning
+        tuning.serve(self, lambda: self.state)
 
     # Transitions
 
@@ -122,9 +129,11 @@ class RealtimeNode(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to make steps."""
+        """Begin to make steps, with the gains as they are now."""
         self.failure = None
         try:
+            if (install := self._tuning.taken()) is not None:
+                self._loop.call(install)
             self._loop.activate()
         except Exception as error:  # noqa: BLE001 - rclpy would swallow it
             return self._refuse("activate", error)
@@ -214,6 +223,7 @@ class RealtimeNode(LifecycleNode):
         depths = {topic: qos.depth for topic, qos in ends.subscriptions.items()}
         self._clock_of_steps = StepClock(self._schedule, spec.phase)
         self._loop.attach(Engine(spec.behaviour, self._clock_of_steps, receiver, depths, publishers, spec.wakes))
+        self._tuning.configured(spec.tune)
         for name, command in spec.services.items():
             self.create_service(Trigger, name, self._operating(command))
 
@@ -224,6 +234,7 @@ class RealtimeNode(LifecycleNode):
         except Exception as error:  # noqa: BLE001 - rclpy would swallow it
             self._refuse("halt", error)
             return False
+        self._tuning.configured(None)
         if self._clock_of_steps is not None:
             self._status.send("timing", **self._clock_of_steps.report())
             self._clock_of_steps = None

@@ -44,10 +44,16 @@ def table_of(
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
-    """Declare all of a node's parameters, described and read-only, and return their checked values.
+    """Declare all of a node's parameters, described and read-only, and return their checked values; see `checked`."""
+    values = checked(node, table)
+    declare_values(node, table, values)
+    return values
 
-    The node has declared automatically what it was given, which is declared again. Raises `InputError` if a value is
-    refused, or there is no such parameter.
+
+def checked(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
+    """Return the values of a node's parameters: what it was given, and otherwise their defaults.
+
+    Raises `InputError` if a value is refused, or there is no such parameter.
     """
     given = given_values(node)
     names = {parameter.name for parameter in table}
@@ -56,29 +62,36 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
             close = difflib.get_close_matches(name, names, n=1)
             hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(names))}"
             raise InputError(f"parameter {name}: {node.get_name()} has none of this name; {hint}")
-    return {parameter.name: _declare(node, parameter, given) for parameter in table}
+    return {p.name: p.check(plain(given[p.name])) if p.name in given else p.default for p in table}
 
 
-def _declare(node: Node, parameter: Parameter, given: Mapping[str, object]) -> Value:
-    name = parameter.name
-    value = parameter.check(_plain(given[name])) if name in given else parameter.default
-    if name in given:
-        node.undeclare_parameter(name)
-    plain = list(value) if isinstance(value, tuple) else value
-    # The type of an empty list cannot be seen.
-    model = RosParameter.Type.from_parameter_value([parameter.item]) if plain == [] else plain
-    node.declare_parameter(name, model, _descriptor(parameter), ignore_override=True)
-    return value
+def declare_values(
+    node: Node, table: tuple[Parameter, ...], values: Mapping[str, Value], settable: tuple[Parameter, ...] = ()
+) -> None:
+    """Declare parameters with these values, described, and read-only unless they are settable.
+
+    The node has declared automatically what it was given, which is declared again.
+    """
+    for parameter in table:
+        if node.has_parameter(parameter.name):
+            node.undeclare_parameter(parameter.name)
+        value = values[parameter.name]
+        listed = list(value) if isinstance(value, tuple) else value
+        # The type of an empty list cannot be seen.
+        model = RosParameter.Type.from_parameter_value([parameter.item]) if listed == [] else listed
+        descriptor = _descriptor(parameter, read_only=parameter not in settable)
+        node.declare_parameter(parameter.name, model, descriptor, ignore_override=True)
 
 
-def _plain(value: object) -> Value:
+def plain(value: object) -> Value:
+    """Return the value of a ROS parameter as that of a `Parameter`: arrays as tuples."""
     if isinstance(value, (bool, int, float, str)):
         return value
     return tuple(value)  # type: ignore[arg-type]  # lists and arrays of numbers or texts
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(name=parameter.name, description=parameter.description, read_only=True)
+def _descriptor(parameter: Parameter, *, read_only: bool) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(name=parameter.name, description=parameter.description, read_only=read_only)
     constraints = []
     if parameter.above is not None:
         constraints.append(f"more than {parameter.above:g}")

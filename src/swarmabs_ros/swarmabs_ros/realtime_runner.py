@@ -22,11 +22,12 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_ros.managed import RealtimeNode, one_line
-from swarmabs_ros.parameters import declare, given_values, table_of
+from swarmabs_ros.parameters import checked, declare_values, given_values, table_of
 from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.start import run_program
 from swarmabs_ros.status import Heartbeat, notify
+from swarmabs_ros.tuning import NO_SIM_TIME, SIM_TIME, Tuning, gains_among
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,6 +81,8 @@ def run_realtime(
     table: Table,
     make: Callable[[Settings, RealtimeNode], RealtimeSpec],
     args: list[str] | None = None,
+    *,
+    gains: tuple[str, ...] = (),
 ) -> int:
     """Run a node in real time until it is told to stop (SIGINT, SIGTERM); return its exit code, as of `run_program`.
 
@@ -91,31 +94,37 @@ def run_realtime(
         Its parameters beyond the common ones, and the declarations from which further ones follow.
     make : callable
         Makes behaviour and endpoints from the parameters, each time the node is configured.
+    gains : tuple of str
+        Parameters, or what their names begin with, that may be set while the node is not active.
     """
 
     def body(node: RealtimeNode, status: StatusChannel) -> None:
-        settings = _settings(node, table, status)
-        _run(name, node, settings, lambda: make(settings, node), status)
+        tuning = _tuning(node, table, gains, status)
+        _run(name, node, tuning, lambda: make(tuning.settings, node), status)
 
     return run_program(name, RealtimeNode, body, args)
 
 
-def _settings(node: RealtimeNode, own: Table, status: StatusChannel) -> Settings:
-    if node.get_parameter("use_sim_time").value:
-        raise InputError("parameter use_sim_time: in real time the system's clock makes the steps; leave it out")
-    values = declare(node, table_of(given_values(node), COMMON, own))
+def _tuning(node: RealtimeNode, own: Table, gains: tuple[str, ...], status: StatusChannel) -> Tuning:
+    if node.get_parameter(SIM_TIME).value:
+        raise InputError(NO_SIM_TIME)
+    table = table_of(given_values(node), COMMON, own)
+    values = checked(node, table)
     if values["await_epoch"]:
         status.send("ready")
         values["epoch_ns"] = status.wait_for_epoch()
-    return Settings(values, node.get_namespace())
+    settable = gains_among(table, gains)
+    declare_values(node, table, values, settable)
+    return Tuning(Settings(values, node.get_namespace()), settable)
 
 
 def _run(
-    role: str, node: RealtimeNode, settings: Settings, make: Callable[[], RealtimeSpec], status: StatusChannel
+    role: str, node: RealtimeNode, tuning: Tuning, make: Callable[[], RealtimeSpec], status: StatusChannel
 ) -> None:
+    settings = tuning.settings
     executor = SingleThreadedExecutor(context=node.context)
     loop = RealtimeLoop(node.failed, Heartbeat().beat, on_hang=lambda: _give_up(node))
-    node.prepare(make, settings.endpoints(role, REALTIME), settings.made(Schedule), loop, executor, status)
+    node.prepare(make, settings.endpoints(role, REALTIME), settings.made(Schedule), loop, executor, status, tuning)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.stop())

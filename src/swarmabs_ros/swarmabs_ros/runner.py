@@ -54,6 +54,10 @@ class Settings:
         self._values = values
         self.namespace = namespace
 
+    def changed(self, values: Mapping[str, Value]) -> Settings:
+        """Return these settings with other values of some parameters."""
+        return Settings({**self._values, **values}, self.namespace)
+
     def number(self, name: str) -> float:
         """Return a number."""
         return cast("float", self._values[name])

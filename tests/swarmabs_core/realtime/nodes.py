@@ -120,8 +120,8 @@ def sums(answer: tuple[msg.Message, ...]) -> tuple[msg.AbstractState, msg.Auxili
     return abstract, auxiliary
 
 
-def controller(mode: msg.Mode = msg.Mode.RUN) -> RealtimeController:
-    made = scenario()
+def controller(mode: msg.Mode = msg.Mode.RUN, overrides: Iterable[str] = ()) -> RealtimeController:
+    made = scenario(*overrides)
     config = configure.controller_config(made, CLOCK, mode)
     node = RealtimeController(config, lambda: lockstep.parent_controller(made))
     node.hear(broadcasts(0)[0], at(0.6))

@@ -5,7 +5,7 @@ from math import inf, nan
 import pytest
 from tests.swarmabs_core.realtime import nodes
 
-from swarmabs_config import realtime as configure
+from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.abstraction import Weight, abstraction, second_moments
 from swarmabs_core.messages import NEVER, Basis, EventKind, Message, Mode, PlaneState, Status
 from swarmabs_core.realtime.base import Level, StepCounter
@@ -85,6 +85,30 @@ def test_a_limited_command_is_told_when_it_begins_to_be() -> None:
     ]
     assert told == [[EventKind.RECOVERED, EventKind.LIMIT_HIT], [], [], [EventKind.LIMIT_HIT]]
     assert body.commands == [0.3, -0.3, pytest.approx(0.16, abs=0.01), 0.3]
+
+
+def test_gains_that_are_installed_are_those_of_a_node_made_with_them() -> None:
+    gains = "swarm.gains={kp: [20, 20], ksd: 3}"
+    other = nodes.scenario(gains, "controller={gains: [9.0, 4.0]}")
+    (old, robot), (new, tuned), (wanted, made) = nodes.robot(), nodes.robot(), nodes.robot(gains)
+    install = tuned.tuned(next(c for c in configure.agent_configs(other, nodes.CLOCK) if c.agent_id == 3))
+    for step in (10, 11):
+        for each in (robot, tuned, made):
+            nodes.follow(each, step)
+        install()
+    assert old.commands[0] == new.commands[0] != wanted.commands[0]
+    assert old.commands[1] != new.commands[1] == wanted.commands[1]
+
+    observers = nodes.observer(), nodes.observer(), nodes.observer(gains)
+    observers[1].tuned(configure.observer_config(other, nodes.CLOCK))()
+    usual, changed, expected = (nodes.sums(nodes.hear(node, nodes.states(5), 5)) for node in observers)
+    assert usual != changed == expected
+
+    controllers = [nodes.controller(overrides=each) for each in ((), (), ("controller={gains: [9.0, 4.0]}",))]
+    controllers[1].tuned(lambda: lockstep.parent_controller(other))()
+    plane = PlaneState(nodes.at(1), 1, 0.1, 0.02)
+    asked, tuned_asked, wanted_asked = (nodes.desired(node.hear(plane, nodes.at(1.6))) for node in controllers)
+    assert asked != tuned_asked == wanted_asked
 
 
 def test_roles_decide_what_a_robot_counts_in() -> None:

@@ -19,6 +19,8 @@ from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, Robo
 from swarmabs_core.swarm_law import Robot
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from swarmabs_core.messages import Broadcast, Message, Messages
     from swarmabs_core.realtime.drives import Drive, Measurement
 
@@ -111,6 +113,18 @@ class RealtimeAgent:
         self._held = False
         self._limited = ""
         self._farewells: int | None = None
+
+    def tuned(self, config: RealtimeAgentConfig) -> Callable[[], None]:
+        """Return what has the robot use the law and the gains of a configuration, between two steps.
+
+        Raises `InputError` if the law refuses its settings.
+        """
+        law = RealtimeLaw(config)
+
+        def install() -> None:
+            self._law = law
+
+        return install
 
     def hear(self, message: Message, now: int) -> Messages:
         """Take a broadcast; what cannot be vouched for is refused."""

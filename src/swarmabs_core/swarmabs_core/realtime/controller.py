@@ -94,6 +94,16 @@ class RealtimeController:
         self._first_step: int | None = None
         self._law_step = -1
 
+    def tuned(self, make_law: Callable[[], ParentController]) -> Callable[[], None]:
+        """Return what has another law begin, between two steps; raises `InputError` if it refuses its settings."""
+        make_law()
+
+        def install() -> None:
+            self._make_law = make_law
+            self._begin_anew()
+
+        return install
+
     def hear(self, message: Message, now: int) -> Messages:
         """Take a state of the plane or of the swarm; answer the desired abstract state of the step."""
         if isinstance(message, AbstractState):

@@ -29,7 +29,7 @@ from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, MutableMapping
+    from collections.abc import Callable, Collection, Mapping, MutableMapping
 
 CARRIED_AWAY = "carried away"
 """What an operator says of a robot that is no longer on the plane and cannot say so itself."""
@@ -147,6 +147,15 @@ class RealtimeObserver:
         self._counter = StepCounter(config.schedule)
         self._started = False
         self._under_way_since: int | None = None
+
+    def tuned(self, config: RealtimeObserverConfig) -> Callable[[], None]:
+        """Return what has the observer sum up with the gain of a configuration, between two steps."""
+        sums = RealtimeSums(config)
+
+        def install() -> None:
+            self._sums = sums
+
+        return install
 
     def hear(self, message: Message, now: int) -> Messages:
         """Take a robot's state, if it is a member's, newer than the one known, and can be true; or a robot's event."""

@@ -1,0 +1,95 @@
+"""The gains of a node in real time: parameters that may be set while it is not active."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rcl_interfaces.msg import SetParametersResult
+
+from swarmabs_core.errors import InputError
+from swarmabs_ros.parameters import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rclpy.lifecycle import LifecycleNode
+    from rclpy.parameter import Parameter as RosParameter
+
+    from swarmabs_core.parameters import Parameter
+    from swarmabs_ros.runner import Settings
+
+    Tune = Callable[[Settings], Callable[[], None]]
+
+SIM_TIME = "use_sim_time"
+NO_SIM_TIME = f"parameter {SIM_TIME}: in real time the system's clock makes the steps; leave it out"
+
+
+def gains_among(table: Iterable[Parameter], parts: tuple[str, ...]) -> tuple[Parameter, ...]:
+    """Return the parameters of a table that are named by one of the parts or below it, without choices of a type."""
+
+    def tunable(name: str) -> bool:
+        return not name.endswith(".type") and any(name == part or name.startswith(f"{part}.") for part in parts)
+
+    return tuple(parameter for parameter in table if tunable(parameter.name))
+
+
+class Tuning:
+    """What a node is made from, and the gains among it, which may be set until the node is active.
+
+    Attributes
+    ----------
+    settings : Settings
+        The values that the node has now.
+    """
+
+    def __init__(self, settings: Settings, gains: Iterable[Parameter]) -> None:
+        self.settings = settings
+        self._gains = {parameter.name: parameter for parameter in gains}
+        self._tune: Tune | None = None
+        self._install: Callable[[], None] | None = None
+        self._next: tuple[Settings, Callable[[], None] | None] = settings, None
+
+    def configured(self, tune: Tune | None) -> None:
+        """Note how a behaviour takes new gains that was made from the settings as they are; None: there is none."""
+        self._tune, self._install = tune, None
+
+    def taken(self) -> Callable[[], None] | None:
+        """Return what has the behaviour use the gains that were set since it was made, None if none were."""
+        install, self._install = self._install, None
+        return install
+
+    def serve(self, node: LifecycleNode, state: Callable[[], str]) -> None:
+        """Answer whoever sets parameters of a node, whose state of the lifecycle is asked for each time."""
+
+        def check(parameters: list[RosParameter]) -> SetParametersResult:
+            try:
+                self._check(node.get_name(), state(), parameters)
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=True)
+
+        def adopt(parameters: list[RosParameter]) -> None:
+            self.settings, self._install = self._next
+            for each in parameters:
+                node.get_logger().info(f"{each.name} set to {each.value}")
+
+        node.add_on_set_parameters_callback(check)
+        node.add_post_set_parameters_callback(adopt)
+
+    def _check(self, name: str, state: str, parameters: list[RosParameter]) -> None:
+        """Raise `InputError` if the parameters cannot be set; `_next` holds what they lead to otherwise."""
+        new = {}
+        for each in parameters:
+            if each.name == SIM_TIME and each.value:
+                raise InputError(NO_SIM_TIME)
+            if each.name in self._gains:
+                new[each.name] = self._gains[each.name].check(plain(each.value))
+        if new and state not in {"unconfigured", "inactive"}:
+            raise InputError(
+                f"parameter {min(new)}: {name} is {state}, and gains take effect when it is activated; "
+                f"deactivate it first: ros2 lifecycle set {name} deactivate"
+            )
+        settings = self.settings.changed(new)
+        self._next = settings, self._install
+        if new and self._tune is not None:
+            self._next = settings, self._tune(settings)
