@@ -68,8 +68,8 @@ def test_faults_of_a_robot_act_and_are_announced_while_they_last() -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"position_factor": 0.0}, "position_factor.*cannot be undone"),
-        ({"position_factor": 1.0}, "tells the truth"),
+        ({"position_factor": 0.0}, "position_factor.*cannot be inverted"),
+        ({"position_factor": 1.0}, "falsifies nothing"),
         ({"at": 2.0, "until": 2.0, "mass_factor": 2.0}, "ends at 2.0 s, before it begins"),
     ],
 )

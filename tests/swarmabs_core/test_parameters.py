@@ -162,5 +162,5 @@ def test_values_and_declarations_that_contradict_each_other_are_refused() -> Non
     values = {**values_of(Painter(), "x."), "x.broad.width": 0.1}
     with pytest.raises(SettingError, match=r"^x\.broad\.width: the broad one is narrow; widen it$"):
         made_of(Painter, values, "x.")
-    with pytest.raises(TypeError, match=r"Painter\.brush is no setting"):
+    with pytest.raises(TypeError, match=r"Painter\.brush is not a setting"):
         same(Painter, "brush")

@@ -1,10 +1,10 @@
-"""The paper as software, without ROS, clock and files: kernels, state machines of the nodes, theory.
+"""The paper as software: kernels, state machines of the nodes and theory, without ROS, clocks or files.
 
-The kernels are functions of numbers, and each is stated once: the sums of the swarm (`abstraction`), what one robot
-decides (`robot_controller` with `swarm_law`) and how it moves (`drive`), the plane over a period (`plant`), the desired
-abstract state (`desired_state` with `controllers`). Who calls them decides which messages enter: the state machines of
-`behaviours` gather all messages of a step, those of `realtime` the newest that can be believed. The simulation on
-arrays and the verification of bags call the same functions.
+The kernels are pure functions of numbers: the sums of the swarm (`abstraction`), the decision of one robot
+(`robot_controller` with `swarm_law`) and its motion (`drive`), the plane over a period (`plant`) and the desired
+abstract state (`desired_state` with `controllers`). The caller selects the messages that enter: the state machines of
+`behaviours` gather all messages of a step, those of `realtime` the newest validated ones. The simulation on arrays and
+the verification of bags call the same functions.
 """
 
 from importlib import import_module
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Give `simulate`, which is in `swarmabs_run.simulation`, to scripts that look for it here."""
+    """Provide `simulate`, which moved to `swarmabs_run.simulation`, to scripts that import it from here."""
     if name == "simulate":
         return import_module("swarmabs_run.simulation").simulate
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

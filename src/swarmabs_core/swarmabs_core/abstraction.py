@@ -8,8 +8,8 @@ r"""The abstract state of a swarm and its auxiliary state (eq. abstractState, eq
 
     D_k = \sum_{DI} m_i (c_i + k_{sd}) p_i^k \qquad Q = \sum m_i v_i^2
 
-Every sum is correctly rounded (`exact_sum`), so it does not depend on the order in which robots were heard. All
-functions take robots as tuples, or, with ``sums=column_sums``, as columns of arrays.
+Every sum is correctly rounded (`exact_sum`), so it does not depend on the order in which states arrive. All functions
+take robots as tuples or, with ``sums=column_sums``, as columns of arrays.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Weight(NamedTuple):
-    """A robot as the plane feels it: mass (kg), position (m), velocity (m/s)."""
+    """A robot as a load on the plane: mass (kg), position (m), velocity (m/s)."""
 
     mass: float
     position: float
@@ -34,7 +34,7 @@ class Weight(NamedTuple):
 
 
 class Abstraction(NamedTuple):
-    """Torque (N m), inertia (kg m^2), their rates, and Q (kg m^2/s^2), of all robots on the plane."""
+    """Torque (N m) and inertia (kg m^2) of all robots on the plane, their rates, and Q (kg m^2/s^2)."""
 
     torque: float
     inertia: float
@@ -72,10 +72,10 @@ def _weight_terms(m: float = 0.0, p: float = 0.0, v: float = 0.0) -> tuple[float
 
 
 def second_moments(robots: Iterable[tuple[float, float]] | Columns, sums: Sums = robot_sums) -> SecondMoments:
-    """Return S0..S3 of the robots that follow the law, of each its mass (kg) and position (m) (eq. pinv).
+    """Return S0 to S3 of the robots that follow the law, each given by mass (kg) and position (m) (eq. pinv).
 
-    S3 is summed around the centre S1/S0, which keeps its digits when the robots are close together; it is
-    never negative. No robots give zeros.
+    S3 is summed about the centre S1/S0, which avoids cancellation when the robots are close together; it is never
+    negative. Without robots, all sums are zero.
     """
     members = tuple(robots)
     s0, s1, s2 = sums(members, _moment_terms)
@@ -85,8 +85,8 @@ def second_moments(robots: Iterable[tuple[float, float]] | Columns, sums: Sums =
         offset = p - centre
         return (m * m * offset * offset,)
 
-    (spread,) = sums(members, around_centre)
-    return SecondMoments(s0, s1, s2, s0 * spread)
+    (central,) = sums(members, around_centre)
+    return SecondMoments(s0, s1, s2, s0 * central)
 
 
 def _moment_terms(m: float = 0.0, p: float = 0.0) -> tuple[float, ...]:
@@ -98,9 +98,9 @@ def _moment_terms(m: float = 0.0, p: float = 0.0) -> tuple[float, ...]:
 def damping_sums(
     robots: Iterable[tuple[float, float, float]] | Columns, ksd: float, sums: Sums = robot_sums
 ) -> DampingSums:
-    """Return D0..D2 of the double integrators that follow the law (in eq. nodeControlLaw_double).
+    """Return D0 to D2 of the double integrators that follow the law (in eq. nodeControlLaw_double).
 
-    Of each it takes mass (kg), position (m) and damping (N s/m), to which the law adds `ksd` (N s/m).
+    Each is given by mass (kg), position (m) and damping (N s/m), to which the law adds `ksd` (N s/m).
     """
 
     def terms(m: float = 0.0, p: float = 0.0, c: float = 0.0) -> tuple[float, ...]:
@@ -114,18 +114,18 @@ def damping_sums(
 def observed(
     stamp: int, step: int, weights: Sequence[Weight], followers: Sequence[AgentState], gravity: float, ksd: float
 ) -> tuple[AbstractState, AuxiliaryState]:
-    """Return what an observer publishes.
+    """Return the messages that an observer publishes in a step.
 
     Parameters
     ----------
     stamp, step : int
-        Of both messages; ns and steps.
+        Time stamp (ns) and step of both messages.
     weights, followers : sequence of Weight, sequence of AgentState
-        All robots whose weight is on the plane, and those of them that follow the law.
+        All robots whose weight is on the plane, and the subset that follows the law.
     gravity : float
-        m/s^2.
+        Acceleration of gravity, m/s^2.
     ksd : float
-        Damping that the double integrators' law adds, N s/m.
+        Damping that the law of double integrators adds, N s/m.
     """
     *abstract, q = abstraction(weights, gravity)
     moments = second_moments((s.mass, s.position) for s in followers)
@@ -137,5 +137,5 @@ def observed(
 
 
 def is_degenerate(s0: float, s3: float, length: float) -> bool:
-    """Tell whether S3 is too small to divide by: all stand at one point of a plane of this length (m)."""
+    """Return whether S3 is too small to divide by: all robots are at one point of a plane of this length (m)."""
     return not s3 > 1e-12 * s0 * s0 * length * length

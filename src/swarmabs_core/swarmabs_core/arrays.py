@@ -29,7 +29,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
 
 PADDING = "padding"
-"""How the names of a layout's padding bytes begin."""
+"""Prefix of the names of padding bytes in a layout."""
 
 _NUMPY = {"i": "<i4", "I": "<u4", "B": "u1", "H": "<u2", "Q": "<u8", "d": "<f8"}
 
@@ -42,14 +42,14 @@ LAYOUT: dict[Topic, np.dtype[np.void]] = {
     )
     for topic in MAIN_TOPICS
 }
-"""Canonical CDR of the main topics' messages, field by field; names of padding bytes begin with `PADDING`."""
+"""Canonical CDR of the main topics' messages, field by field; names of padding bytes start with `PADDING`."""
 
 
 class MessageArrays:
     """The fields of a topic's messages as arrays, by name: ``arrays.torque``; units are those of the message.
 
-    Each is of shape (n+1,), those of the robots (n+1, N). Numbers are NaN, integers 0 where there is no message. A
-    ``broadcast_step`` is a float, NaN also where the robot has used no broadcast.
+    Arrays have shape (n+1,), or (n+1, N) for the robots. Where there is no message, floats are NaN and integers 0.
+    ``broadcast_step`` is an array of floats, which is also NaN where the robot has used no broadcast.
     """
 
     __slots__ = ("_columns",)
@@ -58,9 +58,9 @@ class MessageArrays:
         self._columns = dict(columns)
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        columns = {} if name == "_columns" else self._columns  # not there while it is unpickled
+        columns = {} if name == "_columns" else self._columns  # unset during unpickling
         if name not in columns:
-            raise AttributeError(f"no field {name!r}; there are {', '.join(columns)}")
+            raise AttributeError(f"no field {name!r}; the fields are {', '.join(columns)}")
         return columns[name]
 
     def __dir__(self) -> list[str]:
@@ -77,17 +77,17 @@ class RunEvent(NamedTuple):
     Attributes
     ----------
     step : int
-        The first step at which it holds.
+        First step at which it takes effect.
     time : float
-        Time of the step in s; in real time that of the message, from the first step.
+        Time of the step, s; in real time, time of the message since the first step.
     kind : str
-        A word such as ``limit_hit``, the lower-case name of a constant of `EventKind`.
+        Lower-case name of a constant of `EventKind`, such as ``limit_hit``.
     agent : int or None
-        Id of the robot, None if it concerns no single one.
+        Id of the robot, None if it concerns no single robot.
     value : float
-        By kind.
+        Its meaning and unit depend on the kind.
     detail : str
-        Text for people.
+        Human-readable text.
     """
 
     step: int
@@ -105,21 +105,22 @@ class RunArrays:
     Attributes
     ----------
     step : ndarray, (n+1,)
-        Steps of which there is any message, ascending.
+        Steps with at least one message, ascending.
     time : ndarray, (n+1,)
-        Their times in s.
+        Times of the steps, s.
     angle, angular_velocity : ndarray, (n+1,)
         Of the plane, in rad and rad/s.
     reference : ndarray, (n+1,)
-        The desired angle in rad, with the offsets of faults and of steering; NaN where it is unknown.
+        Desired angle in rad, including offsets by faults and steering; NaN where unknown.
     abstract, auxiliary, desired : MessageArrays
         The broadcasts.
     agents : MessageArrays
-        The robots' states; ``agents.ids`` of shape (N,) has their ids, ascending, which are the columns of the others.
+        States of the robots. ``agents.ids`` of shape (N,) contains their ids in ascending order; column i of the other
+        arrays belongs to ``ids[i]``.
     events : tuple of RunEvent
-        All events, by step.
+        All events, ordered by step.
     figures : callable
-        Returns what `summary` returns; computed only when it is asked for.
+        Computes the result of `summary` on demand.
     """
 
     step: Integers
@@ -135,18 +136,18 @@ class RunArrays:
     figures: Callable[[], dict[str, Any]] = field(repr=False, compare=False)
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures of the run under their names in ``summary.json``.
+        """Return the key figures of the run, named as in ``summary.json``.
 
         Returns
         -------
         dict
             ``settled_at`` (s), the time from which the plane stays within 0.01 rad of its reference; ``final_error``
-            and ``rms_error`` (rad); ``max_abs_position`` (m) of any robot; ``messages``; ``digest``; and of a run in
-            real time ``realtime``. None is what is unknown or not finite.
+            and ``rms_error`` (rad); ``max_abs_position`` (m) of any robot; ``messages``; ``digest``; and, for a run in
+            real time, ``realtime``. Unknown and non-finite values are None.
 
         Notes
         -----
-        For arrays from a bag this reads all messages of the bag, whatever part of the steps was loaded.
+        For arrays loaded from a bag, this reads the whole bag, even if only some of its steps were loaded.
         """
         return self.figures()
 
@@ -156,12 +157,12 @@ Tables = Mapping[Topic, "NDArray[np.void]"]
 
 
 def table(topic: Topic, payloads: bytes | bytearray) -> NDArray[np.void]:
-    """Return a main topic's messages, given as canonical CDR one after the other, as a structured array."""
+    """Return messages of a main topic, given as concatenated canonical CDR, as a structured array."""
     return np.frombuffer(payloads, dtype=LAYOUT[topic])
 
 
 def run_event(event: SwarmEvent, time: float) -> RunEvent:
-    """Return an event as people and programs read it, with its time (s)."""
+    """Convert an event message at a time (s)."""
     return RunEvent(event.step, time, word_of(EventKind, event.kind), event.agent_id or None, event.value, event.detail)
 
 
@@ -172,11 +173,11 @@ def run_arrays(
     events: Iterable[RunEvent],
     figures: Callable[[], dict[str, Any]],
 ) -> RunArrays:
-    """Arrange the messages of a run, which `table` has returned in any order, by step, the robots' by step and id.
+    """Arrange the tables of a run, whose rows may be in any order, by step, those of the robots by step and id.
 
-    The reference returns the desired angle (rad) of a step; events and figures are those of `RunArrays`.
+    `reference` returns the desired angle (rad) of a step; `events` and `figures` are those of `RunArrays`.
     """
-    # The first message of a step tells its time; robots come last, since their clocks may be wrong.
+    # The first message of a step determines its time. Robots come last, since their clocks may be wrong.
     ordered = sorted(tables, key=lambda topic: topic is AGENT_STATE)
     step, first = np.unique(np.concatenate([tables[topic]["step"] for topic in ordered]), return_index=True)
     stamps = np.concatenate([tables[topic]["sec"] * 1e9 + tables[topic]["nanosec"] for topic in ordered])
@@ -201,7 +202,7 @@ def run_arrays(
 def _columns(
     topic: Topic, table: NDArray[np.void], places: Integers | tuple[Integers, Integers], shape: tuple[int, ...]
 ) -> dict[str, NDArray[Any]]:
-    """Return the fields of a topic's table, put into arrays of a shape at the places of its messages."""
+    """Scatter the fields of a topic's table into arrays of a shape, at the indices of its messages."""
     columns: dict[str, NDArray[Any]] = {}
     for name, declared in fields_of(topic.message).items():
         if isinstance(declared, Field) and name not in {"stamp", "step", "agent_id"}:

@@ -1,9 +1,9 @@
 """Canonical little-endian CDR of the swarm's messages, every padding byte zero.
 
-A message is encapsulation header, ``std_msgs/Header``, ``uint64 step`` and the message's own fields. Since the frame id
-is always ``plane``, all but texts and lists have a fixed place, which follows from the declarations in
-`swarmabs_core.messages`; one `struct.Struct` per message says it all. That these layouts are what ROS 2 itself writes
-for ``swarmabs_msgs`` is a test.
+A message consists of encapsulation header, ``std_msgs/Header``, ``uint64 step`` and its own fields. Since the frame id
+is always ``plane``, everything but strings and lists has a fixed offset, which follows from the declarations in
+`swarmabs_core.messages`; one `struct.Struct` per message describes it. A test compares these layouts with the
+serialization of ``swarmabs_msgs`` by ROS 2.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message
 
 ENCAPSULATION = b"\x00\x01"
-"""Little-endian CDR; two bytes of options follow, which are padding to a reader."""
+"""Little-endian CDR; a reader treats the two option bytes that follow as padding."""
 FRAME = struct.pack(f"<I{len(FRAME_ID) + 1}s", len(FRAME_ID) + 1, FRAME_ID.encode())
-"""The frame id as it stands in a message: length, characters, zero."""
+"""The serialized frame id: length, characters, terminating zero."""
 _SECOND = 1_000_000_000
 _MOST_ROBOTS = 65535
 _TRANSPORT_PADDING = 4
-"""Fast DDS pads a serialised payload to a multiple of this."""
+"""Fast DDS pads a serialized payload to a multiple of this number of bytes."""
 _NANOSECONDS = 11
-"""Where the highest byte of the header's nanoseconds stands."""
+"""Offset of the most significant byte of the header's nanoseconds."""
 _BEGIN = 4
-"""Alignment counts from behind the encapsulation header."""
+"""Size of the encapsulation header, after which alignment starts."""
 _CODES = {"uint8": "B", "uint16": "H", "uint64": "Q", "float64": "d"}
-_new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` and `_make` are Python functions around it
+_new: Any = tuple.__new__  # of a NamedTuple, without the Python wrappers `__new__` and `_make`
 
 
 class Place(NamedTuple):
-    """What stands at a place of a message: its name, empty for padding; its format as of `struct`; its size."""
+    """An item of a message: its name (empty for padding), its `struct` format and its size in bytes."""
 
     name: str
     code: str
@@ -45,10 +45,10 @@ class Place(NamedTuple):
 
 
 def places(message_type: type[Message]) -> tuple[Place, ...]:
-    """Return what stands in the fixed part of a message, byte by byte.
+    """Return the items in the fixed part of a message, in order.
 
-    Names are those of the fields, `encapsulation`, `sec`, `nanosec` and `frame`, and `count` for the length of the text
-    or the first list behind the fixed part.
+    They are named after the fields, or `encapsulation`, `sec`, `nanosec` and `frame`; `count` is the length of the
+    string or of the first list that follows the fixed part.
     """
     found = [Place("encapsulation", "2s", 2), Place("", "2x", 2)]
     for name, code, alignment in _numbers(message_type):
@@ -61,7 +61,7 @@ def places(message_type: type[Message]) -> tuple[Place, ...]:
 
 
 def _numbers(message_type: type[Message]) -> Iterator[tuple[str, str, int]]:
-    """Yield name, format and alignment of what stands in a message, without the encapsulation."""
+    """Yield name, format and alignment of the items in the fixed part, without the encapsulation."""
     yield from (("sec", "i", 4), ("nanosec", "I", 4), ("frame", f"{len(FRAME)}s", 4))
     for name, field in fields_of(message_type).items():
         if not isinstance(field, Field):
@@ -75,32 +75,32 @@ def _numbers(message_type: type[Message]) -> Iterator[tuple[str, str, int]]:
 
 
 class _Layout:
-    """Bytes of a message class.
+    """Byte layout of a message class.
 
     Attributes
     ----------
     fixed : Struct
-        Of all that has a fixed place.
+        The fixed part, item by item.
     content : Struct
-        The same, what stands between padding as one piece.
+        The fixed part, with the bytes between padding as one item each.
     parts : tuple of (type of Message, int)
-        The messages of which it consists, each with the number of its values in `fixed`; empty if of none.
+        The nested messages, each with the number of its values in `fixed`.
     lists : tuple of str
-        Formats of the elements of its lists.
+        Element formats of the lists.
     text : str
-        Name of its text, empty if it has none.
+        Name of the string field, empty if there is none.
     """
 
     __slots__ = ("content", "fixed", "lists", "parts", "plain", "size", "text")
 
     def __init__(self, message_type: type[Message]) -> None:
-        stand = places(message_type)
-        self.fixed = struct.Struct("<" + "".join(place.code for place in stand))
+        items = places(message_type)
+        self.fixed = struct.Struct("<" + "".join(place.code for place in items))
         self.size = self.fixed.size
-        self.content = struct.Struct("<" + "".join(_pieces(stand)))
+        self.content = struct.Struct("<" + "".join(_pieces(items)))
         fields = fields_of(message_type)
         parts = [field for field in fields.values() if not isinstance(field, Field)]
-        # Seconds, nanoseconds and frame id stand for the stamp.
+        # Seconds, nanoseconds and frame id replace the stamp.
         self.parts = tuple((part, len(fields_of(part)) + 2) for part in parts)
         own = {name: field.ros_type for name, field in fields.items() if isinstance(field, Field)}
         self.lists = tuple(_CODES[kind.removesuffix("[]")] for kind in own.values() if kind.endswith("[]"))
@@ -109,8 +109,8 @@ class _Layout:
 
 
 @lru_cache(maxsize=64)
-def _behind(layout: _Layout, number: int) -> struct.Struct:
-    """Return the layout of the lists of so many elements each; before all but the first stands their number."""
+def _tail(layout: _Layout, number: int) -> struct.Struct:
+    """Return the layout of the lists with `number` elements each; every list but the first starts with its length."""
     form, size = "<", layout.size - _BEGIN
     for place, code in enumerate(layout.lists):
         for piece, alignment, count in (("I", 4, int(place > 0)), (code, struct.calcsize(code), number)):
@@ -121,9 +121,9 @@ def _behind(layout: _Layout, number: int) -> struct.Struct:
     return struct.Struct(form)
 
 
-def _pieces(stand: tuple[Place, ...]) -> Iterator[str]:
+def _pieces(items: tuple[Place, ...]) -> Iterator[str]:
     size = 0
-    for place in stand:
+    for place in items:
         if place.name:
             size += place.size
         else:
@@ -136,7 +136,7 @@ _LAYOUTS = {topic.message: _Layout(topic.message) for topic in TOPICS}
 
 
 def encode(message: Message) -> bytes:
-    """Return a message as canonical CDR with its four-byte encapsulation header: equal messages give equal bytes.
+    """Serialize a message as canonical CDR with four-byte encapsulation header; equal messages give equal bytes.
 
     Raises
     ------
@@ -148,13 +148,13 @@ def encode(message: Message) -> bytes:
     try:
         if layout.plain:
             return layout.fixed.pack(ENCAPSULATION, seconds, nanoseconds, FRAME, *message[1:])
-        return _encode_parts(layout, message) if layout.parts else _encode_behind(layout, message)
+        return _encode_parts(layout, message) if layout.parts else _encode_tail(layout, message)
     except (struct.error, UnicodeEncodeError) as error:
         raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
 
 
 def _encode_parts(layout: _Layout, message: Any) -> bytes:
-    """Serialise a message that consists of others."""
+    """Serialize a message that consists of other messages."""
     values = [ENCAPSULATION, *_values(message[:2])]
     for part in message[2:]:
         values += _values(part)
@@ -162,26 +162,26 @@ def _encode_parts(layout: _Layout, message: Any) -> bytes:
 
 
 def _values(part: Any) -> tuple[Any, ...]:
-    """Return what stands for a message, or a part of one."""
+    """Return the values that are packed for a message, or for its first fields."""
     return (*divmod(part[0], _SECOND), FRAME, *part[1:])
 
 
-def _encode_behind(layout: _Layout, message: Any) -> bytes:
-    """Serialise a message that ends with a text or with lists."""
+def _encode_tail(layout: _Layout, message: Any) -> bytes:
+    """Serialize a message that ends with a string or with lists."""
     if layout.text:
         text: bytes = message[-1].encode() + b"\x00"
         return layout.fixed.pack(ENCAPSULATION, *_values(message[:-1]), len(text)) + text
     lists = message[-len(layout.lists) :]
     _check_lengths(type(message), [len(values) for values in lists])
     number = len(lists[0])
-    behind = [value for values in lists for value in (number, *values)][1:]
-    return layout.fixed.pack(ENCAPSULATION, *_values(message[: -len(layout.lists)]), number) + _behind(
+    tail = [value for values in lists for value in (number, *values)][1:]
+    return layout.fixed.pack(ENCAPSULATION, *_values(message[: -len(layout.lists)]), number) + _tail(
         layout, number
-    ).pack(*behind)
+    ).pack(*tail)
 
 
 def _check_lengths(message_type: type[Message], lengths: list[int]) -> None:
-    """Refuse lists that do not belong together."""
+    """Reject lists of different lengths."""
     if len(set(lengths)) > 1:
         names = message_type._fields[-len(lengths) :]
         said = ", ".join(f"{length} in `{name}`" for name, length in zip(names, lengths, strict=True))
@@ -189,17 +189,17 @@ def _check_lengths(message_type: type[Message], lengths: list[int]) -> None:
 
 
 def decode(message_type: type[Message], data: bytes) -> Message:
-    """Read a message from CDR with encapsulation header, as it comes from DDS, whatever padding holds.
+    """Deserialize a message from CDR with encapsulation header, as received from DDS; padding is ignored.
 
     Raises
     ------
     MalformedMessageError
-        If the length, the encapsulation or the frame id is not that of a message of this swarm.
+        If length, encapsulation or frame id do not match a message of this swarm.
     """
     layout = _LAYOUTS[message_type]
     size = layout.size
     if layout.lists or layout.text:
-        return _decode_behind(layout, message_type, data)
+        return _decode_tail(layout, message_type, data)
     if not size <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
     values = layout.fixed.unpack_from(data)
@@ -218,8 +218,8 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     return _new(message_type, (values[1] * _SECOND + values[2], *values[4:first], *parts))  # type: ignore[no-any-return]
 
 
-def _decode_behind(layout: _Layout, message_type: type[Message], data: bytes) -> Message:
-    """Read a message that ends with a text or with lists."""
+def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> Message:
+    """Deserialize a message that ends with a string or with lists."""
     name, size = message_type.__name__, layout.size
     if len(data) < size:
         raise MalformedMessageError(name, f"{len(data)} bytes, expected at least {size}")
@@ -228,8 +228,8 @@ def _decode_behind(layout: _Layout, message_type: type[Message], data: bytes) ->
         _refuse_head(message_type, values[0])
     own = (values[1] * _SECOND + values[2], *values[4:-1])
     read = _text if layout.text else _lists
-    behind = read(layout, message_type, data, values[-1])
-    return _new(message_type, (*own, *behind))  # type: ignore[no-any-return]
+    tail = read(layout, message_type, data, values[-1])
+    return _new(message_type, (*own, *tail))  # type: ignore[no-any-return]
 
 
 def _text(layout: _Layout, message_type: type[Message], data: bytes, count: int) -> list[Any]:
@@ -249,7 +249,7 @@ def _lists(layout: _Layout, message_type: type[Message], data: bytes, number: in
     name = message_type.__name__
     if number > _MOST_ROBOTS:
         raise MalformedMessageError(name, f"{number} robots")
-    lists = _behind(layout, number)
+    lists = _tail(layout, number)
     size = layout.size + lists.size
     if not size <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError(name, f"{len(data)} bytes, expected {size} for {number} robots")
@@ -266,15 +266,15 @@ def _refuse_head(message_type: type[Message], encapsulation: bytes) -> None:
 
 
 def canonical(message_type: type[Message], data: bytes) -> bytes:
-    """Return the canonical form of what `decode` has read: padding is zero, nothing follows, equal ones are equal.
+    """Return the canonical form of bytes that `decode` accepts: zero padding, no trailing bytes.
 
     Raises
     ------
     MalformedMessageError
-        If its time is beyond what a header holds.
+        If the time stamp exceeds the range of a header.
     """
     layout = _LAYOUTS[message_type]
-    if layout.parts or data[_NANOSECONDS] >= _SECOND >> 24:  # rare: a time may be said in two ways
+    if layout.parts or data[_NANOSECONDS] >= _SECOND >> 24:  # rare: 1 s or more in the nanoseconds
         return encode(decode(message_type, data))
     content, size = layout.content, layout.size
     fixed: bytes = content.pack(*content.unpack_from(data))
@@ -283,10 +283,10 @@ def canonical(message_type: type[Message], data: bytes) -> bytes:
     number = int.from_bytes(fixed[-4:], "little")
     if layout.text:
         return fixed + data[size : size + number]
-    lists = _behind(layout, number)
+    lists = _tail(layout, number)
     return fixed + lists.pack(*lists.unpack_from(data, size))
 
 
 def agent_id_of(message: Message) -> int:
-    """Return the robot that a message is about, 0 for the messages of the coordinators."""
+    """Return the id of the robot that a message concerns, 0 for messages of the coordinators."""
     return message.agent_id if isinstance(message, (AgentState, SwarmEvent)) else 0

@@ -1,7 +1,7 @@
-"""Parent controllers: plane state in, torque that the swarm should exert out.
+"""Parent controllers: state of the plane in, torque that the swarm should exert out.
 
-The built-in ones are state feedback, PD with given gains (eq. ControlLawPD) or with those of the LQR, and ARISE. A
-further one is a class here with its settings, and its `ControllerType` among `CONTROLLERS`.
+State feedback, as PD with given gains (eq. ControlLawPD) or as LQR, and ARISE are built in. To add another, define its
+class and its settings here and add its `ControllerType` to `CONTROLLERS`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Vector = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ParentContext:
-    """What a parent controller may know of the system that it controls."""
+    """What a parent controller may know about the system that it controls."""
 
     period: float  # control period, s
     inertia: float  # moment of inertia of the plane alone, kg m^2
@@ -43,10 +43,10 @@ class ParentContext:
 
 
 class ParentController(Protocol):
-    """A control law for the plane. It may keep a state, so it is asked once per step, in order."""
+    """A control law for the plane. It may have internal state, so it is called once per step, in order."""
 
     def torque(self, time: float, plane: PlaneState) -> float:
-        """Return the torque tau_raw (N m) wanted at a time (s), before it is limited and filtered.
+        """Return the desired torque tau_raw (N m) at a time (s), before it is limited and filtered.
 
         Raises
         ------
@@ -56,18 +56,18 @@ class ParentController(Protocol):
         ...
 
     def reference(self, time: float) -> float:
-        """Return the angle (rad) that the plane should have at a time (s)."""
+        """Return the desired angle (rad) of the plane at a time (s)."""
         ...
 
 
 @runtime_checkable
 class OffsetController(Protocol):
-    """What a parent controller has besides, if its reference can be offset: no duty."""
+    """Optional interface of a parent controller whose reference can be offset."""
 
     def offset_torque(self, time: float, plane: PlaneState, offset: float) -> float:
-        """Return what `torque` returns, for a reference that is higher by an offset (rad).
+        """Return the desired torque (N m) for the reference plus an offset (rad).
 
-        It is asked instead of `torque` in the steps in which there is an offset.
+        It is called instead of `torque` in steps with an offset.
         """
         ...
 
@@ -88,21 +88,21 @@ class StateFeedback:
         return self.k1 * plane.angle + self.k2 * plane.angular_velocity
 
     def offset_torque(self, time: float, plane: PlaneState, offset: float) -> float:  # noqa: ARG002
-        """Return tau_raw, N m, that regulates the plane to an offset, rad."""
+        """Return tau_raw, N m, that regulates the plane to the offset, rad."""
         return self.k1 * (plane.angle - offset) + self.k2 * plane.angular_velocity
 
     def reference(self, time: float) -> float:  # noqa: ARG002
-        """Return 0 rad: this law regulates."""
+        """Return 0 rad: this law is a regulator."""
         return 0.0
 
 
 def lqr_gains(q: tuple[float, float], r: float, inertia: float, viscous: float) -> tuple[float, float]:
     r"""Solve the algebraic Riccati equation of the plane linearised at rest, in closed form.
 
-    The plant is :math:`I \dot w = -c w - \tau` with :math:`\dot\theta = w`; minimised is the integral of
-    :math:`q_1 \theta^2 + q_2 w^2 + r \tau^2`. The paper's plant has the wrong sign of c, hence its different
-    gains. `q` is the diagonal of Q (1/rad^2, s^2/rad^2), `r` is in 1/(N m)^2, I in kg m^2 that of plane and swarm, c in
-    N m s/rad. Returned are k1 (N m/rad) and k2 (N m s/rad) of tau = k1 th + k2 w.
+    The gains k1 (N m/rad) and k2 (N m s/rad) of tau = k1 th + k2 w minimise the integral of
+    :math:`q_1 \theta^2 + q_2 w^2 + r \tau^2` for the plant :math:`I \dot w = -c w - \tau`, :math:`\dot\theta = w`. The
+    paper's plant has the wrong sign of c, hence its different gains. `q` is the diagonal of Q (1/rad^2, s^2/rad^2), `r`
+    is in 1/(N m)^2, I (kg m^2) is the inertia of plane and swarm, c is in N m s/rad.
     """
     k1 = sqrt(q[0] / r)
     return k1, sqrt(viscous * viscous + q[1] / r + 2.0 * inertia * k1) - viscous
@@ -119,7 +119,7 @@ class PdSettings:
 class LqrSettings:
     """State feedback with the gain that minimises the integral of z'Qz + r tau^2, z = (th, w).
 
-    Linearised at 0 with the inertia ``plane.inertia + manifold.offset`` and the viscous friction g6.
+    The plane is linearised at 0 with the inertia ``plane.inertia + manifold.offset`` and the viscous friction g6.
     """
 
     q: tuple[float, float] = setting(
@@ -131,7 +131,7 @@ class LqrSettings:
     r: float = setting(1.0, "weight of the torque, 1/(N m)^2", above=0.0)
 
     def __post_init__(self) -> None:
-        """Refuse that the angle has no weight.
+        """Reject a zero weight of the angle.
 
         Raises
         ------
@@ -171,7 +171,7 @@ class AriseGains:
         (10.0, 1.0, 1.0, 10.0), "diagonal of the adaptation gain, one for each parameter", minimum=0.0, length=4
     )
     smoothing: float = setting(
-        0.03, "width of tanh(e2/smoothing), which stands for sgn(e2) in sampled time, rad/s", above=0.0
+        0.03, "width of tanh(e2/smoothing), which replaces sgn(e2) in sampled time, rad/s", above=0.0
     )
     adaptive_initial: Vector = setting(
         (0.4566, 0.009, 0.01, 0.9),
@@ -181,9 +181,9 @@ class AriseGains:
 
 
 def regressor(friction: Friction, rates: tuple[float, float, float, float]) -> tuple[Vector, Vector, Vector]:
-    """Return Y_d (eq. adaptiveTerm) and its first two time derivatives, given first to fourth derivative of th_d.
+    """Return Y_d (eq. adaptiveTerm) and its first two time derivatives from the first four derivatives of th_d.
 
-    Of the friction only the slopes g2, g3, g5 are used; the amplitudes are what is adapted.
+    Only the slopes g2, g3, g5 of the friction are used; its amplitudes are adapted.
     """
     w, dw, ddw, dddw = rates
     value, first, second = [], [], []
@@ -213,9 +213,9 @@ class Arise:
         \hat\lambda = \hat\lambda(0) + \Gamma (\dot Y_d^T e_2 |_0^t - \mu_2), \qquad
         \dot\mu_2 = (\ddot Y_d - \alpha_2 \dot Y_d)^T e_2
 
-    eq. controlLaw3 prints the derivative of :math:`\hat\lambda` on its left; its right-hand side is
-    :math:`\hat\lambda` itself. In sampled time sgn is tanh(e2/smoothing), which does not chatter, and the
-    integrals are advanced by Euler's method.
+    eq. controlLaw3 prints the derivative of :math:`\hat\lambda` on its left-hand side, but its right-hand side is
+    :math:`\hat\lambda` itself. In sampled time tanh(e2/smoothing) replaces sgn to avoid chattering, and Euler's method
+    advances the integrals.
     """
 
     def __init__(self, gains: AriseGains, trajectory: Trajectory, friction: Friction, period: float) -> None:
@@ -284,7 +284,7 @@ CONTROLLERS = Registry(
 
 @dataclass(frozen=True, slots=True)
 class ParentLaw:
-    """Which law controls the plane, and what it is told of the plane."""
+    """The control law of the plane, and the properties of the plane that it knows."""
 
     controller: str = choice(CONTROLLERS.find, CONTROLLERS.built_in, PD.name, "control law of the plane")
     controller_settings: Settings = field(default_factory=dict, hash=False)
@@ -292,6 +292,6 @@ class ParentLaw:
     friction: Friction = same(Plane, "friction", name="plane.friction")
 
     def make(self, period: float, manifold: Manifold) -> ParentController:
-        """Return the law at its beginning, for a control period (s) and the curve on which the swarm is held."""
+        """Return the law in its initial state, for a control period (s) and the manifold of the swarm."""
         context = ParentContext(period, self.inertia, self.friction, manifold)
         return CONTROLLERS.make(self.controller, self.controller_settings, context)

@@ -1,10 +1,10 @@
-"""Declarations: frozen dataclasses whose fields say default, bounds, unit and meaning, each once.
+"""Declarations: frozen dataclasses whose fields state default, bounds, unit and meaning in one place.
 
-A field is a `setting`, a `part`, which is a declaration itself, or a `choice` among the parts of a registry. From a
-declaration follow the parameters of a node (`parameters_of`), the values of these (`values_of`) and the way back
-(`made_of`). The schemas of files and the tables of the documentation are derived from it too.
+A field is a `setting`, a `part` (a nested declaration), or a `choice` among the parts of a registry. `parameters_of`
+derives the parameters of a node from a declaration, `values_of` their values from an instance, and `made_of` an
+instance from values. The schemas of files and the tables of the documentation are derived from declarations, too.
 
-`inf` and None stand for "none": a file says null then, and a parameter the number `unset`.
+`inf` and None mean "none": a file then contains null, and a parameter its value `unset`.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from swarmabs_core.parameters import Parameter, SettingError, Settings, Value
 _KEY = "declared"
 _ORIGIN = "same"
 LONGEST_TIME = 2**31 - 1
-"""Longest time, s: what the seconds of a ROS time stamp hold."""
+"""Longest time, s: the range of the seconds of a ROS time stamp."""
 DeclarationT = TypeVar("DeclarationT")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Setting:
-    """What is declared of one setting: as a parameter of a node, in a file (both without a name), and in the object.
+    """The declaration of one setting: as a parameter of a node, in a file (both without a name), and in the object.
 
-    `unset` is what a parameter says for none, None if there is no such value. `make` makes the value, or an item of an
-    array, of that of the parameter; `say` is the way back.
+    `unset` is the parameter's value for none; it is None if there is no such value. `make` converts the value of the
+    parameter, or of an item of an array, to that of the attribute; `say` is the inverse.
     """
 
     parameter: Parameter
@@ -44,7 +44,7 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Part:
-    """A declaration within another one, without some of its settings."""
+    """A declaration nested in another one, except for some of its settings."""
 
     declaration: type
     description: str
@@ -53,7 +53,7 @@ class Part:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Choice:
-    """A part of the system that is chosen by its name, ``type``, with the settings that it declares."""
+    """A part of the system that is selected by its name, ``type``, with the settings that it declares."""
 
     find: Callable[[str], Any]
     built_in: tuple[str, ...]
@@ -62,7 +62,7 @@ class Choice:
 
 
 class Entry(NamedTuple):
-    """A field of a declaration: its name in files and parameters, that of the attribute, and what is declared."""
+    """A field of a declaration: its name in files and parameters, its attribute, and what it declares."""
 
     name: str
     attribute: str
@@ -88,23 +88,23 @@ def setting(
     Parameters
     ----------
     default : object
-        Its default, from which its type follows; where it is `inf` or None there must be `unset`.
+        Default, which determines the type; `inf` and None require `unset`.
     description : str
         Meaning and unit.
     name : str, optional
-        Its name as a parameter and in files, if that is not the attribute's.
+        Name as a parameter and in files, if it differs from the attribute.
     unset, make, say
-        As of `Setting`.
+        As in `Setting`.
     null : str
-        What null in a file means.
+        Meaning of null in a file.
     whole_nanoseconds : bool
         Whether it is a time in s that must be a whole number of ns.
     names : str
-        What a text names: ``name`` (a host), ``topic`` or ``frame``; empty if it may be any.
+        What a string names: ``name`` (a host), ``topic`` or ``frame``; empty for any string.
     required : bool
-        Whether a file must say it.
+        Whether a file must contain it.
     bounds : object
-        As of `Parameter`: minimum, maximum, above, below, length, choices, item.
+        As in `Parameter`: minimum, maximum, above, below, length, choices, item.
     """
     said: Any = default
     if unset is not None:
@@ -124,10 +124,10 @@ def setting(
 
 
 def part(declaration: type, description: str = "", *, name: str | None = None, without: tuple[str, ...] = ()) -> Any:
-    """Declare a field that is a declaration itself, with its defaults.
+    """Declare a field that is a nested declaration, with its defaults.
 
-    With an empty `name` its settings are named as if they were this declaration's. The attributes named by `without`
-    keep their defaults and are no settings here.
+    With an empty `name`, its settings are named without a prefix. The attributes listed in `without` keep their
+    defaults and are not settings here.
     """
     return dataclasses.field(
         default_factory=declaration, metadata={_KEY: (name, Part(declaration, description, without))}
@@ -135,23 +135,23 @@ def part(declaration: type, description: str = "", *, name: str | None = None, w
 
 
 def choice(find: Callable[[str], Any], built_in: Mapping[str, object], default: str, description: str) -> Any:
-    """Declare a field with the name of a part that `find` looks up; the field ``..._settings`` has its settings."""
+    """Declare a field that names a part, which `find` looks up; the field ``..._settings`` contains its settings."""
     return dataclasses.field(
         default=default, metadata={_KEY: (None, Choice(find, tuple(built_in), default, description))}
     )
 
 
 def same(declaration: type, attribute: str, *, name: str | None = None) -> Any:
-    """Declare a field as another declaration has declared one of its own, perhaps by another name."""
+    """Declare a field like a field of another declaration, possibly under another name."""
     declared = setting_of(declaration, attribute)
     metadata = {_KEY: (name, declared), _ORIGIN: (declaration, attribute)}
     return dataclasses.field(default=declared.default, metadata=metadata)
 
 
 def gathered(declaration: type[DeclarationT], *sources: object, **own: object) -> DeclarationT:
-    """Return the instance of a declaration whose parts, and whose fields that are the `same`, are those of sources.
+    """Return an instance of a declaration that takes its parts, and its fields declared by `same`, from sources.
 
-    Sources are instances of other declarations, at most one of each. What has no source has its default.
+    Sources are instances of other declarations, at most one of each. Fields without a source have their defaults.
     """
     by_type = {type(source): source for source in sources}
     for field in dataclasses.fields(declaration):  # type: ignore[arg-type]  # it is a dataclass
@@ -167,20 +167,20 @@ def gathered(declaration: type[DeclarationT], *sources: object, **own: object) -
 
 
 def setting_of(declaration: type, attribute: str) -> Setting:
-    """Return what is declared of a field of a declaration."""
+    """Return the setting that a declaration declares for an attribute."""
     entry = next(entry for entry in entries_of(declaration) if entry.attribute == attribute)
     if not isinstance(entry.declared, Setting):
-        raise TypeError(f"{declaration.__name__}.{attribute} is no setting")
+        raise TypeError(f"{declaration.__name__}.{attribute} is not a setting")
     return entry.declared
 
 
 def attribute_of(declared: Setting, value: Any) -> object:
-    """Return the value of a field that a file's value, None for none, means; the way back is in `tree_of`."""
+    """Return the value of an attribute for its value in a file, None for none; `tree_of` contains the inverse."""
     return declared.default if value is None else _made(declared, value)
 
 
 def entries_of(declaration: type) -> tuple[Entry, ...]:
-    """Return what a dataclass declares, in order; fields that are nothing of that are left out."""
+    """Return the declared fields of a dataclass, in order; other fields are left out."""
     found = []
     for field in dataclasses.fields(declaration):
         if _KEY in field.metadata:
@@ -194,13 +194,13 @@ def parameters_of(
 ) -> tuple[Parameter, ...]:
     """Return the parameters of a declaration.
 
-    What is chosen depends on the values that are `given`, by name; without any only the choices are returned, and not
-    the settings of what is chosen.
+    The values `given`, by name, select the parts; without them, only the choices are returned, not the settings of the
+    selected parts.
 
     Raises
     ------
     InputError
-        If there is nothing of the name that is chosen, or the package that brings it is unfit.
+        If there is no part of the selected name, or the package that provides it is unusable.
     """
     found: list[Parameter] = []
     for name, attribute, declared in entries_of(declaration):
@@ -216,7 +216,7 @@ def parameters_of(
 
 
 def values_of(instance: Any, prefix: str = "") -> dict[str, Value]:
-    """Return the values of a declaration's parameters by name; the way back is `made_of`."""
+    """Return the values of a declaration's parameters by name; `made_of` is the inverse."""
     found: dict[str, Value] = {}
     for name, attribute, declared in entries_of(type(instance)):
         value = getattr(instance, attribute)
@@ -235,9 +235,9 @@ def values_of(instance: Any, prefix: str = "") -> dict[str, Value]:
 
 
 def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "", **others: object) -> DeclarationT:
-    """Return the instance of a declaration whose parameters have these values, which were checked.
+    """Return the instance of a declaration whose parameters have these checked values.
 
-    There must be a value of each, by name with the prefix; `others` are the fields that are not declared.
+    Every parameter needs a value, under its name with the prefix; `others` are the fields that are not declared.
 
     Raises
     ------
@@ -263,7 +263,7 @@ def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "",
 
 
 def tree_of(instance: Any) -> dict[str, object]:
-    """Return an instance of a declaration as a file has it: nested mappings, with None for none."""
+    """Return an instance of a declaration as in a file: nested mappings, with None for none."""
     found: dict[str, object] = {}
     for name, attribute, declared in entries_of(type(instance)):
         value = getattr(instance, attribute)
@@ -280,7 +280,7 @@ def _below(prefix: str, name: str) -> str:
 
 
 def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -> Iterator[Parameter]:
-    """Return the parameter that chooses, and the settings of what is chosen."""
+    """Yield the parameter that selects a part, and the settings of the selected part."""
     chooser = Parameter(f"{prefix}type", declared.default, declared.description, choices=declared.built_in)
     if given is None:
         yield chooser
@@ -295,18 +295,18 @@ def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -
 
 
 def _said(declared: Setting, value: Any) -> Value:
-    """Return what a parameter says for a value."""
+    """Return the value of a parameter for that of the attribute."""
     if declared.unset is not None and value == declared.default:
         return declared.unset
     if declared.make is None:
         return tuple(value) if isinstance(value, tuple) else value
     if isinstance(value, tuple):
         return tuple(value) if declared.parameter.length else tuple(map(declared.say, value))
-    return declared.say(value)  # type: ignore[no-any-return]  # that of a parameter
+    return declared.say(value)  # type: ignore[no-any-return]  # the value of a parameter
 
 
 def _meant(declared: Setting, value: Value) -> object:
-    """Return the value that a parameter means."""
+    """Return the value of the attribute for that of a parameter."""
     if declared.unset is not None and value == declared.unset:
         return declared.default
     return _made(declared, value)

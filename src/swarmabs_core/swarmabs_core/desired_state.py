@@ -15,25 +15,25 @@ if TYPE_CHECKING:
     from swarmabs_core.manifold import Manifold
 
 FALLEN = (
-    "the swarm cannot hold the plane in this scenario; start it flatter, disturb it less, raise manifold.torque_max, "
-    "or give it a plane.end_stop below that"
+    "the swarm cannot hold the plane in this scenario; reduce its initial angle or the disturbance, raise "
+    "manifold.torque_max, or set a plane.end_stop below that angle"
 )
-"""Why a run ends at `STEEPEST`, and what helps."""
+"""Why a run ends at `STEEPEST`, and the remedy."""
 TORQUE_LIMITED = "torque limited to torque_max"
-"""What the controller says of a torque that it limits."""
+"""`SwarmEvent.detail` where the controller begins to limit the torque."""
 BANDWIDTH = 50.0
 """Corner frequency of the filter between parent controller and manifold, rad/s."""
 
 
 def fallen(plane: PlaneState) -> str:
-    """Return why a run cannot go on with the plane in this state; empty if it can."""
+    """Return why a run cannot continue from this state of the plane; empty if it can."""
     if abs(plane.angle) < STEEPEST:
         return ""
     return f"step {plane.step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: {FALLEN}"
 
 
 class CommandFilter:
-    """Critically damped filter, x'' = w^2 (u - x) - 2 w x', exact for a command u that is held; period s, w rad/s."""
+    """Critically damped filter, x'' = w^2 (u - x) - 2 w x', exact for a held command u; period in s, w in rad/s."""
 
     def __init__(self, period: float, bandwidth: float = BANDWIDTH) -> None:
         wt = bandwidth * period
@@ -61,20 +61,20 @@ class DesiredStateGenerator:
         self._clipped = False
 
     def resume(self, torque: float, rate: float) -> None:
-        """Go on as if the filter were in this state: torque (N m) and its rate (N m/s)."""
+        """Continue from this state of the filter: torque (N m) and its rate (N m/s)."""
         self._state = (torque, rate)
 
     def advance(self, time_ns: int, plane: PlaneState, *, offset: float = 0.0) -> tuple[Messages, DesiredAbstractState]:
-        """Return events, and the desired abstract state that follows a state of the plane and has its step.
+        """Return events, and the desired abstract state for a state of the plane, with the same step.
 
-        The law and its reference are asked at a time (ns); the angle wanted is by an offset (rad) above the reference.
+        The law is evaluated at a time (ns); `offset` (rad) is added to its reference.
 
         Raises
         ------
         RunError
-            If the plane is too steep, or the law gives no finite torque.
+            If the plane is too steep, or the torque of the law is not finite.
         InputError
-            If there is an offset, and the law knows none.
+            If there is an offset and the law does not support one.
         """
         manifold, period, step = self._manifold, self._period, plane.step
         if problem := fallen(plane):
@@ -82,8 +82,8 @@ class DesiredStateGenerator:
         raw = self._torque(time_ns / 1e9, plane, offset)
         if not isfinite(raw):
             raise RunError(
-                f"step {step}: the parent controller asks for a torque of {raw} N m at an angle of "
-                f"{plane.angle:.4g} rad; its law must give a finite number"
+                f"step {step}: the parent controller returned a torque of {raw} N m at an angle of "
+                f"{plane.angle:.4g} rad; its law must return a finite number"
             )
         command = manifold.clip(raw)
         torque, rate = self._state or (command, 0.0)
@@ -98,7 +98,7 @@ class DesiredStateGenerator:
             manifold.inertia(torque),
             rate,
             manifold.inertia_rate(torque, rate),
-            # A robot holds its command for a period: it needs the means over it, not the initial values.
+            # A robot holds its command for a period, so it needs means over the period, not initial values.
             (next_torque - torque) / period,
             manifold.curvature * (next_torque * next_torque - torque * torque) / period,
             acceleration,
@@ -114,7 +114,7 @@ class DesiredStateGenerator:
         return self._law.offset_torque(time, plane, offset)
 
     def _limit(self, raw: float, command: float, stamp: int, step: int) -> Messages:
-        """Say when the wanted torque begins to be limited."""
+        """Report the step in which limiting of the torque begins."""
         before, self._clipped = self._clipped, raw != command
         if self._clipped and not before:
             return (SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, raw, TORQUE_LIMITED),)

@@ -1,4 +1,4 @@
-"""How a robot moves under a command that is held over one control period (eq. swarmModel, EOM_DI)."""
+"""Motion of a robot under a command that is held over one control period (eq. swarmModel, EOM_DI)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _difference(a: float, b: float) -> float:
 
 
 def _second_difference(a: float, b: float) -> float:
-    """Return the divided difference of exp at 0, a and b, none of them positive, however close they are."""
+    """Return the divided difference of exp at 0, a and b, which are not positive and may be arbitrarily close."""
     low, high = min(a, b), max(a, b)
     if low < -1.0:
         return (_phi(high)[0] - _difference(low, high)) / -low
@@ -64,7 +64,7 @@ class SingleIntegratorDrive:
 class DoubleIntegratorDrive(NamedTuple):
     """m v' = f - c v, p' = v, with f held: exact zero-order-hold discretisation.
 
-    `decay` is the share of the velocity that is left after a period. The factors are in s/kg (force to velocity), s
+    `decay` is the fraction of the velocity that remains after a period. The factors are in s/kg (force to velocity), s
     (velocity to position) and s^2/kg (force to position).
     """
 
@@ -99,18 +99,17 @@ def ideal_drive(
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    r"""First-order lag of an actuator, :math:`T \dot x = u - x`, for a command u that is held.
+    r"""First-order lag of an actuator, :math:`T \dot x = u - x`, for a held command u.
 
-    x is the velocity of a single integrator and the force of a double integrator. The system is linear, so its motion
-    is that of the drive without lag plus the answer to ``x(0) - u``, which decays: `gap` is x - u, by which both are
-    multiplied.
+    x is the velocity of a single integrator or the force of a double integrator. The system is linear, so its motion is
+    that of the drive without lag plus the response to the decaying gap ``x - u``.
 
     Parameters
     ----------
     decay : float
-        What remains of the gap after a period.
+        Fraction of the gap that remains after a period.
     gap_to_velocity, gap_to_position : float
-        By how much the gap at the beginning of a period changes velocity and position at its end, per its unit.
+        Change of velocity and position at the end of a period per unit of the gap at its beginning.
     """
 
     decay: float
@@ -119,7 +118,10 @@ class Lag:
 
     @classmethod
     def of(cls, kind: Kind, time_constant: float, period: float, mass: float, damping: float) -> Lag | None:
-        """Return the lag of a robot's drive, None without any; time constant and period in s, kg, N s/m."""
+        """Return the lag of a robot's drive, None if there is none.
+
+        Time constant and period are in s, mass in kg, damping in N s/m.
+        """
         if not time_constant:
             return None
         lag, drag = -period / time_constant, -damping * period / mass

@@ -1,18 +1,18 @@
-"""Errors of the package. Their text is one line that names what is wrong and, if there is one, the remedy."""
+"""Errors of the package. Each text is one line that states what is wrong and, if there is one, the remedy."""
 
 from __future__ import annotations
 
 
 class SwarmabsError(Exception):
-    """Base of every error that is not a bug."""
+    """Base class of all errors that are not bugs."""
 
 
 class InputError(SwarmabsError):
-    """Something the user gave is refused before anything was started (exit code 2)."""
+    """Invalid input, rejected before anything is started (exit code 2)."""
 
 
 class RunError(SwarmabsError):
-    """A run was started and failed (exit code 1)."""
+    """Failure of a run that was started (exit code 1)."""
 
 
 class ProtocolError(RunError):

@@ -1,7 +1,7 @@
-"""The faults that a scenario can inject; each kind is declared once, with its settings and with what it does.
+"""The faults that a scenario can inject, each declared once with its settings and its effect.
 
-The schema of scenarios, the parameters of nodes and the tables of the documentation follow from these classes. What is
-random is drawn so that every run and every process draws the same.
+The schema of scenarios, the parameters of nodes and the tables of the documentation follow from these classes. Random
+draws are reproducible: every run and every process draws the same.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import AgentState
 
 LARGEST_OFFSET = 1e6
-"""Largest offset of a clock, s: nanoseconds of it are exact in a float."""
+"""Largest clock offset, s, that a float represents to the nanosecond."""
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
-"""Factors of a lie between which it can be undone without harm."""
+"""Range of the factors of a falsified state that can be safely inverted."""
 _AT = "time in s; the fault step is the nearest step, round(at/step)"
 
 
 def fraction(text: str) -> float:
-    """Return a draw from [0, 1) that depends on a text alone: 53 of the first 64 bits of its BLAKE2b hash."""
+    """Return a draw from [0, 1) that depends only on a string: 53 of the first 64 bits of its BLAKE2b hash."""
     digest = blake2b(text.encode(), digest_size=8).digest()
     return float((int.from_bytes(digest, "big") >> 11) * 2.0**-53)
 
@@ -54,34 +54,34 @@ FAULTS: dict[str, type[Fault]] = {}
 
 @dataclass(frozen=True)
 class Fault:
-    """What a scenario injects.
+    """A fault that a scenario injects.
 
-    A kind is a subclass with a `kind`, the name by which a scenario chooses it, and a `description` in a few words.
+    Each kind is a subclass with a `kind`, its name in scenarios, and a short `description`.
     """
 
     kind: ClassVar[str]
     description: ClassVar[str]
     when: ClassVar[tuple[str, str]] = "at", "until"
-    """Names of its times in a scenario."""
+    """Names of its start and end times in a scenario."""
 
     @property
     def at(self) -> float | None:
-        """Time at which it begins, s; None: not planned."""
+        """Start time, s; None: not planned."""
         raise NotImplementedError
 
     @property
     def until(self) -> float | None:
-        """Time at which it ends, s; None: never."""
+        """End time, s; None: never."""
         return None
 
     def __post_init__(self) -> None:
-        """Refuse an end before the beginning."""
+        """Reject an end before the start."""
         if self.until is not None and self.at is not None and self.until <= self.at:
             problem = f"the fault ends at {self.until!r} s, before it begins"
             raise SettingError("", problem, f"use '{self.when[1]}' with a time after {self.at!r} s")
 
     def __init_subclass__(cls, **words: str) -> None:
-        """Note a kind of fault."""
+        """Register a kind of fault."""
         for name, text in words.items():
             setattr(cls, name, text)
         if "kind" in words:
@@ -90,7 +90,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class MembershipFault(Fault):
-    """Ends a robot, or lets it join, at one step."""
+    """Ends the participation of a robot, or lets it join, at one step."""
 
     at: float | None = _time(0.0, _AT, required=True)
     agent: int = _robot()
@@ -103,23 +103,21 @@ class KillFault(MembershipFault, kind=ChangeKind.KILL.value, description="the pr
 
 @dataclass(frozen=True)
 class LeaveFault(MembershipFault, kind=ChangeKind.LEAVE.value, description="the robot leaves the plane"):
-    """The robot says that it leaves; from the next step its weight is gone."""
+    """The robot announces that it leaves; from the next step its weight is gone."""
 
 
 @dataclass(frozen=True)
-class RemoveFault(MembershipFault, kind=ChangeKind.REMOVE.value, description="the robot is taken off the plane"):
-    """The robot is taken off the plane without being asked; from the next step its weight is gone."""
+class RemoveFault(MembershipFault, kind=ChangeKind.REMOVE.value, description="the robot is removed from the plane"):
+    """The robot is removed from the plane without notice; from the next step its weight is gone."""
 
 
 @dataclass(frozen=True)
 class JoinFault(
     MembershipFault, kind=ChangeKind.JOIN.value, description="the robot appears on the plane at its initial position"
 ):
-    """The robot, listed under ``swarm.agents``, is not there before the fault step."""
+    """The robot, listed under ``swarm.agents``, is absent before the fault step."""
 
-    at: float | None = _time(
-        None, _AT, unset=-1.0, null="only when it is added to a run that is steered", required=True
-    )
+    at: float | None = _time(None, _AT, unset=-1.0, null="only when steering adds it", required=True)
 
 
 @dataclass(frozen=True)
@@ -131,28 +129,28 @@ class FreezeFault(
 
 @dataclass(frozen=True)
 class SettingFault(Fault):
-    """Sets a number, the field `sets`, for the whole run at a step, until it is set again."""
+    """Sets a number, the field named by `sets`, for the whole run from a step until it is set again."""
 
     sets: ClassVar[str]
 
-    at: float = _time(0.0, "time in s from which on it holds; the nearest step counts", required=True)
+    at: float = _time(0.0, "start time in s, rounded to the nearest step", required=True)
     until: float | None = _time(
-        None, "time in s from which on it is 0 again", unset=-1.0, null="when it is set again, or never"
+        None, "time in s at which the value returns to 0", unset=-1.0, null="when it is set again, or never"
     )
 
     @property
     def value(self) -> float:
-        """What is set."""
+        """The number that is set."""
         return float(getattr(self, self.sets))
 
 
 @dataclass(frozen=True)
-class ReferenceFault(SettingFault, kind=REFERENCE, description="the angle wanted is offset", sets="offset"):
-    """The angle wanted is above the parent controller's reference by an offset."""
+class ReferenceFault(SettingFault, kind=REFERENCE, description="the reference is offset", sets="offset"):
+    """Adds an offset to the parent controller's reference."""
 
     offset: float = setting(
         0.0,
-        "what is added to the parent controller's reference, rad",
+        "offset added to the parent controller's reference, rad",
         above=-STEEPEST,
         below=STEEPEST,
         required=True,
@@ -163,58 +161,58 @@ class ReferenceFault(SettingFault, kind=REFERENCE, description="the angle wanted
 class DisturbanceFault(
     SettingFault, kind=DISTURBANCE, description="a constant torque disturbs the plane", sets="torque"
 ):
-    """A constant torque disturbs the plane, besides ``plane.disturbance`` and with its sign."""
+    """A constant torque disturbs the plane, in addition to ``plane.disturbance`` and with its sign."""
 
     torque: float = setting(0.0, "torque, N m; a positive one turns the plane to smaller angles", required=True)
 
 
 @dataclass(frozen=True)
 class RobotFault(Fault):
-    """Acts on robots and their messages for a while.
+    """Acts on robots and their messages for some time.
 
-    A kind overrides what it does; a draw is a text that differs from robot to robot and from step to step.
+    Each kind overrides the methods for its effect; `draw` is a string that differs for each robot and step.
     """
 
     announcement: ClassVar[str]
 
     when: ClassVar[tuple[str, str]] = "from", "to"
 
-    at: float = _time(0.0, "time in s from which on it acts; the nearest step counts", name="from")
+    at: float = _time(0.0, "start time in s, rounded to the nearest step", name="from")
     until: float | None = _time(
-        None, "time in s from which on it acts no more", name="to", unset=-1.0, null="to the end"
+        None, "end time in s, rounded to the nearest step", name="to", unset=-1.0, null="end of the run"
     )
 
     def hits(self, agent_id: int) -> bool:
-        """Tell whether it is injected into a robot."""
+        """Return whether it affects a robot."""
         raise NotImplementedError
 
     def announced(self) -> tuple[tuple[float, str], ...]:
-        """Return value and text of the events that announce it: its first setting, if it is not 0, and the text."""
+        """Return value and text of the events that announce it: its first setting, unless 0, and the text."""
         value = float(next(iter(self.effect().values()), 1.0))
         return ((value, self.announcement.format(self)),) if value else ()
 
     def loses(self, draw: str) -> bool:  # noqa: ARG002
-        """Tell whether nothing reaches the robot in a step."""
+        """Return whether nothing reaches the robot in a step."""
         return False
 
     def late(self, draw: str) -> int:  # noqa: ARG002
-        """Return how many steps later than usual the broadcasts of a step reach the robot."""
+        """Return the delay, in steps, with which the broadcasts of a step reach the robot."""
         return 0
 
     def doubles(self, draw: str) -> bool:  # noqa: ARG002
-        """Tell whether what a robot says, or hears, in a step comes twice."""
+        """Return whether messages to or from the robot are duplicated in a step."""
         return False
 
     def clock_offset(self) -> int:
-        """Return by how much the robot's clock is ahead, ns."""
+        """Return how far the robot's clock is ahead, ns."""
         return 0
 
     def falsified(self, state: AgentState) -> AgentState:
-        """Return what the robot says its state is."""
+        """Return the state that the robot publishes."""
         return state
 
     def effect(self) -> dict[str, float]:
-        """Return what says how it acts, whenever and on whomever: the settings that only its kind has."""
+        """Return the settings specific to its kind, which define its effect regardless of times and robots."""
         return {name: getattr(self, name) for name in _own_settings(type(self))}
 
 
@@ -224,23 +222,23 @@ def _own_settings(kind: type[RobotFault]) -> list[str]:
 
 @dataclass(frozen=True)
 class MessageFault(RobotFault):
-    """Acts on what robots hear and say."""
+    """Acts on the messages to and from robots."""
 
     agents: tuple[int, ...] | None = setting(
-        None, "ids of the robots that it hits", unset=(), null="all", item=1, minimum=1, maximum=65535
+        None, "ids of the robots that it affects", unset=(), null="all", item=1, minimum=1, maximum=65535
     )
 
     def __post_init__(self) -> None:
-        """Refuse an end before the beginning, and robots that are named twice."""
+        """Reject an end before the start, an empty list of robots, and duplicates in it."""
         Fault.__post_init__(self)
         if self.agents is not None and not self.agents:
-            raise SettingError("agents", "no robots are named", "name some, or leave out 'agents' for all")
+            raise SettingError("agents", "no robots are listed", "list at least one, or omit 'agents' for all")
         if self.agents is not None and len(set(self.agents)) < len(self.agents):
             twice = next(agent for agent in self.agents if self.agents.count(agent) > 1)
-            raise SettingError("agents", f"robot {twice} is named twice", "name each robot once")
+            raise SettingError("agents", f"robot {twice} is listed twice", "list each robot once")
 
     def hits(self, agent_id: int) -> bool:
-        """Tell whether it is injected into a robot."""
+        """Return whether it affects a robot."""
         return self.agents is None or agent_id in self.agents
 
 
@@ -248,7 +246,7 @@ class MessageFault(RobotFault):
 class LossFault(
     MessageFault,
     kind="loss",
-    description="robots keep their previous command at random",
+    description="robots miss broadcasts at random",
     announcement="loss of the broadcasts",
 ):
     """Robots miss broadcasts at random and keep their previous command."""
@@ -256,7 +254,7 @@ class LossFault(
     probability: float = _probability("probability of a loss, for each robot and step")
 
     def loses(self, draw: str) -> bool:
-        """Draw it."""
+        """Draw whether the broadcasts are lost."""
         return fraction(draw) < self.probability
 
 
@@ -267,12 +265,12 @@ class DelayFault(
     description="robots use earlier broadcasts",
     announcement="delay of the broadcasts, steps",
 ):
-    """Robots compute with broadcasts that are some steps old; their command is 0 until there are any."""
+    """Robots act on broadcasts that are some steps old; until the first ones arrive, their command is 0."""
 
     steps: int = setting(0, "age of the broadcasts, steps", minimum=0, below=2**31, required=True)
 
     def late(self, draw: str) -> int:  # noqa: ARG002
-        """Return the age."""
+        """Return the age of the broadcasts."""
         return self.steps
 
 
@@ -280,17 +278,17 @@ class DelayFault(
 class DuplicationFault(
     MessageFault,
     kind="duplication",
-    description="messages come twice at random",
+    description="messages are duplicated at random",
     announcement="duplication of messages",
 ):
-    """Robots hear broadcasts twice and say their state twice, at random."""
+    """Robots receive broadcasts twice and publish their state twice, at random."""
 
     probability: float = _probability(
-        "probability that a robot hears the broadcasts of a step twice, and that it says its state twice"
+        "probability that a robot receives the broadcasts of a step twice, and that it publishes its state twice"
     )
 
     def doubles(self, draw: str) -> bool:
-        """Draw it."""
+        """Draw whether messages are duplicated."""
         return fraction(draw) < self.probability
 
 
@@ -298,16 +296,16 @@ class DuplicationFault(
 class ReorderingFault(
     MessageFault,
     kind="reordering",
-    description="broadcasts come after later ones at random",
+    description="broadcasts arrive out of order at random",
     announcement="reordering of the broadcasts within {0.steps:g} steps",
 ):
-    """Broadcasts reach robots after later ones, at random; a robot acts on the newest that it has."""
+    """Broadcasts arrive out of order, at random; a robot acts on the newest that it has received."""
 
-    probability: float = _probability("probability that broadcasts come late, for each robot and step")
-    steps: int = setting(1, "most steps by which they come late", minimum=1, below=2**31)
+    probability: float = _probability("probability that broadcasts are late, for each robot and step")
+    steps: int = setting(1, "largest delay, steps", minimum=1, below=2**31)
 
     def late(self, draw: str) -> int:
-        """Draw whether they come late, and by how many steps."""
+        """Draw whether the broadcasts are late, and by how many steps."""
         if fraction(f"{draw}:reordering") >= self.probability:
             return 0
         return 1 + int(fraction(f"{draw}:late") * self.steps)
@@ -320,7 +318,7 @@ class SingleRobotFault(RobotFault):
     agent: int = _robot()
 
     def hits(self, agent_id: int) -> bool:
-        """Tell whether it is injected into a robot."""
+        """Return whether it affects a robot."""
         return self.agent == agent_id
 
 
@@ -328,14 +326,14 @@ class SingleRobotFault(RobotFault):
 class ClockOffsetFault(
     SingleRobotFault,
     kind="clock_offset",
-    description="the robot's stamps are off",
+    description="the robot's time stamps are wrong",
     announcement="offset of the clock, s",
 ):
-    """The clock of a robot is wrong: the stamps of its states and events are off."""
+    """The clock of a robot is wrong, and with it the time stamps of its states and events."""
 
     offset: float = setting(
         0.0,
-        "by how much its clock is ahead, s",
+        "how far its clock is ahead, s",
         minimum=-LARGEST_OFFSET,
         maximum=LARGEST_OFFSET,
         whole_nanoseconds=True,
@@ -348,31 +346,34 @@ class ClockOffsetFault(
 
 
 @dataclass(frozen=True)
-class LieFault(SingleRobotFault, kind="lie", description="the robot says a false position or mass"):
-    """A robot says a false position or mass; the plane feels the true ones."""
+class LieFault(SingleRobotFault, kind="lie", description="the robot reports a false position or mass"):
+    """A robot reports a false position or mass; the plane moves under the true ones."""
 
-    position_offset: float = setting(0.0, "what it adds to its position, m")
+    position_offset: float = setting(0.0, "offset added to its position, m")
     position_factor: float = setting(
-        1.0, "by what it multiplies its position before; not 0", minimum=-LARGEST_FACTOR, maximum=LARGEST_FACTOR
+        1.0,
+        "factor of its position, applied before the offset; not 0",
+        minimum=-LARGEST_FACTOR,
+        maximum=LARGEST_FACTOR,
     )
-    mass_factor: float = setting(1.0, "by what it multiplies its mass", above=0.0, maximum=LARGEST_FACTOR)
+    mass_factor: float = setting(1.0, "factor of its mass", above=0.0, maximum=LARGEST_FACTOR)
 
     def __post_init__(self) -> None:
-        """Refuse an end before the beginning, a lie that is true, and one that cannot be undone."""
+        """Reject an end before the start, a state that is not falsified, and a factor that cannot be inverted."""
         Fault.__post_init__(self)
         if abs(self.position_factor) < SMALLEST_FACTOR:
             raise SettingError(
                 "position_factor",
-                f"{self.position_factor!r} cannot be undone",
+                f"{self.position_factor!r} cannot be inverted",
                 f"give a number of at least {SMALLEST_FACTOR!r} in magnitude",
             )
         if (self.position_offset, self.position_factor, self.mass_factor) == (0.0, 1.0, 1.0):
             raise SettingError(
-                "", "this robot tells the truth", "give 'position_offset', 'position_factor' or 'mass_factor'"
+                "", "the fault falsifies nothing", "set 'position_offset', 'position_factor' or 'mass_factor'"
             )
 
     def announced(self) -> tuple[tuple[float, str], ...]:
-        """Announce what is false."""
+        """Announce each falsified value."""
         told = (
             (self.position_offset, 0.0, "false position, m too much"),
             (self.position_factor, 1.0, "false position, factor"),
@@ -386,10 +387,9 @@ class LieFault(SingleRobotFault, kind="lie", description="the robot says a false
         return state._replace(position=position, mass=state.mass * self.mass_factor)
 
     def true_state(self, state: AgentState) -> AgentState:
-        """Return the state of which a falsified one was made.
+        """Return the true state for a falsified one.
 
-        The position is divided as it was multiplied, so its last bits are those of the published one and not of the
-        robot's own.
+        The position is recomputed from the published one, so its last bits may differ from the robot's own.
         """
         position = (state.position - self.position_offset) / self.position_factor
         return state._replace(position=position, mass=state.mass / self.mass_factor)
@@ -405,7 +405,7 @@ class InjectedFault:
     Parameters
     ----------
     fault : RobotFault
-        How it acts; it has the defaults where it says when and on whom.
+        Its effect; times and robots have their defaults.
     """
 
     fault: RobotFault
@@ -414,11 +414,11 @@ class InjectedFault:
 
     @classmethod
     def of(cls, fault: RobotFault, first: int, end: int | None) -> InjectedFault:
-        """Return a fault of a scenario as it acts on each robot that it hits."""
+        """Return a fault of a scenario as it acts on each affected robot."""
         return cls(type(fault)(**fault.effect()), first, end)
 
     def acts(self, step: int) -> bool:
-        """Tell whether it acts in a step."""
+        """Return whether it acts in a step."""
         return self.first <= step and (self.end is None or step < self.end)
 
     def __str__(self) -> str:
@@ -427,7 +427,7 @@ class InjectedFault:
 
     @classmethod
     def parse(cls, text: str) -> InjectedFault:
-        """Read ``KIND FIRST END VALUE...``, such as ``loss 100 500 0.2``; -1 stands for no end.
+        """Read ``KIND FIRST END VALUE...``, such as ``loss 100 500 0.2``; an END of -1 means no end.
 
         Raises
         ------
@@ -453,7 +453,7 @@ class InjectedFault:
 
 
 class Falsification(NamedTuple):
-    """A lie of one robot."""
+    """A fault that falsifies the states of one robot."""
 
     agent_id: int
     injected: InjectedFault
@@ -478,7 +478,7 @@ class Falsification(NamedTuple):
 
 
 def true_state(state: AgentState, lies: Iterable[Falsification]) -> AgentState:
-    """Return a robot's state as it is, without what injected faults have made of it."""
+    """Return a robot's true state, with injected falsifications undone."""
     for agent_id, injected in lies:
         if agent_id == state.agent_id and injected.acts(state.step) and isinstance(injected.fault, LieFault):
             state = injected.fault.true_state(state)
@@ -493,7 +493,7 @@ class RobotFaults:
     faults : iterable of InjectedFault
         At most one of a kind acts in a step.
     seed : int
-        Seed of what is drawn.
+        Seed of the draws.
     agent_id : int
         Id of the robot.
     """
@@ -508,17 +508,17 @@ class RobotFaults:
         return [each.fault for each in self._faults if each.acts(step)]
 
     def draw(self, step: int) -> str:
-        """Return the text of which everything that is random in a step is drawn."""
+        """Return the string from which everything random in a step is drawn."""
         return f"{self._seed}:{step}:{self._agent_id}"
 
     def double(self, step: int, what: str) -> bool:
-        """Tell whether the robot's ``state`` of a step is published twice, or what is ``heard`` in it comes twice."""
+        """Return whether `what`, the robot's ``state`` or the broadcasts ``heard``, is duplicated in a step."""
         return any(fault.doubles(f"{self.draw(step)}:{what}") for fault in self.acting(step))
 
     def announced(self, step: int, *, first: bool) -> Iterator[tuple[float, str]]:
-        """Yield value and text of the events of a step: of the faults that begin or, with value 0, end with it.
+        """Yield value and text of the events of faults that start or, with value 0, end in a step.
 
-        In the robot's `first` step that is all that act.
+        In the robot's `first` step, every fault that acts is announced.
         """
         for each in self._faults:
             if each.acts(step) and (first or each.first == step):
