@@ -2,19 +2,20 @@
 
 import base64
 import fnmatch
-import json
 import os
 import re
 import shutil
 import subprocess
-import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Collection
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from tests.processes import until
 from tests.swarmabs_fleet.bundle_processes import ended, installed, running, variables
 from tests.swarmabs_fleet.fleets import ONE_HOST, contents, deployed, edited, example
+from tests.system.realtime import Client, started_client
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
@@ -225,37 +226,6 @@ DISCOVERY_INFO = "ros_discovery_info"
 
 Endpoints = dict[str, list[str]]
 
-PROBE = """
-import json, sys
-import rclpy
-from rclpy.node import Node
-
-rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
-node = Node("probe", enable_rosout=False, start_parameter_services=False)
-looks = [{}]
-
-
-def look():
-    looks.append({
-        name: {
-            "publish": sorted(topic for topic, _ in node.get_publisher_names_and_types_by_node(name, namespace, True)),
-            "subscribe": sorted(
-                topic for topic, _ in node.get_subscriber_names_and_types_by_node(name, namespace, True)
-            ),
-        }
-        for name, namespace in node.get_node_names_and_namespaces()
-        if name != "probe"
-    })
-
-
-node.create_timer(0.5, look)
-# Endpoints become known one by one: the picture is complete when it stays the same for a while.
-while not (set(looks[-1]) >= set(sys.argv[1:]) and len(looks) > 4 and all(each == looks[-1] for each in looks[-5:])):
-    rclpy.spin_once(node)
-print(json.dumps(looks[-1]))
-"""
-"""Prints which topics of DDS each node publishes and hears, as DDS calls them, once it knows all that are named."""
-
 
 def fleet_of(plane: str, domain: int, folder: Path) -> LoadedFleet:
     """Return a fleet in a namespace with all kinds of nodes, but for a discovery server."""
@@ -278,10 +248,25 @@ def used_by_nodes(loaded: LoadedFleet, folder: Path) -> dict[str, Endpoints]:
         for name, unit in units.items():
             assert unit.said(b"READY=1", b"WATCHDOG=1"), f"{name}: {unit.complaint()}"
         environment = {**os.environ, **variables(bundle / "nodes/operator.env"), "ROS_LOG_DIR": str(folder / "ros")}
-        printed = subprocess.check_output([sys.executable, "-c", PROBE, *names], env=environment)
+        with started_client(environment, "stock_node") as client:
+            found = settled(client, names)
         assert set(ended(units)) == {0}
-    found: dict[str, Endpoints] = json.loads(printed)
-    assert set(found) == set(names)
+    return found
+
+
+def settled(client: Client, names: Collection[str]) -> dict[str, Endpoints]:
+    """Return the endpoints of all nodes as DDS calls them, once they are known: they become so one by one."""
+    found: dict[str, Endpoints] = {}
+    changed = time.monotonic()
+
+    def known() -> bool:
+        nonlocal found, changed
+        before, found = found, {name: client.topics(name, "/hall", True) for name in client.nodes()}
+        if found != before:
+            changed = time.monotonic()
+        return found.keys() == set(names) and time.monotonic() - changed > 2.0
+
+    until(known, "the same endpoints have been known for a while")
     return found
 
 
@@ -306,11 +291,11 @@ def differences(used: dict[str, Endpoints], rights: dict[str, Rights]) -> dict[s
     """Return, by node, the endpoints without a right, and the rights without an endpoint."""
     found = {}
     for name, has in rights.items():
-        for what, granted in (("publish", has.publish), ("subscribe", has.subscribe)):
+        for what, granted in (("publishes", has.publish), ("hears", has.subscribe)):
             topics = {*used[name][what], DISCOVERY_INFO}
             lacking = [t for t in topics if not any(fnmatch.fnmatchcase(t, right) for right in granted)]
             idle = [right for right in granted if not any(fnmatch.fnmatchcase(t, right) for t in topics)]
-            texts = [f"cannot {what} {t}" for t in lacking] + [f"may {what} {right} for nothing" for right in idle]
+            texts = [f"{what} {t} without a right" for t in lacking] + [f"no longer {what} {right}" for right in idle]
             found[name] = sorted(found.get(name, []) + texts)
     return {name: texts for name, texts in found.items() if texts}
 

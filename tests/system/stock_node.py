@@ -39,12 +39,16 @@ class StockNode:
 
     def graph(self, node: str) -> dict[str, list[str]]:
         """Return what a node hears, publishes and serves."""
+        services = self.node.get_service_names_and_types_by_node(node, "/")
+        return {**self.topics(node, "/", False), "serves": sorted(name for name, _ in services)}
+
+    def topics(self, node: str, namespace: str, of_dds: bool) -> dict[str, list[str]]:  # noqa: FBT001 - as rclpy has it
+        """Return what a node hears and publishes, by the names of ROS or of DDS."""
         names = (
             ("hears", self.node.get_subscriber_names_and_types_by_node),
             ("publishes", self.node.get_publisher_names_and_types_by_node),
-            ("serves", self.node.get_service_names_and_types_by_node),
         )
-        return {kind: sorted(name for name, _ in find(node, "/")) for kind, find in names}
+        return {kind: sorted(name for name, _ in find(node, namespace, of_dds)) for kind, find in names}
 
     def offered(self, topic: str) -> list[list[str]]:
         """Return reliability and durability that the publishers of a topic offer."""
