@@ -34,6 +34,7 @@ from swarmabs_ros import managed as managed_module, realtime_runner, status
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec, diagnostic_array, one_line
 from swarmabs_ros.parameters import declare_values
+from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.realtime_runner import SWITCH_INTERVAL, Server, lock_memory, run_realtime, schedule_threads
 from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import REPORT_FD, START_FD, Heartbeat, StatusChannel, epoch_records, notify
@@ -136,6 +137,23 @@ def test_a_node_that_fails_is_halted_and_says_why(told: Told, capfd: pytest.Capt
     assert told.reports[1][1]["reason"] == "the plane turns over"
     assert "error: the plane turns over" in capfd.readouterr().err
     assert "STATUS=inactive" in told.notices
+
+
+def test_a_process_whose_node_does_not_halt_says_so_and_ends(
+    told: Told, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    released, exits = threading.Event(), list[int]()
+    monkeypatch.setattr(realtime_runner, "RealtimeLoop", partial(RealtimeLoop, halts_within=0.3))
+    monkeypatch.setattr(os, "_exit", lambda code: (exits.append(code), released.set()))
+    node = Ticking(told, tick_3=terminate)
+    monkeypatch.setattr(node, "halt", lambda: released.wait(10.0))
+    assert realtime(node) == 1
+    assert exits == [1]
+    reason = "halting has not ended within 0.3 s: a drive's stop() hangs, or a step before it; this process ends, and "
+    reasons = {details["reason"] for event, details in told.reports if event == "failed"}
+    assert [text.startswith(reason) for text in reasons] == [True]
+    assert any(text.startswith(f"STATUS={reason}") for text in told.notices)
+    assert capfd.readouterr().err.count(f"error: {reason}") == 2, "of the watchdog, and of what lives on here"
 
 
 @pytest.mark.parametrize("named", ["drive", "use_sim_time", "await_epoch"])
@@ -415,6 +433,9 @@ def test_what_fails_is_told_and_leaves_a_state_that_is_known(
     assert (managed.node.state, managed.node.failure) == (state, HUNG)
     assert managed.loop.asked == told
     assert managed.node.health()[:2] == (Level.ERROR, f"{state} after an error: the drive hangs")
+    managed.loop.error = None
+    if state == "unconfigured":
+        assert managed.node.bring_up() and managed.node.failure is None
 
 
 def test_gains_are_set_until_the_node_is_active_and_used_from_its_activation_on(managed: Managed) -> None:
