@@ -16,7 +16,7 @@ from swarmabs_config.graph import Qos
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Message, Messages, PlaneState, Topic
-from swarmabs_ros.lockstep import FIRST, LONGEST, SLICE, WINDOW, Lockstep, NodeSpec, Repeater
+from swarmabs_ros.lockstep import FIRST, LONGEST, SLICE, WINDOW, Lockstep, NodeSpec, Repeater, RunningClock
 
 
 def silence(repeater: Repeater, now: float, count: int) -> list[tuple[float, int]]:
@@ -138,7 +138,7 @@ class Bench:
             {DESIRED_ABSTRACT_STATE: cast("Any", Outbox(DESIRED_ABSTRACT_STATE, self._publish))},
             cast("Any", self.reports),
             stall_timeout=stall_timeout,
-            clock=lambda: self.now,
+            clock=RunningClock(lambda: self.now),
         )
 
     def _publish(self, topic: Topic, data: bytes) -> None:
@@ -203,6 +203,16 @@ def test_stalls_and_recoveries_are_reported(
         else ("stalled", {"step": step, "missing": ("plane_sim",), "count": 1, "silence": silence})
         for step in reports
     ]
+
+
+@pytest.mark.parametrize(("until", "events"), [(93.0, []), (96.0, ["stalled"])])
+def test_nobody_is_silent_while_the_whole_run_is_stopped(until: float, events: list[str]) -> None:
+    def stop_once() -> None:
+        bench.now += 90.0 if 2.0 < bench.now < 3.0 else 0.0
+
+    bench = Bench(Follower(), [0.01], on_idle=stop_once)
+    bench.run(until)
+    assert bench.events() == events
 
 
 def test_what_is_silent_after_an_answer_to_a_stall_is_a_stall_of_its_own() -> None:

@@ -78,6 +78,24 @@ class NodeSpec:
     hear: Callable[[Topic, bytes], Messages] | None = None
 
 
+class RunningClock:
+    """Time, s, for which a process has run: while all of a run is stopped (SIGSTOP, a debugger), nobody is silent.
+
+    Between two readings of a steady clock at most `LONGEST` counts; a node that waits reads it every `SLICE`.
+    """
+
+    def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
+        self._steady = steady
+        self._read, self._time = steady(), 0.0
+
+    def __call__(self) -> float:
+        """Return the time since the first reading."""
+        now = self._steady()
+        self._time += min(now - self._read, LONGEST)
+        self._read = now
+        return self._time
+
+
 class Repeater:
     """Decides on repetitions from the times at which there was progress, s, of any clock that does not jump.
 
@@ -132,7 +150,7 @@ class Lockstep:
     """Takes what the behaviour awaits, publishes what it answers, repeats itself when nothing comes.
 
     Stalls are reported to `status`: silence of `stall_timeout`, s; 0 for never. Repetitions are as of `Repeater`. The
-    time is that of `clock`, s, which does not jump; `sleep` lets so many s of it pass.
+    time is that of `clock`, s, by default a `RunningClock`; `sleep` lets so many s of it pass.
     """
 
     def __init__(
@@ -145,10 +163,10 @@ class Lockstep:
         stall_timeout: float,
         repeat_after: float = FIRST,
         repeat_steps: int = WINDOW,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._clock, self._sleep = clock, sleep
+        self._clock, self._sleep = clock or RunningClock(), sleep
         self._spec = spec
         self._behaviour = spec.behaviour
         self._receiver = receiver
