@@ -1,7 +1,9 @@
 // The abstract state, torque and inertia, with its manifold and the sets A_A and A_P.
 import { colours, prepared, short, ticks } from "./drawing.js";
 
-const LEFT = 52;
+const FONT = "11px system-ui, sans-serif";
+const LEFT = 52; // px of the labels on the left and their title, at least
+const TITLE = 26; // px of it for the title, ticks and gaps
 const BOTTOM = 34;
 const TOP = 10;
 const RIGHT = 12;
@@ -11,6 +13,7 @@ export class AbstractView {
   constructor(canvas) {
     this.canvas = canvas;
     this.near = true;
+    this.left = LEFT;
   }
 
   bounds(hello, frame, trail, near) {
@@ -44,12 +47,14 @@ export class AbstractView {
     const { context, width, height } = prepared(this.canvas);
     const colour = colours();
     const trail = this.trail(curves, frame.time);
-    const box = { x: LEFT, y: TOP, w: width - LEFT - RIGHT, h: height - TOP - BOTTOM };
     const shown = this.bounds(hello, frame, trail, this.near);
+    const inertias = ticks(shown[2], shown[3], Math.max(2, height / 60));
+    context.font = FONT;
+    this.left = Math.max(this.left, TITLE + Math.ceil(Math.max(0, ...inertias.map((one) => context.measureText(one).width))));
+    const box = { x: this.left, y: TOP, w: width - this.left - RIGHT, h: height - TOP - BOTTOM };
     const at = this.mapping(box, shown);
     this.contents(context, hello, frame, trail, colour, box, at, shown);
-    const [left, right, low, high] = shown;
-    this.axes(context, colour, at, { left, right, low, high, width, height });
+    this.axes(context, colour, at, box, shown, inertias);
     if (this.near && hello.manifold && trail.length) {
       this.inset(context, hello, frame, trail, colour, box, shown, at);
     }
@@ -168,22 +173,23 @@ export class AbstractView {
     context.stroke();
   }
 
-  axes(context, colour, at, { left, right, low, high, width, height }) {
-    context.font = "11px system-ui, sans-serif";
+  axes(context, colour, at, { x: begin, y: top, w, h }, [left, right, low], inertias) {
+    context.font = FONT;
     context.lineWidth = 1;
     context.strokeStyle = colour.line;
     context.fillStyle = colour.quiet;
     context.textAlign = "center";
-    for (const torque of ticks(left, right, Math.max(2, width / 80))) {
+    for (const torque of ticks(left, right, Math.max(2, w / 60))) {
       const [x, y] = at(torque, low);
       context.beginPath();
       context.moveTo(x, y);
       context.lineTo(x, y + 4);
       context.stroke();
-      context.fillText(String(torque), x, y + 15);
+      const text = String(torque);
+      context.fillText(text, Math.min(x, begin + w + RIGHT - context.measureText(text).width / 2), y + 15);
     }
     context.textAlign = "right";
-    for (const inertia of ticks(low, high, Math.max(2, height / 60))) {
+    for (const inertia of inertias) {
       const [x, y] = at(left, inertia);
       context.beginPath();
       context.moveTo(x, y);
@@ -192,13 +198,13 @@ export class AbstractView {
       context.fillText(String(inertia), x - 6, y + 4);
     }
     context.textAlign = "center";
-    context.fillText("torque, N m", LEFT + (width - LEFT - RIGHT) / 2, height - 4);
+    context.fillText("torque, N m", begin + w / 2, top + h + BOTTOM - 4);
     context.save();
-    context.translate(11, TOP + (height - TOP - BOTTOM) / 2);
+    context.translate(11, top + h / 2);
     context.rotate(-Math.PI / 2);
     context.fillText("inertia, kg m²", 0, 0);
     context.restore();
-    context.strokeRect(LEFT, TOP, width - LEFT - RIGHT, height - TOP - BOTTOM);
+    context.strokeRect(begin, top, w, h);
   }
 
   marks(context, frame, colour, at) {

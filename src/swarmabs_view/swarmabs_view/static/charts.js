@@ -23,6 +23,7 @@ const CHARTS = [
   { place: "chart-inertia", title: "inertia error, kg m²", lines: [{ label: "desired − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
 ];
 const POSITIONS = "chart-positions";
+const BANDS = [[5, 1, "22"], [4, 2, "33"]]; // of the positions: series above, series below, opacity
 const FLAG = 16; // px above a chart, for the marks of events
 const MOST_NAMED = 12; // robots named in the legend of the positions
 
@@ -49,7 +50,6 @@ export class Charts {
   constructor(seek) {
     this.seek = seek;
     this.curves = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
-    this.steepest = 0; // the largest angle, rad
     this.drawn = 0;
     this.stale = false;
     this.zoom = null; // the range chosen by dragging, { min, max } in s, until a double click
@@ -76,7 +76,7 @@ export class Charts {
       plot.destroy();
     }
     const sync = window.uPlot.sync("time");
-    this.plots = [...CHARTS, this.positionsChart()].map(({ place, title, lines, data, named }) => {
+    this.plots = [...CHARTS, this.positionsChart()].map(({ place, title, lines, data, named, bands }) => {
       const node = document.getElementById(place);
       const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: FONT, values: (_, splits, axis, space, increment) => labels(splits, increment) };
       data ??= () => [this.curves.time, ...lines.map((one) => one.of(this.curves))];
@@ -93,6 +93,7 @@ export class Charts {
             { label: "time, s", value: (_, time) => (time === null ? "--" : String(Number(time.toPrecision(9)))) },
             ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: 1.6, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
           ],
+          bands: bands?.map(([high, low, opacity]) => ({ series: [high, low], fill: colour.angle + opacity })),
           cursor: { sync: { key: sync.key }, drag: { x: true, y: false } },
           hooks: { setScale: [(one, key) => key === "x" && this.zoomed(one)], draw: [(one) => this.place(one), (one) => this.flags(one, colour)] },
         },
@@ -120,7 +121,7 @@ export class Charts {
     const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
     const lines = labels.map((label) => ({ label, colour: bands ? "angle" : kinds.get(label) === "double_integrator" ? "di" : "si", dash: { lowest: [2, 3], highest: [2, 3], "10 %": [6, 4], "90 %": [6, 4] }[label] }));
     const title = bands ? "positions, m: median, 10 and 90 %, lowest and highest" : "positions, m";
-    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, data: () => [this.positions.time, ...this.positions.lines] };
+    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, bands: bands ? BANDS : undefined, data: () => [this.positions.time, ...this.positions.lines] };
   }
 
   hello(message) {
@@ -150,20 +151,15 @@ export class Charts {
   // Marks of events above a chart, at most one per pixel, each with a faint line down.
   flags({ ctx, bbox, valToPos, scales, root }, colour) {
     const ratio = window.devicePixelRatio || 1;
-    const seen = new Set();
     const shown = this.events.filter(({ time }) => time >= scales.x.min && time <= scales.x.max);
+    const marks = shown.sort((one, other) => one.time - other.time).map((event) => ({ ...event, x: Math.round(valToPos(event.time, "x", true)) }));
+    const apart = marks.filter(({ x }, index) => x !== marks[index - 1]?.x);
     const named = root.parentElement.id === CHARTS[0].place;
-    let free = -Infinity;
     ctx.save();
     ctx.font = `${11 * ratio}px system-ui, sans-serif`;
     ctx.textAlign = "left";
     ctx.setLineDash([]);
-    for (const { time, kind, agent } of shown) {
-      const x = Math.round(valToPos(time, "x", true));
-      if (seen.has(x)) {
-        continue;
-      }
-      seen.add(x);
+    apart.forEach(({ x, kind, agent }, index) => {
       const [y, size] = [bbox.top, 5 * ratio];
       ctx.beginPath();
       ctx.moveTo(x, y);
@@ -184,12 +180,11 @@ export class Charts {
       ctx.globalAlpha = 1;
       const text = `${agent ? `${agent} ` : ""}${kind.replaceAll("_", " ").toLowerCase()}`;
       const end = x + 2 * size + ctx.measureText(text).width;
-      if (named && x - size > free && end < bbox.left + bbox.width) {
+      if (named && end < Math.min(bbox.left + bbox.width, (apart[index + 1]?.x ?? Infinity) - size)) {
         ctx.fillStyle = colour.quiet;
         ctx.fillText(text, x + 1.4 * size, y - 3 * ratio);
-        free = end;
       }
-    }
+    });
     ctx.restore();
   }
 
@@ -246,8 +241,6 @@ export class Charts {
         }
       }
     }
-    const largest = [...message.angle, ...message.reference].reduce((most, one) => Math.max(most, Math.abs(one ?? 0)), 0);
-    this.steepest = message.replace ? largest : Math.max(this.steepest, largest);
     this.stale = true;
     if (message.replace) {
       this.drawn = 0;

@@ -74,6 +74,12 @@ function greet(message) {
   robots.hello(message);
   charts.hello(message);
   fitted(plane.crowded(message));
+  for (const [group, hidden] of [["each", plane.crowded(message)], ["crowd", !plane.crowded(message)]]) {
+    document.querySelectorAll(`.legend .${group}`).forEach((item) => {
+      item.hidden = hidden;
+    });
+  }
+  element("processes-panel").hidden = message.source === "bag";
   processes.take({ processes: [] });
   if (same) {
     controls.resume(before);
@@ -122,7 +128,7 @@ function draw(now) {
   }
   numbers.draw(hello, frame, state.playing ?? state.phase === "running");
   events.draw(frame);
-  plane.draw(hello, frame, charts.steepest);
+  plane.draw(hello, frame);
   abstract.draw(hello, frame, charts.curves);
   charts.draw(now, frame.time);
   dirty = !robots.draw(now, frame);
@@ -145,7 +151,7 @@ function fitted(fit) {
   const button = element("fit");
   button.setAttribute("aria-pressed", String(fit));
   button.textContent = fit ? "Whole plane" : "Fit to swarm";
-  const robots = plane.crowded(hello) ? "bars: robots per interval; red: not following" : "area proportional to mass; robots that left are not drawn";
+  const robots = plane.crowded(hello) ? "bars: robots per interval" : "area proportional to mass; robots that left are not drawn";
   element("drawn").textContent = robots;
   redraw();
 }

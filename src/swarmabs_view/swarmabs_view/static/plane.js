@@ -7,6 +7,19 @@ const CROWD = 60; // above this number of robots, draw their density
 const BINS = 48;
 const NEAR = 5; // px around a robot within which the pointer selects it
 
+const LABELS = 48; // px between two labels of the edge
+const DASHES = 1.04; // where horizontal and reference begin, in half lengths from the middle of the edge
+
+// A size that the picture leaves room for: it changes only when more is needed, or much less.
+function settled(held, needed) {
+  return held >= needed && held <= 2 * needed ? held : 1.25 * needed;
+}
+
+// The height of a plane of length 1 at an angle, rad.
+function rise(angle) {
+  return Math.sin(Math.min(Math.abs(angle ?? 0), Math.PI / 2));
+}
+
 export class PlaneView {
   constructor(canvas) {
     this.canvas = canvas;
@@ -30,23 +43,19 @@ export class PlaneView {
     if (hello.plane && !this.fit) {
       return hello.plane.length / 2;
     }
-    const needed = Math.min(Math.max(1.2 * far, 0.02), hello.plane ? hello.plane.length / 2 : Infinity);
-    if (!(this.far >= needed && this.far <= 2 * needed)) {
-      this.far = needed; // it changes only when the swarm grows, or has shrunk to half
-    }
-    return this.far;
+    this.far = settled(this.far, Math.max(far, 0.02));
+    return Math.min(this.far, hello.plane ? hello.plane.length / 2 : Infinity);
   }
 
-  // `steepest` is the largest angle so far, rad; the scale leaves room for it.
-  draw(hello, frame, steepest) {
+  draw(hello, frame) {
     const { context, width, height } = prepared(this.canvas);
     const colour = colours();
     const half = this.halfLength(hello, frame);
     const angle = frame.angle ?? 0;
     const deep = { x: 0.1 * width, y: 0.4 * height };
-    const rise = Math.sin(Math.min(Math.max(steepest, Math.abs(angle)), Math.PI / 2));
+    this.rise = settled(this.rise, Math.max(rise(angle), rise(frame.reference), 0.01));
     const crowded = this.crowded(hello);
-    const scale = Math.min(0.36 * width, (0.22 * height) / Math.max(rise, 0.01)) / half;
+    const scale = Math.min(0.36 * width, (0.22 * height) / Math.min(this.rise, 1)) / half;
     const [cx, cy] = [0.5 * width, 0.52 * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
     // From metres along the plane and depth (0 near, 1 far) to the screen.
@@ -88,9 +97,15 @@ export class PlaneView {
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
     const below = 18 + 16 * Math.abs(Math.sin(angle)); // px from the edge
-    for (const p of ticks(-half, half, Math.min(6, (2 * half * scale) / 60)).filter((one) => one !== 0 && Math.abs(one) < 0.97 * half)) {
+    const [middle, edge] = at(0, 0);
+    for (const p of ticks(-half, half, Math.min(6, (2 * half * scale) / LABELS)).filter((one) => one !== 0)) {
       const [x, y] = at(p, 0);
-      context.fillText(`${short(p, 2)} m`, x + below * Math.sin(angle), y + below * Math.cos(angle));
+      const [left, bottom] = [x + below * Math.sin(angle), y + below * Math.cos(angle)];
+      const text = `${p} m`;
+      // Inside the circle beyond which the dashes begin, no label meets them.
+      if (Math.hypot(Math.abs(left - middle) + context.measureText(text).width / 2, bottom - edge) < DASHES * half * scale) {
+        context.fillText(text, left, bottom);
+      }
     }
 
     if (crowded) {
@@ -119,7 +134,7 @@ export class PlaneView {
       context.beginPath();
       for (const side of [-1, 1]) {
         const along = [side * Math.cos(angle) * half * scale, -side * Math.sin(angle) * half * scale];
-        context.moveTo(x + 1.04 * along[0], y + 1.04 * along[1]);
+        context.moveTo(x + DASHES * along[0], y + DASHES * along[1]);
         context.lineTo(x + 1.24 * along[0], y + 1.24 * along[1]);
       }
       context.stroke();
