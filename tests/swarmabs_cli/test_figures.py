@@ -99,7 +99,7 @@ def test_files_go_beside_the_bag_and_replace_reports_only(bag: Path) -> None:
     assert again.err.count("replaced an earlier report") == 2
     assert (page.read_bytes(), overview.read_bytes()) == first
     page.write_text("mine")
-    assert "report.html exists and is no report; name another file" in refused("report", "run")
+    assert "report.html exists and is not a report; name another file" in refused("report", "run")
 
 
 def test_named_files_and_folders(here: Path, bag: Path) -> None:
@@ -108,7 +108,7 @@ def test_named_files_and_folders(here: Path, bag: Path) -> None:
     ran("report", bag, "-o", "new/folder", "--png", "two.png")
     assert names(here) == sorted([*before, "new/folder/report.html", "one.html", "two.png"])
     assert "both name same" in refused("report", bag, "--html", "same", "--png", "same")
-    assert "is no folder" in refused("report", bag, "-o", "one.html")
+    assert "is not a folder" in refused("report", bag, "-o", "one.html")
 
 
 @pytest.mark.system

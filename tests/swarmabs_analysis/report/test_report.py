@@ -246,7 +246,7 @@ def test_timing_of_another_run_is_not_taken(tmp_path: Path) -> None:
         (tmp_path / "summary.json").write_text(json.dumps(summary))
         recorded = read_recorded(tmp_path)
         assert recorded.summary is None
-        assert "it is of another run" in recorded.summary_note
+        assert "another run" in recorded.summary_note
     summary = {"digest": recorded.metrics["digest"], "wall_time": 3.5, "real_time_factor": 0.2}
     shown = {"Wall time": 3.5, "Stepping": 2.0, "Speed": 20.0}
     for more, rows in (({}, {"Rest": 1.5}), ({"setup_time": 0.5, "startup_time": 0.7}, {"Set-up": 0.5, "Rest": 0.3})):
@@ -311,7 +311,7 @@ def test_two_hundred_robots(tmp_path: Path) -> None:
     assert len(report.html) < 600_000
     # What the pictures tell to those who do not see them, by heading.
     labels = dict((attributes["aria-label"] or "").split(". ", 1) for tag, attributes in page.tags if tag == "svg")
-    assert "Where the mass of the robots is" in labels
+    assert "Mass density of the robots" in labels
     assert "positions of 200 robots" in labels["Positions of the robots"]
     assert any(tag == "image" for tag, _ in page.tags)
 

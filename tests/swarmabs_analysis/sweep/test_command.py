@@ -39,7 +39,7 @@ def test_what_a_crash_has_torn_is_cut_off(tmp_path: Path, torn: bytes) -> None:
 def test_another_writer_is_refused_and_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with SweepFolder(tmp_path) as folder:
         folder.add(FIRST)
-        with pytest.raises(InputError, match="is being written by another sweep"), SweepFolder(tmp_path):
+        with pytest.raises(InputError, match="is in use by another sweep"), SweepFolder(tmp_path):
             pass
 
         def full(descriptor: int, content: bytes) -> None:
@@ -47,7 +47,7 @@ def test_another_writer_is_refused_and_a_full_disk_is_named(tmp_path: Path, monk
 
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", full)
-            with pytest.raises(RunError, match=r"cases\.jsonl: No space left on device; free space, then go on"):
+            with pytest.raises(RunError, match=r"cases\.jsonl: No space left on device; free space"):
                 folder.add(SECOND)
             patch.setattr(os, "fsync", lambda descriptor: full(descriptor, b""))
             with pytest.raises(RunError, match=r"summary\.json: "):
@@ -62,15 +62,15 @@ def test_new_folder_holds_the_sweep_and_no_other(study: Study, small: Path, tmp_
     assert (folder.path / "sweep.yaml").read_text() == study.sweep_text
     assert (folder.path / "scenario.yaml").read_text() == study.scenario
     assert find_folder(study, folder.path).path == folder.path
-    with pytest.raises(InputError, match="holds a sweep already; go on with it with --resume"):
+    with pytest.raises(InputError, match="already contains a sweep; continue it with --resume"):
         make_folder(study, folder.path, tmp_path)
     made = [make_folder(study, None, tmp_path / "runs").path.name for _ in range(2)]
     assert made == ["small-001", "small-002"]
     # Another sweep is not gone on with.
     small.write_text(small.read_text().replace("seed: 7", "seed: 8"))
-    with pytest.raises(InputError, match=r"holds another sweep: sweep\.yaml differs from line 11 on"):
+    with pytest.raises(InputError, match=r"contains another sweep: sweep\.yaml differs from line 11 on"):
         find_folder(load_sweep(small), folder.path)
-    with pytest.raises(InputError, match=r"holds another sweep: scenario\.yaml differs from line"):
+    with pytest.raises(InputError, match=r"contains another sweep: scenario\.yaml differs from line"):
         find_folder(load_sweep(small, ["plane.inertia=1"]), folder.path)
     (folder.path / "sweep.yaml").unlink()
     with pytest.raises(InputError, match=r"sweep\.yaml cannot be read: No such file"):
@@ -98,7 +98,7 @@ class Here(Executor):
     end: type[BaseException] = KeyboardInterrupt
 
     def __init__(self, jobs: int | None = None) -> None:
-        super().__init__(f"{jobs} processes here")
+        super().__init__(f"{jobs} local processes")
 
     def compute(self, tasks: Iterator[Task], idle: Callable[[], None]) -> Iterator[str]:
         for number, task in enumerate(tasks):
@@ -136,7 +136,7 @@ def test_a_sweep_has_a_row_for_each_case_as_simulate_runs_it(here: type[Here], s
     assert found["cases_per_second"] > 0 < found["wall_time"]
     assert found["cases"] == found["finished"] == found["computed"] == CASES
     told = [found[key] for key in ("sweep", "engine", "status", "reason")]
-    assert told == ["small", "3 processes here", "ok", None]
+    assert told == ["small", "3 local processes", "ok", None]
     assert found["outcomes"] == {"settled": 3, "unsettled": 18, "off_plane": 3, "failed": 12, "refused": 0}
     assert names(tmp_path / "s") == FILES
     table = pq.read_table(tmp_path / "s" / "results.parquet").to_pylist()
@@ -153,7 +153,7 @@ def test_a_sweep_has_a_row_for_each_case_as_simulate_runs_it(here: type[Here], s
 @pytest.mark.parametrize(
     ("end", "status", "reason"),
     [
-        (KeyboardInterrupt, "interrupted", "interrupted; go on with --resume"),
+        (KeyboardInterrupt, "interrupted", "interrupted; continue with --resume"),
         (RunError, "failed", "no worker is left"),
     ],
 )
@@ -173,11 +173,11 @@ def test_a_sweep_that_was_stopped_goes_on_and_ends_as_if_it_had_not_been(
 
     again = sweep(small, "-o", folder, cwd=tmp_path)
     assert (again.code, again.err.count("\n")) == (2, 1)
-    assert "holds a sweep already; go on with it with --resume, or name another folder" in again.err
+    assert "already contains a sweep; continue it with --resume, or name another folder" in again.err
     text = small.read_text()
     small.write_text(text.replace("seed: 7", "seed: 8"))
     other = sweep(small, "-o", folder, "--resume", cwd=tmp_path)
-    assert (other.code, "holds another sweep: sweep.yaml differs from line" in other.err) == (2, True)
+    assert (other.code, "contains another sweep: sweep.yaml differs from line" in other.err) == (2, True)
     assert (summary(folder), finished(folder)) == (found, 5)
 
     small.write_text(text)
@@ -234,7 +234,7 @@ def test_an_ended_process_leaves_no_worker(start: Start, small: Path, tmp_path: 
         assert names(folder) == {"cases.jsonl", "scenario.yaml", "sweep.yaml"}
     else:
         assert (process.returncode, "Traceback" in err) == (1, False)
-        assert err.endswith("error: interrupted; go on with --resume\n")
+        assert err.endswith("error: interrupted; continue with --resume\n")
         assert (summary(folder)["status"], summary(folder)["finished"]) == ("interrupted", done)
     resumed = start(small, "-o", folder, "--resume", "--json")
     out, _ = resumed.communicate()

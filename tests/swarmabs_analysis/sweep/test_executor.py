@@ -16,7 +16,7 @@ from tests.swarmabs_analysis.sweep.conftest import Start, finished, summary, wor
 
 import swarmabs_core
 from swarmabs_analysis.sweep.evaluate import Task, evaluate
-from swarmabs_analysis.sweep.executor import ATTEMPTS, SOURCES, Identity, LocalExecutor, identity, stranger
+from swarmabs_analysis.sweep.executor import ATTEMPTS, SOURCES, Identity, LocalExecutor, different_worker, identity
 from swarmabs_analysis.sweep.study import Study
 from swarmabs_core.errors import RunError
 
@@ -44,7 +44,7 @@ def test_rows_are_those_of_the_cases_whoever_computes_them(executor: LocalExecut
     assert loopback == {"127.0.0.1"}
     found = sorted([*found, *rows], key=lambda line: json.loads(line)["case"])
     assert found == [evaluate(task) for task in tasks]
-    assert LocalExecutor().description == f"{len(os.sched_getaffinity(0))} processes here"
+    assert LocalExecutor().description == f"{len(os.sched_getaffinity(0))} local processes"
 
 
 @pytest.mark.system
@@ -75,14 +75,14 @@ def test_case_that_kills_its_workers_is_given_up_and_no_other(executor: LocalExe
     found = [json.loads(line) for line in executor.compute(iter(tasks), kill)]
     assert len(killed) == ATTEMPTS
     assert [row["case"] for row in found if row["status"] == "failed"] == [0]
-    assert found[-1]["reason"] == "3 worker processes died of it"
+    assert found[-1]["reason"] == "3 worker processes died while computing it"
     assert {row["case"] for row in found} == {0, 1, 2, 3}
 
 
 @pytest.mark.system
 def test_failed_worker_ends_the_sweep(executor: LocalExecutor, study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONHOME", "/nowhere")
-    with pytest.raises(RunError, match=r"worker processes do not start: .*; try fewer with --jobs"):
+    with pytest.raises(RunError, match=r"worker processes did not start: .*; try fewer with --jobs"):
         list(executor.compute(iter([study.task(0)]), lambda: None))
 
 
@@ -108,10 +108,11 @@ def test_the_same_sources_elsewhere_are_the_same_and_any_change_is_another(tmp_p
 
 def test_another_version_or_other_sources_are_named_with_the_worker_and_another_library_is_not() -> None:
     for theirs in (MINE._replace(version="0.0.9"), MINE._replace(sources="bbbb")):
-        assert stranger(MINE, {"tcp://a:1": MINE, "tcp://b:2": theirs}) == (
-            f"worker tcp://b:2 has swarmabs {theirs.version}, sources {theirs.sources}, and this is 0.1.0, sources aaaa"
+        assert different_worker(MINE, {"tcp://a:1": MINE, "tcp://b:2": theirs}) == (
+            f"worker tcp://b:2 has swarmabs {theirs.version}, sources {theirs.sources}, but this process has 0.1.0,"
+            " sources aaaa"
         )
-    assert stranger(MINE, {"tcp://a:1": MINE._replace(libm="dddd")}) is None
+    assert different_worker(MINE, {"tcp://a:1": MINE._replace(libm="dddd")}) is None
 
 
 class Cluster:
@@ -193,7 +194,7 @@ def test_a_worker_that_is_killed_costs_nothing_and_a_lost_scheduler_leaves_a_fol
     local.communicate()
     assert local.returncode == 0
     if lost == "scheduler":
-        assert "; go on with --resume" in err.splitlines()[-1]
+        assert "; continue with --resume" in err.splitlines()[-1]
         assert summary(tmp_path / "remote")["computed"] < 36
         return
     assert summary(tmp_path / "remote")["engine"] == f"Dask workers at {cluster.address}"

@@ -172,7 +172,7 @@ def test_region_has_the_colours_of_the_outcomes_and_is_the_same_each_time(tmp_pa
     for colour, label in LOOKS.values():
         assert share(colour, files["region.png"]) > 0.0
         assert label in files["region.svg"].decode()
-    assert "estimate printed in the paper" in files["region.svg"].decode()
+    assert "estimate as printed in the paper" in files["region.svg"].decode()
 
 
 def test_estimates_hold_for_one_swarm_only_and_a_field_has_the_colour_of_its_worst_case(tmp_path: Path) -> None:

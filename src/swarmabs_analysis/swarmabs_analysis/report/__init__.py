@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 
 _HEAD = 2048
-"""Bytes at the beginning of a file within which a report says that it is one."""
+"""Bytes at the beginning of a file that contain the mark of a report."""
 _MARKS = (f'content="{GENERATOR}"'.encode(), PNG_MARK.encode())
 
 
 class Report:
-    """A report, not written yet. What of it is asked for is drawn then, and once.
+    """A report that is not written yet. Each part is drawn once, on first access.
 
     Attributes
     ----------
     bag : Path
-        The bag that it is of.
+        The bag it describes.
     numbers : dict
-        What the page is about, for JSON.
+        The figures of the page, for JSON.
     """
 
     def __init__(self, recorded: Recorded) -> None:
@@ -57,14 +57,14 @@ class Report:
 
 
 def make_report(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Report:
-    """Make the report of a bag: a run's folder, its ``bag/``, or an MCAP file; of several swarms in it, of one.
+    """Make the report of a bag: a run folder, its ``bag/``, or an MCAP file.
 
-    `scenario` names that of a bag without one.
+    `namespace` selects a swarm if the bag contains several; `scenario` supplies the one that a bag lacks.
 
     Raises
     ------
     InputError
-        If it is no bag of a swarm, or holds no valid scenario.
+        If it is not the bag of a swarm, or contains no valid scenario.
     DamagedBagError
         If it cannot be read.
     """
@@ -91,7 +91,7 @@ def _numbers(recorded: Recorded) -> dict[str, Any]:
 
 
 def default_folder(bag: Path) -> Path:
-    """Return the folder of the run that a bag is of, or the one in which a lone MCAP file lies.
+    """Return the run folder of a bag, or the folder that contains a single MCAP file.
 
     Raises `NotABagError` if there is no bag.
     """
@@ -100,15 +100,15 @@ def default_folder(bag: Path) -> Path:
 
 
 def check_target(path: Path) -> None:
-    """Refuse by an `InputError` what is no earlier report, or cannot be written, before anything is computed."""
+    """Raise `InputError` for a file that is not an earlier report or cannot be written, before anything is computed."""
     try:
         if path.exists() and not _is_report(path):
             raise InputError(
-                f"{path} exists and is no report; name another file with --html or --png, or a folder with -o"
+                f"{path} exists and is not a report; name another file with --html or --png, or a folder with -o"
             )
         folder = next(parent for parent in path.absolute().parents if parent.exists())
         if not folder.is_dir():
-            raise InputError(f"{folder} is no folder; name another one with -o")
+            raise InputError(f"{folder} is not a folder; name another one with -o")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{folder} cannot be written; choose another folder with -o")
     except (OSError, ValueError) as error:
@@ -117,7 +117,7 @@ def check_target(path: Path) -> None:
 
 
 def write_file(path: Path, content: bytes) -> bool:
-    """Write a file of a report, whole or not at all (`RunError`); return whether it replaced an earlier one."""
+    """Write a file of a report completely or not at all (`RunError`); return whether it replaced an earlier one."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replaced = path.exists()

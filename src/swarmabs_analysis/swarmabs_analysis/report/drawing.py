@@ -1,4 +1,4 @@
-"""How the panels of a report are drawn: over time, of all robots, in the abstract space."""
+"""Drawing functions for the panels of a report: over time, for all robots, in the abstract space."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     Dashes = str | tuple[int, tuple[int, float]]
 
 NAMED, MANY = 4, 20
-"""Most robots with a colour each, and with a line each."""
+"""Most robots with a label each, and with a line each."""
 ROWS = 40
-"""Most robots with a row each in the picture of the membership."""
+"""Most robots with a row each in the membership panel."""
 _DECADES = 30.0
-"""Ratio of the values from which on an axis is logarithmic."""
+"""Ratio of largest to smallest value above which an axis is logarithmic."""
 _FEW_MARKS, _MOST_MARKS = 12, 200
 _FINE, _COARSE = 241, 21
 _EVENT_COLOURS: Mapping[int, str] = {
@@ -46,11 +46,11 @@ _EVENT_COLOURS: Mapping[int, str] = {
     EventKind.SAFE_STOP: SAFE_STOP,
     EventKind.STALLED: FAILED,
 }
-"""Colours of the events that say who takes part; the others are grey."""
+"""Colours of the events that change which robots take part; the others are grey."""
 
 
 class Line(NamedTuple):
-    """A line over time: its name, its values at all steps or at some rows, how it looks."""
+    """A line over time: label, values at all steps or at `rows`, and style."""
 
     label: str
     values: Floats
@@ -60,7 +60,7 @@ class Line(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """A straight line across a panel: its name, where it is, how it looks."""
+    """A straight line across a panel: label, place and style."""
 
     label: str
     place: float
@@ -68,7 +68,7 @@ class Mark(NamedTuple):
     dashes: Dashes
 
     def look(self) -> dict[str, Any]:
-        """Return how it is drawn."""
+        """Return the keyword arguments for matplotlib."""
         return {"color": self.colour, "linestyle": self.dashes, "linewidth": 0.9, "label": self.label}
 
 
@@ -81,9 +81,9 @@ def lines_over_time(
     moment: Mark | None = None,
     positive: bool = False,
 ) -> Draw:
-    """Return what draws lines over time, with a value (`level`) and a time (`moment`, s) to mark.
+    """Return a function that draws lines over time and marks a value (`level`) and a time (`moment`, s).
 
-    With `positive`, only values above 0 are drawn, by decades if they ask for it.
+    With `positive`, only values above 0 are drawn, on a logarithmic axis if they span decades.
     """
 
     def draw(axes: Axes) -> Sequence[Line2D]:
@@ -105,7 +105,7 @@ def lines_over_time(
 
 
 def pair_over_time(recorded: Recorded, draw_pair: Callable[[Axes, RecordedRun], tuple[Axes, Axes]]) -> Draw:
-    """Return what draws two quantities with an axis each, as a figure of the paper has them."""
+    """Return a function that draws two quantities, each with its own axis, as in the figures of the paper."""
 
     def draw(axes: Axes) -> Sequence[Line2D]:
         pair = draw_pair(axes, recorded.run)
@@ -116,7 +116,7 @@ def pair_over_time(recorded: Recorded, draw_pair: Callable[[Axes, RecordedRun], 
 
 
 def _over_time(recorded: Recorded, draw_in: Callable[[Axes], Sequence[Line2D | Patch]]) -> Draw:
-    """Return what draws a panel over time; `draw_in` returns what is named in its legend."""
+    """Return a function that draws a panel over time; `draw_in` returns the entries of its legend."""
 
     def draw(figure: FigureBase) -> None:
         axes = figure.add_subplot()
@@ -126,9 +126,9 @@ def _over_time(recorded: Recorded, draw_in: Callable[[Axes], Sequence[Line2D | P
 
 
 def of_all_robots(recorded: Recorded, values: Floats, symbol: str, label: str, *, end: float | None = None) -> Draw:
-    """Return what draws a quantity of all robots over time, shape (n+1, N), in the way that suits their number.
+    """Return a function that draws a quantity of all robots over time, shape (n+1, N), in a style for their number.
 
-    With `end`, the lines at plus and minus this value are drawn if robots come near to them.
+    With `end`, lines at plus and minus this value are drawn if robots come close to them.
     """
 
     def draw(figure: FigureBase) -> None:
@@ -149,7 +149,7 @@ def of_all_robots(recorded: Recorded, values: Floats, symbol: str, label: str, *
 
 
 def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequence[Line2D | Patch]:
-    """Draw a quantity of all robots, and return what stands for them in a legend."""
+    """Draw a quantity of all robots, and return the entries of the legend."""
     count = len(recorded.arrays.agents.ids)
     if count > MANY:
         return draw_bands(axes, recorded, values)
@@ -172,7 +172,7 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
 
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
-    """Return what draws angle and positions in a span of time, s."""
+    """Return a function that draws angle and positions in a span of time, s."""
     time = recorded.arrays.time
     inside = (time >= begin) & (time <= end)
 
@@ -195,7 +195,7 @@ def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
 
 
 def mass_density(recorded: Recorded) -> Draw:
-    """Return what draws where the mass of the robots is."""
+    """Return a function that draws the mass density of the robots along the plane."""
 
     def draw(axes: Axes) -> Sequence[Line2D]:
         _linear(axes, float(recorded.arrays.time[-1]))
@@ -207,7 +207,7 @@ def mass_density(recorded: Recorded) -> Draw:
 
 
 def grid_over_time(recorded: Recorded, quantities: Mapping[str, tuple[Floats, str]]) -> Draw:
-    """Return what draws eight quantities, by name with values and unit, in a grid."""
+    """Return a function that draws eight quantities, given by name with values and unit, in a grid."""
 
     def draw(figure: FigureBase) -> None:
         grid = figure.subplots(4, 2, sharex=True)
@@ -222,9 +222,9 @@ def grid_over_time(recorded: Recorded, quantities: Mapping[str, tuple[Floats, st
 
 
 def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw:
-    """Return what draws which robots have which status, given by name with flags (n+1, N) and colour.
+    """Return a function that draws the status of the robots, given by name with flags (n+1, N) and colour.
 
-    Few robots have a row each; of many their numbers are drawn.
+    Few robots have a row each; for many, their number is drawn.
     """
     time, agents = recorded.arrays.time, recorded.arrays.agents
 
@@ -253,7 +253,7 @@ def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw
 
 
 def abstract_space(recorded: Recorded, masses: Sequence[float]) -> Draw:
-    """Return what draws the path of the abstract state with the manifold and the constraint sets around it."""
+    """Return a function that draws the path of the abstract state with the manifold and the constraint sets."""
     return lambda figure: _space(figure.add_subplot(), recorded, masses)
 
 
@@ -273,7 +273,7 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
     inner = np.clip(inner, least, 2.0 * high)
     axes.fill_between(torque, least, inner, color=GREY, alpha=0.35, linewidth=0.0, label="A_A")
     if (inner < high).any():
-        # Even in the torque, and slow to compute for many different masses.
+        # An even function of the torque, and slow to compute for many different masses.
         sides = np.linspace(0.0, reach, _COARSE)
         highest = [sets.largest_inertia(t).lower for t in sides.tolist()]
         outer = np.interp(np.abs(torque), sides, np.clip(highest, 0.0, 2.0 * high))
@@ -292,7 +292,7 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
 
 
 def finish(axes: Axes, recorded: Recorded, named: Sequence[Line2D | Patch]) -> None:
-    """Give a panel over time its axis, its legend and the marks of the events."""
+    """Add the time axis, the legend and the marks of events to a panel."""
     _linear(axes, float(recorded.arrays.time[-1]))
     axes.set_xlabel("time, s")
     _legend(axes, [one for one in named if not str(one.get_label()).startswith("_")])
@@ -305,7 +305,7 @@ def _linear(axes: Axes, end: float) -> None:
 
 
 def _by_decades(axes: Axes, values: Floats) -> None:
-    """Make the vertical axis logarithmic where the values ask for it."""
+    """Make the vertical axis logarithmic if the values span decades."""
     positive: Floats = values[np.isfinite(values) & (values > 0)]
     if len(positive) and float(np.max(positive)) > _DECADES * float(np.min(positive)):
         axes.set_yscale("log")
@@ -323,7 +323,7 @@ def _legend(axes: Axes, named: Sequence[object]) -> None:
 
 
 def _mark_events(axes: Axes, recorded: Recorded) -> None:
-    """Mark events at the upper edge: by triangles who takes part, few of them through the panel too; else by dashes."""
+    """Mark events at the upper edge: membership by triangles (if few, also by lines down), the others by dashes."""
     end = float(recorded.arrays.time[-1])
     edge = axes.get_xaxis_transform()
     times: dict[str, set[float]] = defaultdict(set)

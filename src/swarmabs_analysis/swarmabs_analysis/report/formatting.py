@@ -1,4 +1,4 @@
-"""Numbers and text from bags, as a report writes them."""
+"""Formatting of numbers and of text from bags."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def quantity(value: float, unit: str) -> str:
 
 
 def span(name: str, values: NDArray[np.float64], unit: str, *, over_time: bool = True) -> str:
-    """Return in words where values lie and, if they follow each other in time, from where to where they go."""
+    """Return the range of values in words, and for values over time also the first and the last."""
     there = np.asarray(values)[np.isfinite(values)]
     if not len(there):
         return f"{name}: nothing recorded"
@@ -27,28 +27,28 @@ def span(name: str, values: NDArray[np.float64], unit: str, *, over_time: bool =
 
 
 def joined(*parts: str, by: str = "; ") -> str:
-    """Join what is not empty."""
+    """Join the parts that are not empty."""
     return by.join(part for part in parts if part)
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun."""
+    """Return a number with its noun, singular or plural."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def shown(value: object) -> str:
-    """Return what a bag says as one line that can be shown: printable, and not without end."""
+    """Return a value from a bag as one printable line of limited length."""
     text = "".join(map(_printable, str(value)))
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
 def printable_lines(text: str) -> str:
-    """Return text with its lines as they are, and a mark for each letter that cannot be shown."""
+    """Return text with its lines unchanged and each unprintable character replaced."""
     return "\n".join("".join(map(_printable, line)) for line in text.splitlines())
 
 
 def sentence(text: str) -> str:
-    """Return text that begins with a capital and ends with a full stop."""
+    """Return text with an initial capital and a full stop."""
     return f"{text[:1].upper()}{text[1:]}."
 
 

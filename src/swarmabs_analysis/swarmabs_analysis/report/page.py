@@ -1,4 +1,4 @@
-"""A report as one HTML page that needs nothing else: no network, no script, no other file."""
+"""A report as one self-contained HTML page: no network, no script, no other file."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 GENERATOR = "swarmabs report"
 """Marks a page as a report; see `check_target`."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""What a browser may load for the page: nothing, but use its own styles and images."""
+"""Content security policy of the page: a browser loads nothing and uses only inline styles and images."""
 MOST_EVENTS = 60
-"""Events up to which each has a row; of more, those of one kind and robot share one."""
+"""Most events with a row each; of more, those of one kind and robot share a row."""
 
 SECTIONS = {
     "metrics": "Metrics",
@@ -42,11 +42,11 @@ SECTIONS = {
     "membership": "Membership",
     "events": "Events",
     "timing": "Timing",
-    "theory": "What the theory says",
+    "theory": "Theory",
     "scenario": "Scenario",
     "origin": "Versions and bag",
 }
-"""Headings of the sections. One has a text by the template of its name, panels by theirs, or both."""
+"""Headings of the sections. A section has a template of its name, panels that name it, or both."""
 TEXTS = ("metrics", "events", "timing", "theory", "scenario", "origin")
 """The sections that have a template."""
 
@@ -54,7 +54,7 @@ Row = tuple[str, ...]
 
 
 class Picture(NamedTuple):
-    """A panel with what it has drawn."""
+    """A panel and its drawing."""
 
     panel: Panel
     svg: Markup
@@ -99,7 +99,7 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
 
 
 def _environment() -> Environment:
-    """Return the templates, which escape whatever they are given."""
+    """Return the environment of the templates, which escapes every value."""
     made = templates("swarmabs_analysis.report")
     made.filters |= {
         "counted": counted,
@@ -116,12 +116,12 @@ def _environment() -> Environment:
 
 
 def lowest(values: NDArray[np.float64]) -> float | None:
-    """Return the lowest of the values that are known, None if none is."""
+    """Return the smallest finite value, or None."""
     return float(np.nanmin(values)) if np.isfinite(values).any() else None
 
 
 def _number(value: object) -> float | None:
-    """Return a finite number, None for what is none."""
+    """Return a finite number as float, or None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         return None
     return float(value)
@@ -135,15 +135,15 @@ def _kind(event: SwarmEvent) -> str:
 
 
 def _realtime(recorded: Recorded) -> list[Row]:
-    """Return what was missed and how old was what robots followed, in rows."""
+    """Return losses, ages of the broadcasts followed and missed periods, as rows."""
     found = recorded.realtime
     if found is None:
         return []
     rows: list[Row] = [
-        (f"missing of {topic}", f"{loss['missing']:,} of {loss['received'] + loss['missing']:,}")
+        (f"missing messages of {topic}", f"{loss['missing']:,} of {loss['received'] + loss['missing']:,}")
         for topic, loss in found["losses"].items()
     ]
-    rows += [(f"broadcasts followed after {age} steps", f"{n:,}") for age, n in found["broadcast_ages"].items()]
+    rows += [(f"broadcasts followed at an age of {age} steps", f"{n:,}") for age, n in found["broadcast_ages"].items()]
     rows.append(("safe stops", f"{found['safe_stops']:,}"))
     timing = (recorded.summary or {}).get("realtime")
     missed = timing.get("missed_periods") if isinstance(timing, dict) else None
@@ -153,9 +153,9 @@ def _realtime(recorded: Recorded) -> list[Row]:
 
 
 def _groups(recorded: Recorded) -> tuple[list[Row], bool]:
-    """Return many events in rows of one kind and robot, or of one kind if that are still too many; and which of both.
+    """Return rows of many events grouped by kind and robot, or by kind alone if that is still too many, and which.
 
-    There are no rows if the events are few.
+    For few events there are no rows.
     """
     events = recorded.swarm.events
     if len(events) <= MOST_EVENTS:
@@ -186,7 +186,7 @@ def _group(recorded: Recorded, kind: str, robot: int, group: list[SwarmEvent], *
 
 
 def _versions(recorded: Recorded) -> list[Row]:
-    """Return what the bag says of its origin, in rows."""
+    """Return the versions and the machine recorded in the bag, as rows."""
     found = recorded.provenance
     versions = found.get("versions")
     named = {str(name): value for name, value in versions.items()} if isinstance(versions, dict) else {}

@@ -1,4 +1,4 @@
-"""The panels of a report: which there are, what each draws, and what it tells in words with numbers."""
+"""The panels of a report: what each draws, and its description in words and numbers."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 TOLERANCE = 0.01
-"""Error below which the plane counts as settled, rad."""
+"""Tracking error below which the plane counts as settled, rad."""
 BEFORE, AFTER, MOST_ZOOMS = 1.0, 4.0, 6
-"""Time shown before and after an event, s, and the most events with a picture of their own."""
+"""Time shown before and after an event, s, and the most events that have a panel."""
 ZOOMED = {
     EventKind.JOINED,
     EventKind.LEFT,
@@ -63,24 +63,24 @@ ZOOMED = {
     EventKind.MODE_CHANGED,
 }
 BANDS = (
-    "Dark bands hold the middle 50 %, light ones 90 % of the robots that start on the same side of the axis; "
-    "dotted lines are the outermost ones, solid ones the medians."
+    "Dark bands contain the middle 50 %, light bands 90 % of the robots that start on the same side of the axis; "
+    "dotted lines are the extremes, solid lines the medians."
 )
 MEASURED = (
-    "Angle and rate are what the plane's sensor says, with its noise and resolution; the true ones are not recorded."
+    "Angle and rate are those of the plane's sensor, with its noise and resolution; the true ones are not recorded."
 )
-SENSED = "These are the true states; each robot's own law used what its sensor said."
-ESTIMATED = "The recorded τ is an estimate from the plane's motion; beside it stands what the robots' states give."
-SETS = "Shaded: A_A, where every arrangement of the robots lies on the plane, and A_P, where only some do."
-FIRST_SETS = "The sets are those of the robots at the beginning."
-NORM = "Below 0, positions off the plane belong to the state as well. The norm adds N m and kg m², as the paper does."
+SENSED = "These are the true states; each robot's law used the measurements of its sensor."
+ESTIMATED = "The recorded τ is an estimate from the plane's motion; the dotted line follows from the robots' states."
+SETS = "Shaded: A_A, where all arrangements of the robots are on the plane, and A_P, where only some are."
+FIRST_SETS = "The sets are those of the initial robots."
+NORM = "Below 0, the state also admits positions off the plane. The norm adds N m and kg m², as the paper does."
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """A picture: its heading, what draws it, what it shows in words with numbers, what else is to be known.
+    """A picture: heading, drawing function, description in words and numbers, and a note.
 
-    `height` is in inches; `section` is the part of the report in which it stands.
+    `height` is in inches; `section` is the part of the report that contains it.
     """
 
     key: str
@@ -107,10 +107,10 @@ def _plane(recorded: Recorded) -> Iterator[Panel]:
     arrays, reference = recorded.arrays, recorded.arrays.reference
     note = MEASURED if recorded.measured else ""
     settled = recorded.metrics["settled_at"]
-    lines = [Line("θ", arrays.angle, PLANE), Line("θ wanted", reference, REFERENCE, DASHED)]
+    lines = [Line("θ", arrays.angle, PLANE), Line("reference θ", reference, REFERENCE, DASHED)]
     about = joined(
         span("angle θ", arrays.angle, "rad"),
-        span("angle wanted", reference, "rad") if np.any(reference) else "",
+        span("reference", reference, "rad") if np.any(reference) else "",
     )
     draw = lines_over_time(recorded, "θ, rad", lines)
     yield Panel("plane", "plane", "Angle and reference of the plane", draw, about, note)
@@ -120,30 +120,30 @@ def _plane(recorded: Recorded) -> Iterator[Panel]:
     moment = Mark(f"settled at {settled:g} s", settled, BLACK, DOTTED) if isinstance(settled, float) else None
     bound = np.full(len(arrays.time), TOLERANCE)
     lines = [
-        Line("θ wanted - θ", recorded.error, ERROR),
+        Line("reference - θ", recorded.error, ERROR),
         Line("±10 mrad", bound, BLACK, DOTTED),
         Line("_", -bound, BLACK, DOTTED),
     ]
     about = joined(
         span("tracking error", recorded.error, "rad"),
-        "it does not stay within 10 mrad" if settled is None else f"within 10 mrad from {settled:g} s on",
+        "it does not stay within 10 mrad" if settled is None else f"it stays within 10 mrad from {settled:g} s on",
     )
     draw = lines_over_time(recorded, "error, rad", lines, moment=moment)
     yield Panel("tracking", "plane", "Tracking error of the angle", draw, about, note)
     draw = lines_over_time(
         recorded,
         "|error|, rad",
-        [Line("|θ wanted - θ|", np.abs(recorded.error), ERROR)],
+        [Line("|reference - θ|", np.abs(recorded.error), ERROR)],
         level=Mark("10 mrad", TOLERANCE, BLACK, DOTTED),
         moment=moment,
         positive=True,
     )
-    about = "a straight descent is an exponential one"
+    about = "a straight descent is exponential"
     yield Panel("tracking-decades", "plane", "Size of the tracking error", draw, about, note)
 
 
 def _zooms(recorded: Recorded) -> Iterator[Panel]:
-    """Yield angle and positions around the start and the events, those with the largest errors if they are many."""
+    """Yield angle and positions around the start and the events; if many, around those with the largest errors."""
     time, error = recorded.arrays.time, np.abs(recorded.error)
     last = float(time[-1])
     if last < 2.0 * (BEFORE + AFTER):
@@ -175,12 +175,18 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
     draw = of_all_robots(recorded, agents.position, "p", "position p, m", end=half)
     where = span(f"positions of {counted(count, 'robot')}", agents.position, "m", over_time=False)
     about = joined(where, f"the plane ends at ±{half:g} m")
-    said = joined(note, recorded.lies_note, by=" ")
-    yield Panel("positions", "robots", "Positions of the robots", draw, about, said)
+    yield Panel(
+        "positions",
+        "robots",
+        "Positions of the robots",
+        draw,
+        about,
+        joined(note, recorded.falsified_note, by=" "),
+    )
     if count > MANY:
         about = f"total mass {quantity(float(np.nansum(np.nanmax(agents.mass, axis=0))), 'kg')}"
-        heading = "Where the mass of the robots is"
-        yield Panel("mass", "robots", heading, mass_density(recorded), about, recorded.lies_note)
+        heading = "Mass density of the robots"
+        yield Panel("mass", "robots", heading, mass_density(recorded), about, recorded.falsified_note)
     draw = of_all_robots(recorded, agents.velocity, "v", "velocity v, m/s")
     about = span("velocities", agents.velocity, "m/s", over_time=False)
     yield Panel("velocities", "robots", "Velocities of the robots", draw, about, note)
@@ -223,7 +229,7 @@ def _abstract(recorded: Recorded) -> Iterator[Panel]:
     if len(masses) > 1 and min(masses) > 0:
         about = joined(
             _last_state("ends at", actual.torque, actual.inertia),
-            _last_state("wanted", desired.torque, desired.inertia),
+            _last_state("desired", desired.torque, desired.inertia),
         )
         note = joined(SETS, FIRST_SETS if len(spans) > 1 else "", by=" ")
         draw = abstract_space(recorded, masses)
@@ -236,25 +242,23 @@ def _margins(recorded: Recorded) -> Iterator[Panel]:
     level = Mark("end of the plane", 0.0, FAILED, DASHED)
     draw = lines_over_time(recorded, "m", [Line("L/2 - largest |p|", margin.end, BLACK)], level=level)
     about = joined(span("margin", margin.end, "m"), _lowest(margin.end, time, "m"))
-    heading = "From the outermost robot to the plane's end"
-    yield Panel("margin-end", "margins", heading, draw, about, recorded.lies_note)
+    heading = "Distance of the outermost robot to the plane's end"
+    yield Panel("margin-end", "margins", heading, draw, about, recorded.falsified_note)
     lines = [
         Line("abstract state", margin.actual, TORQUE, rows=margin.rows),
-        Line("desired one", margin.desired, REFERENCE, DASHED, rows=margin.rows),
+        Line("desired state", margin.desired, REFERENCE, DASHED, rows=margin.rows),
     ]
     level = Mark("boundary of A_A", 0.0, FAILED, DASHED)
     draw = lines_over_time(recorded, "distance, N m and kg m²", lines, level=level)
     about = joined(
-        span("of the abstract state", margin.actual, ""),
+        span("abstract state", margin.actual, ""),
         _lowest(margin.actual, time[margin.rows], ""),
-        span("of the desired one", margin.desired, ""),
+        span("desired state", margin.desired, ""),
     )
     yield Panel("margin-set", "margins", "Distance to the boundary of A_A", draw, about, NORM)
     draw = lines_over_time(recorded, "m²", [Line("S₃/S₀²", margin.spread, BLACK)], positive=True)
     about = joined(span("S₃/S₀²", margin.spread, "m²"), _lowest(margin.spread, time, "m²"))
-    note = (
-        f"Where it vanishes all robots stand at one point, and no law has a solution: they stop below {limit:.3g} m²."
-    )
+    note = f"At 0 all robots are at one point and the swarm law has no solution: the robots stop below {limit:.3g} m²."
     yield Panel("margin-spread", "margins", "Spread of the robots, S₃/S₀²", draw, about, note)
 
 
@@ -289,12 +293,12 @@ def _membership(recorded: Recorded) -> Panel:
     }
     there = swarm.on_plane.sum(axis=1)
     about = joined(
-        f"robots on the plane: {there[0]} at first, {there[-1]} at last" if len(there) else "",
-        f"robots that report: {reporting[0].sum()} at first, {reporting[-1].sum()} at last" if len(there) else "",
+        f"robots on the plane: initially {there[0]}, finally {there[-1]}" if len(there) else "",
+        f"robots that report: initially {reporting[0].sum()}, finally {reporting[-1].sum()}" if len(there) else "",
         f"robots ever in a safe stop: {stopped.any(axis=0).sum()}",
     )
     height = 1.2 + 0.14 * count if count <= ROWS else 2.2
-    heading = "Which robots take part"
+    heading = "Membership and status of the robots"
     return Panel("membership", "membership", heading, statuses(recorded, looks), about, height=height)
 
 

@@ -1,4 +1,4 @@
-"""Many robots over time: bands that hold most of them, and where their mass is."""
+"""Many robots over time: percentile bands and mass density."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 
 
 def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | Patch]:
-    """Draw bands that hold 50 and 90 % of the robots, the outermost ones, the median, and three named robots.
+    """Draw bands that contain 50 and 90 % of the robots, the extremes, the median, and three named robots.
 
-    Robots that start on different sides of the axis have bands of their own: they go different ways. The values are of
-    shape (n+1, N), NaN where a robot has none; the time axis is set. Returned is what stands for it in a legend.
+    Robots that start on different sides of the axis move differently and have separate bands. The values have shape
+    (n+1, N), NaN where a robot has none; the time axis must be set. Returns the entries of the legend.
     """
     there = np.isfinite(values).any(axis=0)
     legend: list[Line2D | Patch] = []
@@ -41,7 +41,7 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
         chosen = np.flatnonzero(there & ((_start(recorded) > 0) == positive))
         if len(chosen):
             _draw_band(axes, recorded, values[:, chosen], colour)
-            legend.append(Patch(color=colour, alpha=0.5, label=f"p {'>' if positive else '≤'} 0 at first"))
+            legend.append(Patch(color=colour, alpha=0.5, label=f"initially p {'>' if positive else '≤'} 0"))
     named = _named(recorded, values, there).items() if there.any() else ()
     for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
         colour = KINDS[Kind(int(recorded.arrays.agents.kind[:, column].max()))]
@@ -69,13 +69,13 @@ def _draw_band(axes: Axes, recorded: Recorded, values: Floats, colour: str) -> N
 
 
 def _start(recorded: Recorded) -> Floats:
-    """Return where each robot is first, m."""
+    """Return the first position of each robot, m."""
     agents = recorded.arrays.agents
     return np.asarray(agents.position[(agents.kind > 0).argmax(axis=0), np.arange(len(agents.ids))])
 
 
 def density(axes: Axes, recorded: Recorded) -> QuadMesh:
-    """Draw how much mass is where at each time, kg per mm; the time axis of the panel is set."""
+    """Draw the mass density over position and time, kg per mm; the time axis of the panel must be set."""
     agents, time = recorded.arrays.agents, recorded.arrays.time
     positions = agents.position[np.isfinite(agents.position)]
     low, high = (float(np.min(positions)), float(np.max(positions))) if len(positions) else (-0.5, 0.5)
@@ -95,7 +95,7 @@ def density(axes: Axes, recorded: Recorded) -> QuadMesh:
 
 
 def _columns(axes: Axes, recorded: Recorded) -> Iterator[tuple[Integers, float]]:
-    """Yield the rows in each column of the picture that has any, and the time at its right edge, s."""
+    """Yield the rows in each non-empty column of the picture, and the time at its right edge, s."""
     scale = axes.xaxis.get_transform()
     time = recorded.arrays.time
     first, last = scale.transform(np.array([time[0], time[-1]]))

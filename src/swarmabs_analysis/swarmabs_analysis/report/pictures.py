@@ -1,4 +1,4 @@
-"""Panels as pictures: each as an element of a page that follows its colours, several as one PNG."""
+"""Panels as pictures: each as an SVG element that uses the colours of the page, several as one PNG."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
 
 WIDTH = 4.4
-"""Of a panel in a page, inches: about that of a phone, so that its text can be read there."""
+"""Width of a panel in the page, inches: about that of a phone, so that its text is legible there."""
 OVERVIEW = (("plane",), ("mass", "positions"), ("abstract-error",), ("tracking",), ("space",), ("margin-end",))
-"""The panels of the PNG, row by row; of several that stand in one place, the first that there is."""
+"""The panels of the PNG, row by row; of several for one place, the first that exists."""
 COLOURS = {
     style.BLACK: "ink",
     style.GREY: "grey",
@@ -49,17 +49,17 @@ COLOURS = {
     colours.SAFE_STOP: "safe-stop",
     colours.ABSENT: "absent",
 }
-"""The variable of the page's style sheet that stands for each colour."""
+"""The variable of the page's style sheet for each colour."""
 
 PNG_MARK = "swarmabs report"
-"""Marks a PNG file as that of a report."""
+"""Marks a PNG file as part of a report."""
 
 _CELL = 0.5
 """Width of a column, points."""
 _FEW = 500
-"""Points up to which a line is left alone."""
+"""Points up to which a line is not thinned."""
 _MOST = 4000
-"""Points of a line that is no function of x."""
+"""Most points of a line that is not a function of x."""
 
 _NAMESPACE = re.compile(r"^\{[^}]*\}")
 _FONT = re.compile(r"font-family:[^;]*;? ?")
@@ -71,7 +71,7 @@ _SETTINGS = {"savefig.dpi": 160, "figure.dpi": 160}
 
 
 def page_picture(panel: Panel) -> Markup:
-    """Return a panel as an ``svg`` element without namespaces, whose colours are variables of the page."""
+    """Return a panel as an ``svg`` element without namespaces whose colours are variables of the page."""
     with _drawing():
         figure = Figure(figsize=(WIDTH, panel.height), layout="constrained")
         figure.patch.set_visible(False)
@@ -87,7 +87,7 @@ def page_picture(panel: Panel) -> Markup:
 
 
 def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:
-    """Return the most telling panels with the run's name and state as a PNG file."""
+    """Return the most informative panels as a PNG file titled with the run's name and state."""
     places = [[panels[key] for key in keys if key in panels] for keys in OVERVIEW]
     chosen = [place[0] for place in places if place]
     with _drawing():
@@ -100,7 +100,7 @@ def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:
             panel.draw(part)
             part.suptitle(panel.heading, fontsize=8.5)
         if not chosen:
-            figure.text(0.5, 0.4, "fewer than two steps are recorded: there is nothing to draw", ha="center")
+            figure.text(0.5, 0.4, "fewer than two steps are recorded: nothing to draw", ha="center")
         _settle(figure)
         return style.rendered(figure, ["png"], title=PNG_MARK)["png"]
 
@@ -108,7 +108,7 @@ def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:
 @contextmanager
 def _drawing() -> Iterator[None]:
     with warnings.catch_warnings(), style.styled(_SETTINGS):
-        # Names may have letters that the font lacks, and damaged bags quantities of which nothing is recorded.
+        # Names may contain characters that the font lacks, and damaged bags quantities without any value.
         warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         warnings.filterwarnings("ignore", "All-NaN", RuntimeWarning)
         yield
@@ -135,7 +135,7 @@ def _title(recorded: Recorded) -> str:
 
 
 def _inlined(root: ET.Element, key: str) -> ET.Element:
-    """Return a picture of matplotlib as a part of a page: its ids differ from those of other pictures."""
+    """Return matplotlib's SVG as an element of a page, with ids that are unique in the page."""
     text = ET.tostring(root, encoding="unicode")
     used = set(_REFERENCE.findall(text)) | set(re.findall(r'href="#([^"]*)"', text))
     for element in root.iter():
@@ -171,7 +171,7 @@ def _variable(colour: str) -> str:
 
 
 def thin_lines(figure: Figure) -> None:
-    """Thin all lines of a figure whose layout and limits are final; what it looks like stays the same."""
+    """Thin all lines of a figure whose layout and limits are final, without a visible change."""
     scale = 72.0 / figure.dpi / _CELL
     for axes in figure.axes:
         axes.set_autoscale_on(False)
@@ -188,7 +188,7 @@ def _chosen(axes: Axes, points: Floats, scale: float) -> Integers:
     places[~np.isfinite(places)] = np.nan
     if not np.isnan(places[:, 0]).any() and (np.diff(points[:, 0]) >= 0).all():
         return column_points(np.floor(places[:, 0]).astype(np.int64), points[:, 1])
-    # A path that fills an area: its points in coarser and coarser cells, at last in one.
+    # A path that fills an area: keep one point per cell, and coarsen the cells until few points remain.
     chosen = np.arange(len(points))
     cells = np.where(np.isnan(places), -1.0, places - np.nanmin(places, axis=0, initial=np.inf))
     while len(chosen) > _MOST and (cells > 0).any():

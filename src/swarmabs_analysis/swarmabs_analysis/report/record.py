@@ -1,4 +1,4 @@
-"""What a report is about: a bag with everything that is known of its run, and how far it is from its constraints."""
+"""The data of a report: a bag, what is known of its run, and the distances to its constraints."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 _LONGEST_JSON = 2**20
 _MOST_ROWS = 10_000
-"""Steps for which the distance to A_A's boundary is computed; of longer runs every second one, third one and so on."""
+"""Most steps for which the distance to A_A's boundary is computed; longer runs are subsampled."""
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How far a run is from its constraints; negative beyond.
+    """Distances of a run to its constraints; negative beyond them.
 
-    Over all steps: `end`, from the outermost robot to the plane's end, m; `spread`, S3/S0^2, m^2, at 0 of which the
+    At all steps: `end`, from the outermost robot to the plane's end, m; `spread`, S3/S0^2, m^2, which is 0 where the
     swarm is singular. At `rows`: the distance of the `actual` and the `desired` abstract state to the upper boundary
     J_A of A_A.
     """
@@ -56,12 +56,12 @@ class Margins:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A bag as a report shows it.
+    """A bag, prepared for a report.
 
     The metrics are those of `summary.json` and the digest, computed from the bag's messages; `counts` are messages by
-    topic. The provenance is empty if the bag says nothing of it. The summary is the ``summary.json`` beside the bag if
-    it is of this run; the note says where the timing comes from, or why there is none. `realtime` is what a run in
-    real time has under that name in its summary.
+    topic. The provenance is empty if the bag contains none. The summary is the ``summary.json`` of the run folder if
+    it belongs to this run; the note says where the timing comes from, or why there is none. `realtime` is the entry of
+    that name in the summary of a run in real time.
     """
 
     swarm: RecordedSwarm
@@ -74,12 +74,12 @@ class Recorded:
 
     @property
     def run(self) -> RecordedRun:
-        """Scenario and arrays, as the figures take them."""
+        """Scenario and arrays, as the figures of the paper take them."""
         return RecordedRun(self.scenario, self.arrays)
 
     @property
     def scenario(self) -> Scenario:
-        """What was run."""
+        """The scenario of the run."""
         return self.swarm.scenario
 
     @property
@@ -89,17 +89,17 @@ class Recorded:
 
     @property
     def steps(self) -> int:
-        """How many steps the plane has made."""
+        """Number of steps of the plane."""
         return max(len(self.swarm) - 1, 0)
 
     @property
     def drawable(self) -> bool:
-        """Whether there is any time to draw something over."""
+        """Whether the recording spans any time."""
         return len(self.arrays.time) > 1 and float(self.arrays.time[-1]) > 0.0
 
     @cached_property
     def error(self) -> Floats:
-        """Wanted minus recorded angle at each step, rad."""
+        """Reference minus recorded angle at each step, rad."""
         return self.arrays.reference - self.arrays.angle
 
     @cached_property
@@ -110,11 +110,11 @@ class Recorded:
 
     @property
     def torque(self) -> Floats:
-        """The torque of the weights on the plane at each step, N m: a robot that died stands, one that left is gone."""
+        """The torque of the weights on the plane at each step, N m; dead robots count, robots that left do not."""
         return np.nansum(self.masses * self.swarm.positions, axis=1) * self.scenario.plane.gravity
 
     def spans(self) -> Iterator[tuple[int, int, tuple[float, ...]]]:
-        """Yield spans of rows [begin, end) in which the same robots are on the plane, with their masses, kg."""
+        """Yield spans of rows [begin, end) with the same robots on the plane, and their masses, kg."""
         there = self.swarm.on_plane
         if not len(there):
             return
@@ -125,7 +125,7 @@ class Recorded:
 
     @cached_property
     def margins(self) -> Margins:
-        """How far the run is from its constraints; A_A is that of all robots whose weight is on the plane."""
+        """The distances to the constraints; A_A is that of all robots on the plane."""
         arrays, plane = self.arrays, self.scenario.plane
         rows = np.arange(0, len(arrays.step), max(1, -(-len(arrays.step) // _MOST_ROWS)))
         actual, desired = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
@@ -152,26 +152,26 @@ class Recorded:
         return self.scenario.observer.type == "parent_response"
 
     @property
-    def lies_note(self) -> str:
-        """Say whose positions and masses are not true, empty if all are."""
-        ids = sorted({lie.agent_id for lie in configure.falsifications(self.scenario)})
+    def falsified_note(self) -> str:
+        """Name the robots that publish a falsified state; empty if there are none."""
+        ids = sorted({fault.agent_id for fault in configure.falsifications(self.scenario)})
         if not ids:
             return ""
-        who = f"Robot {ids[0]} lies" if len(ids) == 1 else f"Robots {', '.join(map(str, ids))} lie"
+        who = f"Robot {ids[0]} publishes" if len(ids) == 1 else f"Robots {', '.join(map(str, ids))} publish"
         return (
-            f"{who} by an injected fault: positions and masses are the published ones, and so is what is computed from "
-            "them."
+            f"{who} a falsified state (an injected fault): positions and masses, and everything computed from them, "
+            "are the published ones."
         )
 
     @property
     def measured(self) -> bool:
-        """Whether the recorded motion of the plane is that of an imperfect sensor."""
+        """Whether the recorded motion of the plane comes from an imperfect sensor."""
         sensor = self.scenario.plane.sensor
         return any((*sensor.noise, *sensor.resolution))
 
 
 def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Recorded:
-    """Read a bag for a report; one that has lost its end too, as far as it goes. Errors as of `make_report`."""
+    """Read a bag for a report, an incomplete one as far as it goes; errors as for `make_report`."""
     bag = open_bag(path, namespace=namespace, damaged=True)
     supply_scenario(bag, scenario)
     messages = load_messages(bag)
@@ -197,7 +197,7 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
 
 
 def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, Any]:
-    """Return the figures of the run, by the same arithmetic as while it is recorded."""
+    """Return the figures of the run, by the same arithmetic as during the recording."""
     found = RunFigures(configure.reference(scenario))
     states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.angle.tolist(), strict=True)
     for time, step, angle in states:
@@ -211,18 +211,18 @@ def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, Any]:
 
 
 def _summary(bag: Path, digest: object) -> tuple[Mapping[str, Any] | None, str]:
-    """Return the summary of the run whose folder holds the bag, and what is to be said of it."""
+    """Return the summary of the run whose folder contains the bag, and a note on where the timing comes from."""
     file = bag.resolve().parent.parent / "summary.json"
     try:
         if bag.resolve().parent.name != "bag" or not file.is_file():
-            return None, "not recorded: a bag holds no wall time, and no summary.json of its run lies beside it"
+            return None, "not recorded: a bag contains no wall time, and the summary.json of its run is missing"
         with file.open("rb") as stream:
             found = _mapping(stream.read(_LONGEST_JSON))
     except OSError as error:
         return None, f"not known: summary.json cannot be read ({error.strerror})"
     if found.get("digest") != digest:
-        return None, "not known: the summary.json beside the bag has another digest, it is of another run"
-    return found, "from summary.json beside the bag; the bag itself holds no wall time"
+        return None, "not known: the digest in the run folder's summary.json differs, so it belongs to another run"
+    return found, "from summary.json of the run folder; the bag itself contains no wall time"
 
 
 def _mapping(data: bytes) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""One case of a sweep, as workers run it: scenario text and overrides in, one line of JSON with plain numbers out."""
+"""Evaluation of one case on a worker: scenario text and overrides in, one line of JSON out."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
 
 OUTCOMES = ("settled", "unsettled", "off_plane", "failed", "refused")
-"""How a case can end, from good to bad."""
+"""Possible outcomes of a case, from best to worst."""
 LONGEST_REASON = 300
 
 
 class Task(NamedTuple):
-    """A case as a worker gets it: the scenario in YAML and its overrides ``a.b=v``."""
+    """A case as sent to a worker: the scenario in YAML and its overrides ``a.b=v``."""
 
     scenario: str
     case: int
@@ -35,7 +35,7 @@ def evaluate(task: Task) -> str:
     """Run one case and return its row in JSON without line breaks.
 
     The row holds ``case``, ``status`` (ok, failed, refused), ``reason``, ``outcome``, ``digest`` and the results. A
-    case that fails has the figures up to there; one that is refused because its scenario is invalid has none.
+    case that fails has the figures up to its failure; one with an invalid scenario (``refused``) has none.
     """
     row: dict[str, Any] = {"case": task.case, "status": "ok", "reason": None}
     try:
@@ -51,12 +51,12 @@ def evaluate(task: Task) -> str:
 
 
 def lost(index: int, reason: str) -> str:
-    """Return the row of a case that no worker has survived."""
+    """Return the row of a case that killed every worker that tried it."""
     return json.dumps({"case": index, "status": "failed", "reason": reason, "outcome": "failed"})
 
 
 def _run(scenario: Scenario) -> dict[str, Any]:
-    """Simulate, and return figures, status and outcome."""
+    """Simulate a scenario, and return figures, status and outcome."""
     reason = None
     run = RunFigures(configure.reference(scenario))
     max_abs_angle: float | None = None
@@ -67,7 +67,7 @@ def _run(scenario: Scenario) -> dict[str, Any]:
                 max_abs_angle = max(max_abs_angle or 0.0, abs(run.latest.angle))
     except RunError as error:
         reason = str(error)
-    except Exception as error:  # noqa: BLE001 - a bug that one case shows must not cost the others
+    except Exception as error:  # noqa: BLE001 - a bug in one case must not end the sweep
         reason = f"{type(error).__name__}: {error}"
     figures = run.figures()
     reached = figures["max_abs_position"]
@@ -88,7 +88,7 @@ def _run(scenario: Scenario) -> dict[str, Any]:
 
 
 def _estimates(scenario: Scenario, angle_max: float) -> dict[str, Any]:
-    """Say whether the initial state is in the estimates of the region of attraction."""
+    """Return whether the initial state is in the estimates of the region of attraction."""
     found = estimate(setting(scenario, angle_max))
     if found is None:
         return {}

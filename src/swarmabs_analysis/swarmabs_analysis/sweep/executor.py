@@ -1,9 +1,9 @@
-"""The Dask workers that compute the cases of a sweep: processes on this machine, or those of a scheduler that runs.
+"""The Dask workers that compute the cases of a sweep: processes on this machine, or workers of a running scheduler.
 
-Dask sends code and trusts all who take part in it. On this machine workers are reached on loopback and by TLS, with
-keys that are made for the sweep and never written. Elsewhere it is the users' matter: connect to a scheduler of your
-own, in a network of your own or through its TLS. What is handed over is a function by name, the scenario's text and
-overrides; what comes back is a line of text.
+Dask sends code and trusts all participants. Workers on this machine are reached over loopback with TLS, by keys that
+are generated for the sweep and never written to disk. With a remote scheduler, security is up to the user: connect
+only to a scheduler that you control, in a private network or over its TLS. Each task is a function by name, the text
+of the scenario and its overrides; the result is a line of text.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import logging
 import os
 import shutil
 import tempfile
-from asyncio import CancelledError, TimeoutError as LateError  # of its own until Python 3.10
+from asyncio import CancelledError, TimeoutError as LateError  # distinct from the built-in in Python 3.10
 from contextlib import ExitStack, contextmanager
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
@@ -40,22 +40,22 @@ if TYPE_CHECKING:
     from swarmabs_analysis.sweep.evaluate import Task
 
 ATTEMPTS = 3
-"""How many workers may die while they compute a case before it counts as failed."""
+"""Number of workers that may die while computing a case before the case counts as failed."""
 _CONNECT = 10.0
-"""Time, s, for a scheduler to answer."""
+"""Time within which a scheduler must answer, s."""
 _FIRST_WORKER = 30.0
-"""Time, s, for the first worker to be there."""
+"""Time within which the first worker must appear, s."""
 _IDLE = 0.5
-"""Time, s, after which waiting is interrupted to show progress."""
+"""Interval at which waiting is interrupted to show progress, s."""
 _PER_THREAD, _AT_LEAST = 4, 64
-"""Tasks handed to workers elsewhere ahead of time: per thread, and in all."""
+"""Tasks queued at remote workers: per thread, and at least in total."""
 
 _NO_PAGES: dict[str, list[str]] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
-"""Settings of Dask by which scheduler and workers show nothing of themselves by HTTP."""
+"""Dask settings that disable the HTTP pages of scheduler and workers."""
 
 _PACKAGES = (swarmabs_core, swarmabs_config, swarmabs_bag, swarmabs_run)
 SOURCES = {package.__name__: Path(package.__path__[0]) for package in _PACKAGES} | {"sweep": Path(__file__).parent}
-"""What a case's results depend on: mathematics, scenarios, simulation, figures, and how cases are evaluated."""
+"""The sources that determine the results of a case: mathematics, scenarios, simulation, figures and evaluation."""
 
 
 class Executor:
@@ -64,22 +64,22 @@ class Executor:
     Attributes
     ----------
     description : str
-        What and where the workers are, for people.
+        Human-readable description and location of the workers.
     differing : list of str
-        Workers whose mathematical library gives other bits than the one here: digests differ there.
+        Workers whose mathematical library gives different bits than the local one, and thus different digests.
     """
 
     def __init__(self, description: str) -> None:
         self.description = description
         self.differing: list[str] = []
         self._most_pending = 0
-        """How many tasks may be handed over and not be finished."""
+        """Most tasks submitted and not finished."""
         self._open = ExitStack()
-        for name in ("distributed", "distributed.client"):  # what matters is said by this class, in one line
+        for name in ("distributed", "distributed.client"):  # this class reports what matters, in one line
             logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def compute(self, tasks: Iterator[Task], idle: Callable[[], None]) -> Iterator[str]:
-        """Yield the row of each task as `evaluate` makes it; `idle` is called now and then while nothing is ready.
+        """Yield the row of each task as made by `evaluate`; `idle` is called periodically while no result is ready.
 
         Raises
         ------
@@ -108,51 +108,51 @@ class Executor:
             yield row
 
     def close(self) -> None:
-        """End everything that was started, and leave the scheduler."""
+        """Stop everything that was started, and disconnect from the scheduler."""
         self._open.close()
 
     def _client(self) -> Client:
-        """Return what hands tasks to the workers, which are started if they are not there yet."""
+        """Return the client that submits tasks; start the workers if necessary."""
         raise NotImplementedError
 
     def _look_after(self) -> None:
-        """Notice how the workers are."""
+        """Update what is known of the workers."""
 
     def _row(self, future: Future[str], index: int) -> str:
-        """Return a case's row; a worker that has died was replaced by others already."""
+        """Return the row of a case; workers that died have already been replaced."""
         error: Any = future.exception()
         if isinstance(error, KilledWorker):
-            return lost(index, f"{error.allowed_failures + 1} worker processes died of it")
+            return lost(index, f"{error.allowed_failures + 1} worker processes died while computing it")
         if error is not None:
             raise RunError(f"{self.description} cannot compute case {index}: {error}") from error
         return future.result()
 
     @contextmanager
     def _loss_explained(self) -> Iterator[None]:
-        """Say in a line that the scheduler is gone, or another one than it was."""
+        """Turn the loss of the scheduler into a `RunError` with a remedy."""
         try:
             yield
         except (OSError, LateError, CancelledError, FutureCancelledError) as error:
-            raise RunError(f"lost {self.description}; go on with --resume") from error
+            raise RunError(f"lost the connection to {self.description}; continue with --resume") from error
 
 
 class LocalExecutor(Executor):
-    """Computes tasks in processes on this machine, by default as many as there are cores; one that dies is replaced.
+    """Computes tasks in processes on this machine, by default one per core; a process that dies is replaced.
 
     Raises
     ------
     InputError
-        If the library that makes the keys of TLS is missing.
+        If the library that generates the TLS keys is missing.
     """
 
     def __init__(self, jobs: int | None = None) -> None:
         jobs = jobs or len(os.sched_getaffinity(0))
-        super().__init__(f"{jobs} processes here")
-        self._most_pending = jobs  # one per process: what a process has when it dies is what it has died of
+        super().__init__(f"{jobs} local processes")
+        self._most_pending = jobs  # one per process, so that the task of a process that dies is known
         try:
             self._security = Security.temporary()
         except ImportError as error:
-            raise InputError(f"{error}; `swarm sweep` needs cryptography: install it") from error
+            raise InputError(f"{error}; `swarm sweep` needs the package cryptography: install it") from error
 
     def _client(self) -> Client:
         folder = tempfile.mkdtemp(prefix="swarmabs-sweep-")
@@ -170,9 +170,9 @@ class LocalExecutor(Executor):
                     scheduler_kwargs={"allowed_failures": ATTEMPTS - 1, "dashboard": False},
                 )
         except RuntimeError as error:
-            raise RunError(f"worker processes do not start: {error}; try fewer with --jobs") from error
+            raise RunError(f"the worker processes did not start: {error}; try fewer with --jobs") from error
         self._open.callback(cluster.close)
-        shutil.rmtree(folder, ignore_errors=True)  # workers keep nothing there, and a kill would leave it behind
+        shutil.rmtree(folder, ignore_errors=True)  # workers store nothing there, and a kill would leave it behind
         client: Client = self._open.enter_context(Client(cluster, security=self._security, set_as_default=False))
         return client
 
@@ -183,7 +183,7 @@ class SchedulerExecutor(Executor):
     Raises
     ------
     InputError
-        If there is no scheduler, it has no workers, or one of them has no swarmabs or another one than this.
+        If there is no scheduler, it has no workers, or a worker lacks swarmabs or has a different version of it.
     """
 
     def __init__(self, address: str) -> None:
@@ -201,7 +201,7 @@ class SchedulerExecutor(Executor):
         self._look_after()
 
     def _check(self, address: str) -> None:
-        """Refuse workers that would not compute the same."""
+        """Raise `InputError` if a worker would compute different results."""
         try:
             self._connected.wait_for_workers(1, timeout=_FIRST_WORKER)
             workers = {name: Identity(*found) for name, found in self._connected.run(identity).items()}
@@ -209,25 +209,25 @@ class SchedulerExecutor(Executor):
             raise InputError(f"the scheduler at {address} has no workers; start some with 'dask worker'") from error
         except (ImportError, AttributeError) as error:
             raise InputError(
-                f"the workers of {address} lack this swarmabs: {error}; install it there and start them again"
+                f"the workers at {address} lack this version of swarmabs: {error}; install it there and restart them"
             ) from error
         mine = identity()
-        strange = stranger(mine, workers)
-        if strange is not None:
-            raise InputError(f"{strange}: results would not belong together; install the same there and start it again")
+        mismatch = different_worker(mine, workers)
+        if mismatch is not None:
+            raise InputError(f"{mismatch}: their results would differ; install this version there and restart it")
         self.differing = sorted(name for name, theirs in workers.items() if theirs.libm != mine.libm)
 
     def _client(self) -> Client:
         return self._connected
 
     def _look_after(self) -> None:
-        """Count the workers' threads as they are now: workers come and go."""
+        """Count the threads of the current workers: workers may join and leave."""
         workers = self._connected.scheduler_info(n_workers=-1)["workers"]
         self._most_pending = max(_AT_LEAST, _PER_THREAD * sum(worker["nthreads"] for worker in workers.values()))
 
 
 class Identity(NamedTuple):
-    """What a process computes with: version, a short hash of the sources, and that of the mathematical library."""
+    """The software of a process: version, a short hash of its sources, and the fingerprint of its math library."""
 
     version: str
     sources: str
@@ -235,7 +235,7 @@ class Identity(NamedTuple):
 
 
 def identity(sources: Mapping[str, Path] = SOURCES) -> Identity:
-    """Return what this process computes with, given by the folders of its sources."""
+    """Return the identity of this process, from the folders of its sources."""
     try:
         installed = version("swarmabs_core")
     except PackageNotFoundError:
@@ -248,12 +248,12 @@ def identity(sources: Mapping[str, Path] = SOURCES) -> Identity:
     return Identity(installed, total.hexdigest()[:16], libm_fingerprint())
 
 
-def stranger(mine: Identity, workers: Mapping[str, Identity]) -> str | None:
-    """Say which of the workers, given by name, has another swarmabs than this process; None if none has."""
+def different_worker(mine: Identity, workers: Mapping[str, Identity]) -> str | None:
+    """Describe the first worker, given by name, whose swarmabs differs from that of this process, if any."""
     for name, theirs in sorted(workers.items()):
         if theirs[:2] != mine[:2]:
             return (
-                f"worker {name} has swarmabs {theirs.version}, sources {theirs.sources}, and this is {mine.version},"
-                f" sources {mine.sources}"
+                f"worker {name} has swarmabs {theirs.version}, sources {theirs.sources}, but this process has"
+                f" {mine.version}, sources {mine.sources}"
             )
     return None

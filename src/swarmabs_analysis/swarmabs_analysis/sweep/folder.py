@@ -1,7 +1,7 @@
-"""The folder of a sweep: what is finished is kept case by case, and becomes one Parquet file at the end.
+"""The folder of a sweep: a journal of finished cases that becomes one Parquet file at the end.
 
-While the sweep goes on ``cases.jsonl`` gets one line per finished case, in any order. A line that a crash has torn is
-cut off by the next start. ``results.parquet`` and ``summary.json`` appear whole or not at all.
+During the sweep ``cases.jsonl`` gets one line per finished case, in any order. The next start removes a line that a
+crash left incomplete. ``results.parquet`` and ``summary.json`` appear complete or not at all.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
 
 SWEEP_FILE = "sweep.yaml"
 _SYNC_EVERY = 1.0
-"""Time, s, of which a power failure may cost the results; a crash of this process costs none."""
+"""Time whose results a power failure may lose, s; a crash of this process loses none."""
 
 
 class SweepFolder:
-    """A folder of a sweep that only one process writes; use it as a context manager."""
+    """A folder of a sweep, written by one process at a time; use it as a context manager."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.results, self.summary = path / "results.parquet", path / "summary.json"
         self.journal = path / "cases.jsonl"
-        """The finished cases of a sweep that is not complete."""
+        """The finished cases of an incomplete sweep."""
         self.rows: dict[int, dict[str, Any]] = {}
         """The finished cases by index."""
         self.outcomes: Counter[str] = Counter()
-        """How many of them have ended how."""
+        """Number of finished cases by outcome."""
         self._journal = -1
         self._synced = time.monotonic()
 
     def complete(self) -> dict[str, Any] | None:
-        """Return the summary of a sweep that is complete, else None."""
+        """Return the summary of a complete sweep, otherwise None."""
         try:
             summary = json.loads(self.summary.read_bytes())
         except (OSError, ValueError):
@@ -52,12 +52,12 @@ class SweepFolder:
         return summary if self.results.exists() and summary.get("status") == "ok" else None
 
     def __enter__(self) -> Self:
-        """Take the folder, and read what is finished.
+        """Lock the folder, and read the finished cases.
 
         Raises
         ------
         InputError
-            If another process has it, or it cannot be written.
+            If another process has locked it, or it cannot be written.
         """
         try:
             self._journal = os.open(self.journal, os.O_RDWR | os.O_CREAT, 0o666)
@@ -65,18 +65,20 @@ class SweepFolder:
             self.read()
         except BlockingIOError:
             self._close()
-            raise InputError(f"{self.path} is being written by another sweep; wait for it, or name another") from None
+            raise InputError(
+                f"{self.path} is in use by another sweep; wait until it ends, or name another folder"
+            ) from None
         except OSError as error:
             self._close()
             raise InputError(f"{self.path} cannot be written: {error.strerror}; choose another with -o") from error
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the folder to others."""
+        """Unlock the folder."""
         self._close()
 
     def read(self) -> None:
-        """Read the finished cases, and cut off what a crash has left after them."""
+        """Read the finished cases, and remove an incomplete line after them."""
         os.lseek(self._journal, 0, os.SEEK_SET)
         self.rows.clear()
         self.outcomes.clear()
@@ -97,7 +99,7 @@ class SweepFolder:
         os.lseek(self._journal, good, os.SEEK_SET)
 
     def add(self, line: str) -> None:
-        """Keep the row of a finished case.
+        """Append the row of a finished case to the journal.
 
         Raises
         ------
@@ -112,16 +114,16 @@ class SweepFolder:
                 os.fsync(self._journal)
                 self._synced = now
         except OSError as error:
-            raise RunError(f"{self.journal}: {error.strerror}; free space, then go on with --resume") from error
+            raise RunError(f"{self.journal}: {error.strerror}; free space, then continue with --resume") from error
         self.rows[row["case"]] = row
         self.outcomes[row["outcome"]] += 1
 
     def write_whole(self, path: Path, content: bytes) -> None:
-        """Write a file of the folder, whole or not at all."""
+        """Write a file of the folder completely or not at all."""
         try:
             write_whole(path, content, sync=True)
         except OSError as error:
-            raise RunError(f"{path}: {error.strerror}; free space, then go on with --resume") from error
+            raise RunError(f"{path}: {error.strerror}; free space, then continue with --resume") from error
 
     def _close(self) -> None:
         if self._journal >= 0:
@@ -130,30 +132,30 @@ class SweepFolder:
 
 
 def make_folder(study: Study, path: Path | None, parent: Path) -> SweepFolder:
-    """Make the folder of a new sweep: the one that the user has named, or the next free one below a parent.
+    """Create the folder of a new sweep: the one named by the user, or the next free one below a parent.
 
     Raises
     ------
     InputError
-        If it cannot be made, or is not empty.
+        If it cannot be created, or is not empty.
     """
     if path is not None and (path / SWEEP_FILE).is_file():
-        raise InputError(f"{path} holds a sweep already; go on with it with --resume, or name another folder")
+        raise InputError(f"{path} already contains a sweep; continue it with --resume, or name another folder")
     made = new_run_folder(path) if path is not None else next_run_folder(parent, study.sweep.name)
     folder = SweepFolder(made.path)
-    # The sweep's own file comes last: without it there is nothing to resume.
+    # The file of the sweep comes last: without it there is nothing to resume.
     for name, text in _files(study):
         folder.write_whole(folder.path / name, text.encode())
     return folder
 
 
 def find_folder(study: Study, path: Path) -> SweepFolder:
-    """Return the folder of a sweep that was begun, checked to be the same sweep.
+    """Return the folder of a started sweep after checking that it is the same sweep.
 
     Raises
     ------
     InputError
-        If it is the folder of another sweep.
+        If it contains another sweep.
     """
     for name, text in _files(study):
         try:
@@ -168,14 +170,14 @@ def find_folder(study: Study, path: Path) -> SweepFolder:
             )
             line = next((number for number, (one, other) in enumerate(pairs, 1) if one != other), 1)
             raise InputError(
-                f"{path} holds another sweep: {name} differs from line {line} on; "
-                "continue with the files that it was started with, or start again in another folder"
+                f"{path} contains another sweep: {name} differs from line {line} on; "
+                "continue with the files it was started with, or start again in another folder"
             )
     return SweepFolder(path)
 
 
 def _files(study: Study) -> tuple[tuple[str, str], ...]:
-    """Return the names and texts of the files that say what the sweep is."""
+    """Return names and texts of the files that define the sweep."""
     return (SCENARIO_FILE, study.scenario), (SWEEP_FILE, study.sweep_text)
 
 

@@ -1,4 +1,4 @@
-"""The picture of a sweep: how the cases end over two of the parameters."""
+"""The picture of a sweep: the outcomes of the cases over two parameters."""
 
 from __future__ import annotations
 
@@ -46,24 +46,24 @@ UNITS = {
 }
 """Units of parameters by the last part of their path."""
 BLACK = "#000000"
-# From light to dark in the order of the outcomes: people with any colour vision tell them apart, and so does grey.
+# From light to dark in the order of the outcomes: distinct with any colour vision, and in greyscale.
 LOOKS = {
     "settled": ("#e4eef6", "settles within 10 mrad"),
-    "unsettled": ("#f0e442", "stays up, does not settle"),
+    "unsettled": ("#f0e442", "stays up, but does not settle"),
     "off_plane": ("#e69f00", "a robot leaves the plane"),
     "failed": ("#a33b00", "the run fails: the plane turns over"),
-    "refused": ("#222222", "no valid scenario"),
+    "refused": ("#222222", "invalid scenario"),
 }
 MARKERS = {"settled": "o", "unsettled": "s", "off_plane": "^", "failed": "X", "refused": "P"}
 _FEW = 30
-"""Values of a parameter up to which the markers that share one are moved apart."""
+"""Most values of a parameter for which markers with the same value are moved apart."""
 _FEW_MARKERS = 500
 _FINE = 201
 """Points per axis at which the outlines of the estimates are computed."""
 
 
 class _Points(NamedTuple):
-    """Cases by place in the picture."""
+    """Coordinates and outcomes of the cases."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -73,11 +73,11 @@ class _Points(NamedTuple):
 
 
 def pictures(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> dict[str, bytes]:
-    """Return the picture as files by name, PNG and SVG; none if there are no two parameters that are numbers.
+    """Return the picture as PNG and SVG files by name; none if fewer than two parameters are numeric.
 
-    Where both parameters are of the grid every point is a field in the colour of its worst case, else every case is a
-    marker. Over the plane's angle and angular velocity, if nothing else is swept, the estimates of the region of
-    attraction are outlined.
+    If both parameters are in the grid, every point is a field in the colour of its worst case, otherwise every case is
+    a marker. If only the plane's angle and angular velocity are swept, the estimates of the region of attraction are
+    outlined.
     """
     axes = _axes(study)
     if axes is None:
@@ -93,7 +93,7 @@ def pictures(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> dict[str, b
 
 
 def _axes(study: Study) -> tuple[str, str] | None:
-    """Return the parameters along the axes."""
+    """Return the parameters of the axes."""
     sweep = study.sweep
     numbers = [path for path in sweep.parameters if _is_numeric(study, path)]
     if sweep.picture is not None:
@@ -130,25 +130,28 @@ def _draw(study: Study, rows: Mapping[int, Mapping[str, Any]], x: str, y: str) -
     if estimated is not None:
         handles += _outlines(panels, estimated, upright=x == ANGLE)
     per_place = sweep.count // len({*zip(points.x, points.y, strict=True)}) if fields else 1
-    panels[0].set_title(sweep.name if per_place == 1 else f"{sweep.name}: the worst of {per_place} cases per point")
+    panels[0].set_title(sweep.name if per_place == 1 else f"{sweep.name}: worst of {per_place} cases per point")
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
 def _points(study: Study, rows: Mapping[int, Mapping[str, Any]], x: str, y: str) -> _Points:
-    """Return the cases, the worst last."""
+    """Return the cases, sorted from best to worst."""
     cases = [study.case(index) for index in range(study.sweep.count)]
     rank = np.array([OUTCOMES.index(rows[case.index]["outcome"]) for case in cases])
     order = np.argsort(rank, kind="stable")
     places = [np.array([float(case.values[path]) for case in cases]) for path in (x, y)]
     if x in study.sweep.grid and y in study.sweep.grid:
         return _Points(places[0][order], places[1][order], rank[order])
-    (x_place, x_ticks), (y_place, y_ticks) = (_spread(place) for place in places)
+    (x_place, x_ticks), (y_place, y_ticks) = (_moved_apart(place) for place in places)
     return _Points(x_place[order], y_place[order], rank[order], x_ticks, y_ticks)
 
 
-def _spread(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Move apart what shares few values, in a fixed pattern, so that markers do not hide each other; and the values."""
+def _moved_apart(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Move coordinates that share few values apart in a fixed pattern, so that no marker hides another.
+
+    Also return these values, for the ticks of the axis.
+    """
     values = np.unique(place)
     if not 1 < len(values) <= _FEW or len(values) > len(place) // 2:
         return place, None
@@ -181,11 +184,11 @@ def _markers(axes: Axes, points: _Points) -> None:
 
 
 def _outlines(panels: Sequence[Axes], estimated: Estimate, *, upright: bool) -> list[Line2D]:
-    """Draw where the estimates end, in the second panel from near; return what the legend says of them."""
+    """Draw the boundaries of the estimates, magnified in the second panel; return their legend entries."""
     whole, near = panels
     limits = whole.get_xlim(), whole.get_ylim()
     levels = (
-        (estimated.printed, ":", "estimate printed in the paper"),
+        (estimated.printed, ":", "estimate as printed in the paper"),
         (estimated.corrected, "-", "estimate with the corrected η"),
     )
     seen = _contours(whole, estimated, levels, upright=upright)
@@ -205,7 +208,7 @@ def _outlines(panels: Sequence[Axes], estimated: Estimate, *, upright: bool) -> 
 def _contours(
     axes: Axes, estimated: Estimate, levels: Sequence[tuple[float, str, str]], *, upright: bool
 ) -> NDArray[np.float64]:
-    """Draw the borders of the estimates; return their points."""
+    """Draw the boundaries of the estimates; return their points."""
     x, y = np.meshgrid(np.linspace(*axes.get_xlim(), _FINE), np.linspace(*axes.get_ylim(), _FINE))
     squared = np.vectorize(estimated.error_squared)(*((x, y) if upright else (y, x)))
     points = [np.empty((0, 2))]

@@ -1,4 +1,4 @@
-"""Carrying out a sweep: from the cases to the folder with the results."""
+"""Running a sweep: from the cases to the folder with the results."""
 
 from __future__ import annotations
 
@@ -37,8 +37,9 @@ def run_sweep(
 ) -> dict[str, Any]:
     """Compute the cases that are not finished yet, write table, pictures and summary, and return the summary.
 
-    Its ``status`` is ok, failed or interrupted; in the latter cases what is finished is kept, and another start goes on
-    from there. The folder is taken; `on_progress` is told how cases have ended, after each of them and now and then.
+    Its ``status`` is ok, failed or interrupted; in the latter cases the finished cases are kept, and another start
+    continues from there. The folder must be locked; `on_progress` receives the counts of the outcomes, after each case
+    and periodically.
     """
     begun = time.monotonic()
     before = len(folder.rows)
@@ -58,10 +59,10 @@ def run_sweep(
     except RunError as error:
         status, reason = "failed", str(error)
     except KeyboardInterrupt:
-        status, reason = "interrupted", "interrupted; go on with --resume"
+        status, reason = "interrupted", "interrupted; continue with --resume"
     finally:
         executor.close()
-    folder.read()  # an interrupt comes at any moment, such as between writing a row and counting it
+    folder.read()  # an interrupt may come between writing a row and counting it
     wall_time = time.monotonic() - begun
     computed = len(folder.rows) - before
     summary = {
@@ -83,11 +84,11 @@ def run_sweep(
 
 
 def parquet(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> bytes:
-    """Return ``results.parquet``: one row per case, in order of the cases, of which all are finished.
+    """Return ``results.parquet``: one row per case in order; all cases must be finished.
 
     Columns are ``case``, the parameters by their paths, the results, ``status``, ``outcome``, ``reason``, ``seed`` and
-    ``digest``. A parameter whose values are not all numbers, or not all texts, is written as JSON. The file's metadata
-    hold the sweep and its scenario. Equal sweeps give equal bytes.
+    ``digest``. A parameter whose values are neither all numbers nor all strings is written as JSON. The file's metadata
+    contains the sweep and its scenario. Equal sweeps give equal bytes.
     """
     cases = list(study.cases())
     found = [{**rows[case.index], "case": case.index, "seed": case.seed} for case in cases]
@@ -106,7 +107,7 @@ def parquet(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> bytes:
 
 
 def _parameter(values: Sequence[Any]) -> Any:
-    """Return the column of a parameter in the simplest type that holds all its values."""
+    """Return the column of a parameter in the simplest type that fits all its values."""
     kinds = {type(value) for value in values if value is not None}
     if kinds == {int} and all(abs(value) < 2**63 for value in values if value is not None):
         return pa.array(values, pa.int64())

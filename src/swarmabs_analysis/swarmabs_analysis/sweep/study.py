@@ -1,4 +1,4 @@
-"""A sweep: the file that says what varies, and its cases in a fixed order, each a set of overrides and a seed."""
+"""A sweep: the file that defines what varies, and the cases in a fixed order, each a set of overrides and a seed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from swarmabs_config.scenarios import DottedPath, as_override, at_parameter, fin
 from swarmabs_core.theory.state_feedback import ANGLE_MAX
 
 PROBED = 64
-"""How many cases are tried before a sweep is refused because none of its cases is a valid scenario."""
+"""Number of cases to try before a sweep is rejected because none is a valid scenario."""
 SCENARIO_FILE = "scenario.yaml"
 MOST_CASES = 1_000_000
 Result: TypeAlias = Literal[
@@ -64,7 +64,7 @@ class Range(Model):
     count: int = Field(ge=2, le=MOST_CASES, description="number of values")
 
     def values(self) -> list[int | float]:
-        """Return the values, each rounded once from the exact decimal; whole numbers if all of them are."""
+        """Return the values, each rounded once from the exact decimal; as int if all are whole numbers."""
         start, stop = Fraction(repr(self.start)), Fraction(repr(self.stop))
         exact = [start + (stop - start) * n / (self.count - 1) for n in range(self.count)]
         if all(value.denominator == 1 for value in exact):
@@ -79,7 +79,7 @@ def _values(value: object) -> object:
         remedy = "write [value, ...] or {from: ..., to: ..., count: ...}"
         raise problem(f"expected a list of values, found {describe(value)}", remedy)
     if not value:
-        raise problem("a list without values", "give one or more")
+        raise problem("the list is empty", "give one or more values")
     seen: set[str] = set()
     for one in value:
         text = json.dumps(one, sort_keys=True)
@@ -98,19 +98,19 @@ def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-def _spread(pair: tuple[float, float]) -> tuple[float, float]:
+def _positive_deviation(pair: tuple[float, float]) -> tuple[float, float]:
     if not pair[1] > 0:
         raise problem(f"the standard deviation is {pair[1]!r}", "write [mean, standard deviation], the latter above 0")
     return pair
 
 
 class Distribution(Model):
-    """What a random parameter is drawn from: exactly one of the keys."""
+    """The distribution of a random parameter: exactly one of the keys."""
 
     uniform: Annotated[tuple[Number, Number], AsPair, AfterValidator(_ascending)] | None = Field(
         default=None, description="[smallest, largest]"
     )
-    normal: Annotated[tuple[Number, Number], AsPair, AfterValidator(_spread)] | None = Field(
+    normal: Annotated[tuple[Number, Number], AsPair, AfterValidator(_positive_deviation)] | None = Field(
         default=None, description="[mean, standard deviation]"
     )
     choice: Values | None = Field(default=None, description="values of equal probability")
@@ -124,7 +124,7 @@ class Distribution(Model):
         return self
 
     def draw(self, chance: float) -> Any:
-        """Return the value that belongs to a number in (0, 1) that is uniformly distributed."""
+        """Return the value for a uniformly distributed number in (0, 1)."""
         if self.uniform is not None:
             low, high = self.uniform
             return low + (high - low) * chance
@@ -148,9 +148,9 @@ class Picture(Model):
 
 
 class Sweep(Model):
-    """A study, completely described apart from its scenario.
+    """The complete description of a study, apart from its scenario.
 
-    Every point of the grid is computed `samples` times, each time with new random parameters and another seed.
+    Every point of the grid is computed `samples` times, each with new random parameters and another seed.
     """
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
@@ -165,23 +165,23 @@ class Sweep(Model):
     random: dict[DottedPath, Distribution] = Field(default={}, description="parameters drawn for each case")
     samples: int = Field(default=1, ge=1, le=MOST_CASES, description="cases per point of the grid")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of everything random in the sweep")
-    results: Annotated[tuple[Result, ...], AsTuple] = Field(default=RESULTS, description="what is kept of each case")
+    results: Annotated[tuple[Result, ...], AsTuple] = Field(default=RESULTS, description="columns to keep of each case")
     attraction: Attraction = Field(default=Attraction(), description="the estimates of the region of attraction")
     picture: Picture | None = Field(default=None, description="axes of the picture; by default the first two numbers")
 
     @model_validator(mode="after")
     def _check_together(self) -> Sweep:
         findings = [
-            Finding.of(("random", path), "it is in the grid, too", "keep one of them", see=("grid", path))
+            Finding.of(("random", path), "it is also in the grid", "remove one of the two", see=("grid", path))
             for path in self.random
             if path in self.grid
         ]
         if not self.parameters:
             findings.append(Finding.of((), "nothing is swept", "add e.g. 'grid: {plane.angle: [0.1, 0.2]}'"))
         if self.count > MOST_CASES:
-            findings.append(Finding.of((), f"{self.count} cases are too many", f"sweep at most {MOST_CASES}"))
+            findings.append(Finding.of((), f"{self.count} cases are too many", f"use at most {MOST_CASES}"))
         if len(set(self.results)) < len(self.results):
-            findings.append(Finding.of(("results",), "a result is named twice", "name each once"))
+            findings.append(Finding.of(("results",), "a result is listed twice", "list each once"))
         if self.picture is not None:
             axes = {"x": self.picture.x, "y": self.picture.y}
             findings += [
@@ -196,7 +196,7 @@ class Sweep(Model):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The swept parameters in order of the file, those of the grid first."""
+        """The swept parameters in the order of the file, those of the grid first."""
         return (*self.grid, *self.random)
 
     @property
@@ -207,22 +207,22 @@ class Sweep(Model):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One run of a sweep: its place, from 0, the scenario's seed, and the swept parameters' values by path."""
+    """One run of a sweep: index, the seed of its scenario, and the values of the swept parameters by path."""
 
     index: int
     seed: int
     values: Mapping[str, Any]
 
     def overrides(self) -> tuple[str, ...]:
-        """Return what ``--set`` would be given to run this case alone."""
+        """Return the arguments of ``--set`` that run this case alone."""
         return (f"seed={self.seed}", *(as_override(path, value) for path, value in self.values.items()))
 
 
 @dataclass(frozen=True)
 class Study:
-    """A sweep and its scenario, which all cases are made from.
+    """A sweep and the scenario that all its cases are based on.
 
-    The scenario is a text in YAML with every default filled in; generated robots are left to generate.
+    The scenario is resolved YAML text, except that generated robots are not generated yet.
     """
 
     sweep: Sweep
@@ -230,7 +230,7 @@ class Study:
 
     @property
     def sweep_text(self) -> str:
-        """The sweep in YAML with every default filled in; it belongs beside the scenario's text."""
+        """The sweep as YAML with every default filled in; it refers to the scenario's text in `SCENARIO_FILE`."""
         data = self.sweep.model_dump(mode="json", by_alias=True, exclude={"settings"})
         data["scenario"] = SCENARIO_FILE
         data["random"] = {
@@ -239,9 +239,9 @@ class Study:
         return dump_tree({key: value for key, value in data.items() if value is not None})
 
     def case(self, index: int) -> Case:
-        """Return a case: the last parameter of the grid varies fastest but for the samples.
+        """Return a case; samples vary fastest, then the last parameter of the grid.
 
-        What is random in it depends on the sweep's seed, the index and, for drawn parameters, their path only.
+        Its random values depend only on the sweep's seed, the index and, for drawn parameters, their path.
         """
         sweep = self.sweep
         point, values = index // sweep.samples, {}
@@ -258,14 +258,14 @@ class Study:
         return (self.case(index) for index in range(self.sweep.count))
 
     def task(self, index: int) -> Task:
-        """Return what computes a case."""
+        """Return the task that computes a case."""
         return Task(self.scenario, index, self.case(index).overrides(), self.sweep.attraction.angle_max)
 
 
 def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Study:
     """Read a sweep file in YAML, whose stem is the default of ``name``, and its scenario.
 
-    Overrides ``a.b=v`` of the scenario come after those of the file.
+    Overrides ``a.b=v`` of the scenario are applied after those of the file.
 
     Raises
     ------
@@ -291,7 +291,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def _refuse_invalid(study: Study, root: Node) -> None:
-    """Refuse a sweep none of whose cases is valid, as one with a misspelt path."""
+    """Raise an error for a sweep without a valid case, such as one with a misspelt path."""
     first = _invalidity(study, 0)
     probed = range(0, study.sweep.count, max(1, study.sweep.count // PROBED))
     if first is not None and all(_invalidity(study, index) for index in probed):
@@ -299,7 +299,7 @@ def _refuse_invalid(study: Study, root: Node) -> None:
 
 
 def _invalidity(study: Study, index: int) -> ScenarioError | None:
-    """Return why a case is no valid scenario, None if it is one."""
+    """Return why a case is not a valid scenario, or None."""
     try:
         parse_scenario(study.scenario, overrides=study.case(index).overrides())
     except ScenarioError as error:
@@ -308,7 +308,7 @@ def _invalidity(study: Study, index: int) -> ScenarioError | None:
 
 
 def _hash(seed: int, index: int, purpose: str) -> int:
-    """Return 64 bits that depend on nothing else."""
+    """Return 64 bits that depend only on the arguments."""
     digest = sha256(f"swarmabs sweep\0{seed}\0{index}\0{purpose}".encode()).digest()
     return int.from_bytes(digest[:8], "big")
 
