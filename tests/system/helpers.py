@@ -156,11 +156,14 @@ def realtime(folder: Path, *overrides: str, **options: Any) -> Outcome:
 
 
 def at(acts: Mapping[int, Callable[[], object]]) -> Callable[[Progress], None]:
-    """Return what acts as soon as so many steps of a run are recorded: to be given as `RunOptions.on_progress`."""
+    """Return what acts as soon as so many steps of a run are recorded: to be given as `RunOptions.on_progress`.
+
+    It waits for the controller's first answer, since in real time robots may be late: all have been heard by then.
+    """
     waiting = sorted(acts.items())
 
     def watch(progress: Progress) -> None:
-        while waiting and progress.phase == "running" and progress.step >= waiting[0][0]:
+        while waiting and progress.error is not None and progress.step >= waiting[0][0]:
             waiting.pop(0)[1]()
 
     return watch
