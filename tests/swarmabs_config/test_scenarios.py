@@ -90,7 +90,7 @@ def test_a_bag_brings_its_own_scenario(tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_refused_with_a_hint() -> None:
-    hints = {"pd_het4": "did you mean pd_het_4?", "nothing at all": "there are arise_di_4, "}
+    hints = {"pd_het4": "did you mean pd_het_4?", "nothing at all": "arise_di_4, "}
     for named, words in {**hints, "no/such.yaml": "no/such.yaml", "gone.yaml": "gone.yaml"}.items():
         with pytest.raises(InputError, match=rf"^.*{re.escape(words)}.*$"):
             find_scenario(named)

@@ -134,7 +134,7 @@ HEAD = "schema: 1\nswarm:\n  generate: {double_integrator: 3, mass: [1, 2]}\n"
         ("{kind: reference, at: 1, offset: 1.5}", "f:4: faults.0.offset: 1.5 is out of range; give a number < 1.5"),
         (
             "{kind: disturbance, at: 2, torque: 1, until: 4}, {kind: disturbance, at: 3, torque: 1}",
-            "f:4: faults.1: a second disturbance at the same time (see line 4); let one end before the other begins",
+            "f:4: faults.1: a second disturbance at the same time (see line 4); end one before the other begins",
         ),
         (
             "{kind: reference, at: 2, offset: 1}, {kind: reference, at: 2.001, offset: 0.5}",
@@ -142,7 +142,7 @@ HEAD = "schema: 1\nswarm:\n  generate: {double_integrator: 3, mass: [1, 2]}\n"
         ),
         (
             "{kind: join, at: null, agent: 3}, {kind: kill, at: 3, agent: 3}",
-            "f:4: faults.1: robot 3 is there only when it is added, and nobody knows when (see line 4); leave this",
+            "f:4: faults.1: robot 3 joins at an unplanned time, so its end cannot be planned (see line 4); remove this",
         ),
     ],
 )

@@ -1,1 +1,1 @@
-"""Scenario, fleet file and graph of swarmabs: everything that is declared."""
+"""The declarations of swarmabs: scenario, fleet file and graph of topics."""

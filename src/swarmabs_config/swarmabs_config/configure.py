@@ -1,4 +1,4 @@
-"""From a scenario to the configurations of the nodes."""
+"""Derive the configurations of the nodes from a scenario."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def schedule(scenario: UncheckedScenario) -> tuple[Change, ...]:
 
 
 def robot_faults(scenario: UncheckedScenario, agent_id: int) -> tuple[InjectedFault, ...]:
-    """Return what is injected into a robot besides changes of the membership."""
+    """Return the faults injected into a robot, without changes of the membership."""
     return tuple(
         InjectedFault.of(fault, *scenario.fault_steps(fault))
         for fault in scenario.faults_of(RobotFault)
@@ -51,7 +51,7 @@ def robot_faults(scenario: UncheckedScenario, agent_id: int) -> tuple[InjectedFa
 
 
 def falsifications(scenario: UncheckedScenario) -> tuple[Falsification, ...]:
-    """Return the injected lies of all robots, by robot."""
+    """Return the falsified states injected into all robots, by robot."""
     return tuple(
         Falsification(agent.id, injected)
         for agent in scenario.agents
@@ -61,7 +61,7 @@ def falsifications(scenario: UncheckedScenario) -> tuple[Falsification, ...]:
 
 
 def step_changes(scenario: UncheckedScenario, kind: str) -> tuple[StepChange, ...]:
-    """Return the changes of a setting (`REFERENCE` or `DISTURBANCE`) by step; one that ends is 0 from then on."""
+    """Return the step changes of a setting (`REFERENCE` or `DISTURBANCE`); where one ends, the setting returns to 0."""
     found: dict[int, float] = {}
     for fault in scenario.faults_of(SettingFault):
         if fault.kind == kind:
@@ -72,12 +72,12 @@ def step_changes(scenario: UncheckedScenario, kind: str) -> tuple[StepChange, ..
 
 
 def recording_window(scenario: UncheckedScenario) -> int:
-    """Return how many steps a recorded run may be ahead of what is on disk."""
+    """Return how many steps a recorded run may be ahead of the bag on disk."""
     return graph.recording_window(len(scenario.agents))
 
 
 def declared(scenario: UncheckedScenario) -> tuple[object, ...]:
-    """Return what a scenario declares, of which the configurations of the nodes are made."""
+    """Return the declarations of a scenario from which the configurations of the nodes are gathered."""
     run = Run(
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
@@ -104,7 +104,7 @@ def plane_config(scenario: UncheckedScenario) -> PlaneConfig:
 
 
 def parent_law(scenario: UncheckedScenario) -> ParentLaw:
-    """Return which law controls the plane."""
+    """Return the plane's control law by name, with its settings and the plane it controls."""
     plane = scenario.plane
     return ParentLaw(scenario.controller.type, controller_settings(scenario), plane.inertia, plane.friction)
 
@@ -135,12 +135,12 @@ def _settings(part: BaseModel) -> Settings:
 
 
 def parent_controller(scenario: UncheckedScenario) -> ParentController:
-    """Return the control law of the plane."""
+    """Return the plane's controller."""
     return parent_law(scenario).make(scenario.period, scenario.manifold)
 
 
 def reference(scenario: UncheckedScenario) -> OffsetReference:
-    """Return the angle wanted (rad) by time (s): the law's reference with the scenario's offsets."""
+    """Return the desired angle (rad) over time (s): the law's reference plus the scenario's offsets."""
     offsets = StepSchedule(step_changes(scenario, REFERENCE))
     return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
 
@@ -167,12 +167,12 @@ def agent_configs(scenario: UncheckedScenario) -> tuple[AgentConfig, ...]:
 
 
 def swarm_law(scenario: UncheckedScenario) -> dict[str, Any]:
-    """Return the fields of a robot's configuration that say by which law it is moved."""
+    """Return the fields of a robot's configuration that select its control law."""
     return {"law": scenario.swarm.law.type, "law_settings": _settings(scenario.swarm.law)}
 
 
 def robot(agent: Agent) -> dict[str, Any]:
-    """Return the fields of a robot's configuration that say what it is."""
+    """Return the fields of a robot's configuration that describe the robot itself."""
     return {
         "agent_id": agent.id,
         "kind": Kind[agent.kind.upper()],

@@ -1,21 +1,21 @@
-"""The graph of the swarm: who publishes and who reads each topic, on what condition, and with what quality of service.
+"""The graph of the swarm: publishers and readers of each topic, their conditions, and the quality of service.
 
-`GRAPH` is the only place that says so. The nodes' endpoints, the processes of a run and whom each of them waits for,
-the recorder, the permissions under sros2, the simulation in one process, the virtual fleet and the tables of the
+`GRAPH` is the single source. The nodes' endpoints, the processes of a run and the peers each of them waits for, the
+recorder, the permissions under sros2, the simulation in one process, the virtual fleet and the tables of the
 documentation follow from it.
 
-Nothing relies on a quality of service for correctness: whoever waits too long repeats its last messages, whoever
-receives ignores what it has. So the policies are free to be tuned by measurement. What was measured: positive
-acknowledgements of the robots' state writers are what makes a reliable swarm slow, so these are best effort; the
-broadcasts are offered reliable, for whoever else wants to listen. The nodes of a run read them best effort: a robot
-that misses one asks again by repeating its own state, and what the recorder misses is repeated when the run has used
-up the recorder's credit.
+Correctness never depends on a quality of service: a node that waits too long repeats its last messages, and a receiver
+ignores messages that it already has. The policies can therefore be tuned by measurement. Measurements show that
+positive acknowledgements of the robots' state writers slow a reliable swarm down, so these writers are best effort. The
+broadcasts are offered as reliable for other listeners. The nodes of a run read them as best effort: a robot that misses
+one asks for it by repeating its own state, and messages that the recorder misses are repeated when the run has used up
+the recorder's credit.
 
-In real time the next message makes the one before worthless. The nodes read everything but events as best effort: a
-reliable reader holds newer messages back until a lost one has been sent again, and then all of them are old. Reliable
-is offered for recorders and tools. Whoever publishes every period asserts by this that it lives; events have no period
-and so no lease. There is no deadline: what a message that is overdue leads to is decided by its age in the state
-machines, where it has an event and a test.
+In real time each message makes the previous one obsolete. Nodes read everything except events as best effort: a
+reliable reader holds newer messages back until a lost one has been resent, and then all of them are old. Reliable
+delivery is offered for recorders and tools. A periodic publisher asserts its liveliness by publishing; events are not
+periodic and have no lease. There are no deadlines: the state machines decide by age how to react to an overdue message,
+with an event and a test for each case.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.steering import STEERER
 
-# Nodes, by the names that they have where none is remapped; every robot's node has a name of its own.
+# Default names of the nodes; each robot's node has its own name (`agent_name`).
 PLANE, PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_sim", "plane_driver", "abstraction_observer", "parent_controller"
 RECORDER, ROBOT = "recorder", "agent_node"
 
 
 class Driver(Enum):
-    """What makes the steps of the nodes."""
+    """What drives the steps of the nodes."""
 
     LOCKSTEP = "lockstep"
     REALTIME = "realtime"
@@ -64,7 +64,7 @@ class Node:
 
 
 COORDINATORS = 8
-"""Participant ids below belong to the coordinators: the nodes here but the robots, spares, and tools."""
+"""Participant ids below this one belong to coordinators, that is all nodes but the robots, to spares, and to tools."""
 FIRST_SPARE = 4
 
 NODES = {
@@ -85,14 +85,14 @@ def agent_name(agent_id: int) -> str:
 
 
 class Option(Enum):
-    """What a node may be asked for, on which some of its endpoints depend."""
+    """An option of a node that adds or removes endpoints."""
 
     PACKED = "packed"
-    """Robots hear the three broadcasts as one message."""
+    """Robots receive the three broadcasts in one message."""
     STEERED = "steered"
-    """Each step begins with what is ordered for it."""
+    """Each step begins with the steering message for it."""
     CREDITED = "credited"
-    """The run is not ahead of its recorder by more than a window."""
+    """The run is never ahead of its recorder by more than a window."""
     WATCHING = "watching"
     """The observer estimates the swarm's torque from the motion of the plane."""
     FEELING = "feeling"
@@ -103,8 +103,8 @@ class Option(Enum):
 class Qos:
     """Offered or requested quality of service: the policies that differ between topics; history is KEEP_LAST.
 
-    With `lease` (s) liveliness is MANUAL_BY_TOPIC: whoever does not publish for so long is taken to be dead. With 0
-    there is none.
+    With a `lease` (s), liveliness is MANUAL_BY_TOPIC: a writer that has not published for that long is considered dead.
+    0 means no lease.
     """
 
     reliability: Literal["reliable", "best_effort"]
@@ -115,10 +115,10 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """A node at one end of a topic, under both drivers or one, only with or unless with an option.
+    """A node at one end of a topic, under one driver or both, possibly only with or only without an option.
 
-    A reader has a `depth`, which may depend on the number of robots: how many messages wait for it before the oldest is
-    lost. It may ask for retransmission, where the writer offers it.
+    The `depth` of a reader is the number of messages that wait for it before the oldest is lost; it may depend on the
+    number of robots. A reader may request retransmission if the writer offers it.
     """
 
     node: str
@@ -129,7 +129,7 @@ class End:
     unless: Option | None = None
 
     def holds(self, driver: Driver, options: frozenset[Option]) -> bool:
-        """Tell whether there is this end under a driver, with these options."""
+        """Tell whether this end exists under a driver with these options."""
         return (
             self.driver in {None, driver}
             and (self.only is None or self.only in options)
@@ -139,7 +139,7 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A topic with all its ends, and what its publishers offer; a driver that is missing has no such topic."""
+    """A topic with all its ends and what its publishers offer, by driver; a missing driver does not have the topic."""
 
     topic: Topic
     offered: Mapping[Driver, Qos]
@@ -149,7 +149,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """What a node publishes, and what it reads with which quality of service requested."""
+    """The topics that a node publishes, and those it reads with the requested quality of service."""
 
     publications: tuple[Topic, ...]
     subscriptions: Mapping[Topic, Qos]
@@ -157,33 +157,33 @@ class Endpoints:
 
 RECORDING_STEPS = 100
 RECORDING_MESSAGES = 20_000
-"""How many steps, and how many states of robots, a recorded run may be ahead of what is on disk."""
+"""How many steps, and how many robot states, a recorded run may be ahead of the bag on disk."""
 SHORTEST_RECORDING_WINDOW = 4
 
 
 def recording_window(robots: int) -> int:
-    """Return how many steps a recorded run may be ahead of what is on disk: few where a step has many messages."""
+    """Return how many steps a recorded run may be ahead of the bag on disk: fewer if a step has many messages."""
     return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, RECORDING_MESSAGES // max(1, robots)))
 
 
 LEASE = 0.5
-"""Silence, s, after which the middleware takes a node to be dead: several age limits, so that it never decides."""
+"""Silence, s, after which the middleware considers a node dead: several age limits, which therefore act first."""
 _RECORDED = 5000
-"""Messages of a topic that may wait in real time: the recorder may stand still for seconds while the disk does."""
+"""Messages of a topic that may wait in real time: a slow disk may block the recorder for seconds."""
 
 
 def _gathered(robots: int) -> int:
-    """Return how many robots' states may wait where those of all robots are gathered."""
+    """Return how many robot states may wait for a node that gathers those of all robots."""
     return max(100, 4 * robots)
 
 
 def _recorded(robots: int) -> int:
-    """Return how many robots' states may wait for the recorder: what may be under way, and the step being recorded."""
+    """Return how many robot states may wait for the recorder: those of the window, and of the step being recorded."""
     return max(1000, (recording_window(robots) + 1) * robots)
 
 
 def _recorder(depth: int | Callable[[int], int] = 1000, *, reliable: bool = False) -> tuple[End, End]:
-    """Return the recorder's ends; in lockstep acknowledgements would wake a thread of each writer several times."""
+    """Return the recorder's ends; in lockstep, acknowledgements would wake a thread of each writer several times."""
     return End(RECORDER, depth, reliable, LOCKSTEP), End(RECORDER, _RECORDED, reliable=True, driver=REALTIME)
 
 
@@ -283,14 +283,14 @@ OFFERED = {driver: {link.topic: link.offered[driver] for link in GRAPH if driver
 """What the publishers of a topic offer, by driver."""
 
 SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset"), ROBOT: ("~/leave", "~/join")}
-"""An operator's commands in real time, by node."""
+"""The services for operators in real time, by node."""
 
 DIAGNOSTICS = "diagnostics"
-"""Where nodes in real time say how they are, relative to the namespace: a swarm's own."""
+"""Topic on which real-time nodes report their health, relative to the swarm's namespace."""
 
 
 def endpoints(node: str, driver: Driver, options: frozenset[Option] = frozenset(), *, robots: int = 0) -> Endpoints:
-    """Return the endpoints of a node; the depths of what comes from all robots depend on how many ever take part."""
+    """Return the endpoints of a node; some depths depend on the number of robots that ever take part."""
     links = [link for link in GRAPH if driver in link.offered]
     return Endpoints(
         tuple(link.topic for link in links if any(_is(end, node, driver, options) for end in link.writers)),
@@ -313,14 +313,14 @@ def _is(end: End, node: str, driver: Driver, options: frozenset[Option]) -> bool
 
 
 def requested(topic: Topic, driver: Driver = LOCKSTEP, *, depth: int, reliable: bool = False) -> Qos:
-    """Return what a reader of a topic asks for: never more than is offered; retransmission if it is `reliable`."""
+    """Return the QoS that a reader of a topic requests: never more than is offered, retransmission if `reliable`."""
     offered = OFFERED[driver][topic]
     reliability = offered.reliability if reliable else "best_effort"
     return Qos(reliability, depth, offered.durability if reliability == "reliable" else "volatile")
 
 
 def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
-    """Return what a node is asked for by its parameters."""
+    """Return the options that a node's parameters select."""
     asked = {
         Option.PACKED: parameters.get("packed"),
         Option.STEERED: parameters.get("steered"),
@@ -332,5 +332,5 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
 
 
 def writers(topic: Topic) -> tuple[str, ...]:
-    """Return the nodes that publish a topic, under whatever driver and with whatever options."""
+    """Return the nodes that publish a topic under any driver, with any options."""
     return tuple(dict.fromkeys(end.node for link in GRAPH if link.topic is topic for end in link.writers))

@@ -1,4 +1,4 @@
-"""From a scenario to the configurations of the realtime nodes."""
+"""Derive the configurations of the real-time nodes from a scenario."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def check_realtime(scenario: Scenario) -> None:
-    """Refuse what a scenario may ask for in lockstep only.
+    """Reject a scenario with settings that only lockstep supports.
 
     Raises
     ------
     InputError
-        Naming the field and what to do.
+        If there is such a setting; the text names the field and the remedy.
     """
     lockstep_only = (
         ("plane.robot_gravity", scenario.plane.robot_gravity),
@@ -37,16 +37,16 @@ def check_realtime(scenario: Scenario) -> None:
     )
     for name, given in lockstep_only:
         if given:
-            raise InputError(f"{name}: there is none in real time with simulated robots; remove it, or run in lockstep")
+            raise InputError(f"{name}: not supported in real time with simulated robots; remove it, or run in lockstep")
 
 
 def schedule(scenario: Scenario, epoch_ns: int) -> Schedule:
-    """Return how time becomes steps, from an epoch in ns since 1970."""
+    """Return the conversion of time to steps, from an epoch in ns since 1970."""
     return Schedule(scenario.step_ns, epoch_ns)
 
 
 def bounds(scenario: Scenario) -> Bounds:
-    """Return what is known of the swarm and its plane beforehand."""
+    """Return the known bounds of the swarm and its plane."""
     mass = sum(agent.mass for agent in scenario.agents)
     return Bounds(scenario.plane.gravity, scenario.plane.length, mass, scenario.period)
 

@@ -1,4 +1,4 @@
-"""The scenarios that come with the package, and how commands and files name a scenario and change values of it."""
+"""The built-in scenarios, and how commands and files name a scenario and override its values."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 LONGEST_PATH = 80
 OWN = {
     "schema": "it is the version of the file format",
-    "name": "the sweep has the name",
-    "seed": "every case has a seed of its own, drawn from the sweep's",
+    "name": "the name is that of the sweep",
+    "seed": "every case has its own seed, drawn from the sweep's",
 }
 """Keys of a scenario that cannot be swept, and why."""
 
 _PATH = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 
 DEFAULT = "pd_het_4"
-"""What runs when nothing is said."""
+"""The scenario that runs by default."""
 
 
 def builtin_folder() -> Path:
@@ -51,7 +51,7 @@ def builtin_scenarios() -> dict[str, Path]:
 
 
 def described(path: Path) -> tuple[str, str]:
-    """Return what a built-in scenario is and which figure of the paper it reproduces, as its first two lines say."""
+    """Return a built-in scenario's description and its figure of the paper, from the first two lines of its file."""
     first, second, *_ = path.read_text(encoding="utf-8").splitlines()
     return first.removeprefix("# "), second.removeprefix("# Figure: ")
 
@@ -62,7 +62,7 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     Raises
     ------
     InputError
-        If there is no such thing, or it is not valid.
+        If it does not exist or is invalid.
     """
     builtin = builtin_scenarios()
     if named in builtin:
@@ -71,12 +71,12 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     if path.exists() or path.suffix in {".yaml", ".yml"} or os.sep in named:
         return load_scenario(path, overrides)
     close = difflib.get_close_matches(named, builtin, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(builtin)}"
-    raise InputError(f"no scenario or file {named!r}; {hint}")
+    hint = f"did you mean {close[0]}?" if close else f"name a YAML file or one of {', '.join(builtin)}"
+    raise InputError(f"no built-in scenario or file {named!r}; {hint}")
 
 
 def names_bag(named: str) -> bool:
-    """Tell whether what a user has named for a scenario is a bag, whose own scenario is meant."""
+    """Tell whether a user has named a bag, whose recorded scenario is meant."""
     path = Path(named)
     return named not in builtin_scenarios() and (path.suffix == ".mcap" or path.is_dir())
 
@@ -86,12 +86,12 @@ def _check_path(path: str) -> str:
     if parts[0] in OWN:
         raise problem(f"{show(path)} cannot be swept: {OWN[parts[0]]}", "remove it")
     if not _PATH.fullmatch(path) or len(path) > LONGEST_PATH:
-        raise problem(f"{show(path)} is no dotted path", "write e.g. plane.angle, elements of lists by index")
+        raise problem(f"{show(path)} is not a dotted path", "write e.g. plane.angle or swarm.agents.0.mass")
     return path
 
 
 DottedPath: TypeAlias = Annotated[str, AfterValidator(_check_path)]
-"""A path into a scenario, as ``--set`` takes it."""
+"""A path into a scenario, as in ``--set``."""
 
 
 def as_override(path: str, value: object) -> str:
@@ -100,14 +100,14 @@ def as_override(path: str, value: object) -> str:
 
 
 def named_scenario(scenario: str, folder: Path) -> str:
-    """Return what a file in a folder means by a scenario that it names: files are relative to it."""
+    """Resolve a scenario that is named in a file: paths are relative to the folder of that file."""
     if scenario in builtin_scenarios() or not (os.sep in scenario or Path(scenario).suffix):
         return scenario
     return str(folder / scenario)
 
 
 def at_parameter(error: ScenarioError, root: Node, parts: Mapping[str, Iterable[str]]) -> ScenarioError:
-    """Return the error of an override with the line of the file that the override comes from."""
+    """Return the error of an override, with the line of the file that contains the override."""
     for part, paths in parts.items():
         for path in paths:
             if error.source.startswith(f"--set {path}="):

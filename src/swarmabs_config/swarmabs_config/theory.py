@@ -1,4 +1,4 @@
-"""From a scenario to what the theory says of it."""
+"""Apply the theory to a scenario."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
-    """Return a scenario as the theory sees it: its initial state, its gains and its faults' kinds.
+    """Return the quantities of a scenario that the theory uses, such as its initial state and gains.
 
     The bound `angle_max` (rad, below pi/2) is theta_max of the theorems of state feedback.
     """
@@ -37,5 +37,5 @@ def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
 
 
 def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
-    """Evaluate the paper's theorems, and what a run in sampled time needs beyond them; arguments as of `setting`."""
+    """Evaluate the paper's theorems and further conditions for sampled time; the arguments are those of `setting`."""
     return check(setting(scenario, angle_max))

@@ -31,38 +31,38 @@ REFUSED = [
     ("id: 2", "id: 1", "id: 1, host: robot-2", ("robots.1.id", "twice", "(see line")),
     ("name: robot-2", "name: robot-1", "192.168.10.12", ("hosts.2.name", "twice")),
     (".12}", ".11}", "name: robot-2", ("hosts.2.address", "192.168.10.11", "twice")),
-    ("192.168.10.12", "192.168.10.256", "robot-2", ("hosts.2.address", "no IPv4 address")),
-    ("192.168.10.12", "239.1.1.1", "robot-2", ("hosts.2.address", "no address of a host")),
+    ("192.168.10.12", "192.168.10.256", "robot-2", ("hosts.2.address", "not an IPv4 address")),
+    ("192.168.10.12", "239.1.1.1", "robot-2", ("hosts.2.address", "not the address of a host")),
     ("192.168.10.12", "127.0.0.1", "robot-2", ("hosts.2.address", "loopback")),
     ("domain: 40", "domain: 231", "domain", ("network.domain", "<= 230")),
     ("interface: wlan0, ", "", "robot-1", ("hosts.1", "no interface for robot-1")),
     ("position: 0.125}", "position: 0.7}", "0.7", ("robots.0.drive.position", "off the plane")),
-    ("position: -0.125}", "position: 0.125}", "robots:", ("robots", "stand at one point")),
+    ("position: -0.125}", "position: 0.125}", "robots:", ("robots", "at one point")),
     ("mass: 0.5104", "mass: -1", "mass: -1", ("robots.1.mass", "> 0")),
     ("mass: 0.3552", "mass: 1, damping: 1", "damping: 1,", ("robots.0", "damping")),
     ("scenario: pd_het_4", "scenario: pd_het_5", "pd_het_5", ("scenario", "pd_het_4?")),
     ("schema: 1", "schema: 2", "schema: 2", ("schema", "newer", "update swarmabs")),
     ("level: none", "level: sros2", "level: sros2", ("security.level", "no security plugins")),
     ("level: none", "level: tunnel", "name: base", ("hosts.0", "tunnel_address")),
-    ("interface: eth0", "interface: lo", "name: base", ("hosts.0.interface: lo of base", ".1")),
+    ("interface: eth0", "interface: lo", "name: base", ("hosts.0.interface: lo on base", ".1")),
     ("interface: wlan0", "interface: lo", "interface: lo", ("network.interface: lo",)),
-    (".11}", ".11, user: root}", "name: robot-1", ("hosts.1.user: root may do everything",)),
-    ("static", "static, server: base", "static, server", ("network.server", "the discovery static")),
+    (".11}", ".11, user: root}", "name: robot-1", ("hosts.1.user: nodes must not run as root",)),
+    ("static", "static, server: base", "static, server", ("network.server", "'discovery: static'")),
     ("discovery: static", "discovery: server", "discovery: server", ("network.discovery",)),
 ]
 ADDED = [
     # what is added to the fleet's name, in the line of what, and the words of the refusal
     ("lan\nset: {plane.lenght: 2}", "lenght", ("plane.lenght", "'length'")),
     (f"lan\nset: {{faults: [{KILL}]}}", "scenario: pd", ("scenario", "faults", "real time")),
-    ("lan\nepoch: yesterday", "epoch", ("epoch", "no time in UTC")),
+    ("lan\nepoch: yesterday", "epoch", ("epoch", "not a time in UTC")),
     ("lan\nepoch: 1969-12-31T23:59:59Z", "epoch", (":59Z' is before 1970",)),
     ("lan\nepoch: 0001-12-31T00:00:00Z", "epoch", ("before 1970",)),
-    ("lan\nepoch: 2999-01-01T00:00:00Z", "epoch", ("has not begun",)),
-    (f"lan\nepoch: {TOMORROW}", "epoch", (TOMORROW, "has not begun", "past")),
-    ("lan\nepoch: 20260301T123005Z", "epoch", ("epoch", "no time in UTC")),
-    ("lan\ninstallation: {user: root}", "installation", ("user: root may do", "e.g. swarmabs")),
-    ("swarmabs\ninstallation: {prefix: /opt}", "installation", ("the place of /opt/swarmabs", "e.g. /etc/swarmabs")),
-    ("opt\ninstallation: {prefix: /srv, checkout: /srv/opt/x}", "installation", ("take the place of /srv/opt,",)),
+    ("lan\nepoch: 2999-01-01T00:00:00Z", "epoch", ("in the future",)),
+    (f"lan\nepoch: {TOMORROW}", "epoch", (TOMORROW, "in the future", "past")),
+    ("lan\nepoch: 20260301T123005Z", "epoch", ("epoch", "not a time in UTC")),
+    ("lan\ninstallation: {user: root}", "installation", ("user: nodes must not run as root", "e.g. swarmabs")),
+    ("swarmabs\ninstallation: {prefix: /opt}", "installation", ("replace /opt/swarmabs,", "e.g. /etc/swarmabs")),
+    ("opt\ninstallation: {prefix: /srv, checkout: /srv/opt/x}", "installation", ("replace /srv/opt,",)),
     ("lan\ntime: {max_offset: 0.2}", "max_offset", ("time.max_offset",)),
 ]
 
@@ -100,7 +100,7 @@ def test_no_text_that_a_shell_or_systemd_would_read_gets_in(place: str, tmp_path
     base = ONE_HOST.replace("scenario:", "namespace: /\nscenario:")
     for text in ("a b", "a;b", "$(id)", "`id`", "a'b", 'a\\"b', "../up", "a\\nb", "é", "%i"):
         path = edited(tmp_path / "bad.yaml", base, (place, f'{field}: "{PLACES[place]}{text}"'))
-        with pytest.raises(InputError, match=rf"{field}: '.*' is no "):
+        with pytest.raises(InputError, match=rf"{field}: '.*' is not "):
             load_fleet(path)
 
 
@@ -109,14 +109,14 @@ PLUGIN = "drive: {type: plugin, name: a, settings: "
 TOPICS = "drive: {type: topic, "
 FIELDS = [
     # a piece of a fleet file with a mistake, in place of what, and the field that is named
-    ("127.0.0.1", "192.0.2.1", "hosts.0.interface: lo of base leads to no other host"),
+    ("127.0.0.1", "192.0.2.1", "hosts.0.interface: lo on base reaches no other host"),
     (SINGLE, TOPICS + "topic: 'a b'}", "robots.0.drive.topic: 'a b' is"),
     (SINGLE, TOPICS + "command_topic: 5}", "robots.0.drive.command_topic:"),
     (DOUBLE, TOPICS + "gravity: imu, imu: {topic: /a-b}}", "robots.1.drive.imu.topic: '/a-b'"),
     ("plane: {host", "plane: {type: driver, topic: '%', host", "coordinators.plane.topic: '%' is"),
-    (SINGLE, PLUGIN + "{'a b': 1}}", "robots.0.drive.settings.a b: 'a b' is no name of a setting"),
+    (SINGLE, PLUGIN + "{'a b': 1}}", "robots.0.drive.settings.a b: 'a b' is not a valid setting name"),
     (SINGLE, PLUGIN + "{a: {}}}", "robots.0.drive.settings"),
-    ("name: one", "name: one\nset: {'a b': 1}", "set.a b: 'a b' is no dotted path"),
+    ("name: one", "name: one\nset: {'a b': 1}", "set.a b: 'a b' is not a dotted path"),
     (SINGLE, TOPICS + "gravity: imu}", "robots.0.drive: gravity does not act on a single integrator; remove"),
     (SINGLE, TOPICS + "command: joint}", "robots.0.drive.joint.name: there is none; give the name of the joint"),
     (SINGLE, TOPICS + "joint: {scale: 0.0}}", "robots.0.drive.joint.scale: 0 is not allowed; give m or m/rad"),
@@ -126,9 +126,9 @@ FIELDS = [
 ]
 OF_A_TUNNEL = [
     ("domain: 41", "domain: 41, discovery: multicast", "network.discovery: a tunnel carries no multicast"),
-    ("interface: floor0", "interface: lo", "security.interface: lo is on every host and no tunnel"),
-    ("interface: floor0", "interface: wlan0", "security.interface: wlan0 is the interface beneath the tunnel"),
-    ("level: tunnel, interface: floor0, port: 51820", "level: none", "hosts.0.tunnel_address: there is no tunnel with"),
+    ("interface: floor0", "interface: lo", "security.interface: lo is the loopback interface"),
+    ("interface: floor0", "interface: wlan0", "security.interface: wlan0 is already the network interface"),
+    ("level: tunnel, interface: floor0, port: 51820", "level: none", "hosts.0.tunnel_address: 'security: {level"),
 ]
 
 

@@ -12,7 +12,7 @@ from swarmabs_config.model.agents import DoubleIntegratorAgent, Generate, Single
 from swarmabs_config.model.controllers import AriseConfig, LqrConfig, PdConfig
 from swarmabs_config.model.scenario import Swarm
 from swarmabs_config.scenario import Scenario, ScenarioError, loader, parse_scenario
-from swarmabs_config.scenario.checks import spread
+from swarmabs_config.scenario.checks import second_moments
 from swarmabs_config.scenario.loader import default_name, upgraded
 from swarmabs_config.scenario.yaml_tree import Plain
 from swarmabs_core.plant import Plane
@@ -130,7 +130,7 @@ def test_resolved_lists_what_was_generated_and_robots_that_join_later_are_not_th
 @pytest.mark.parametrize("offset", [0.0, 0.4, 1e6])
 def test_spread_is_the_sum_over_pairs(offset: float) -> None:
     agents = [agent.model_copy(update={"position": agent.position + offset}) for agent in PAPER]
-    s0, s3 = spread(agents)
+    s0, s3 = second_moments(agents)
     assert s0 == pytest.approx(sum(agent.mass**2 for agent in PAPER), rel=1e-15)
     pairs = [(a, b) for a in agents for b in agents if a.id < b.id]
     expected = sum((a.mass * b.mass * (a.position - b.position)) ** 2 for a, b in pairs)
@@ -140,7 +140,7 @@ def test_spread_is_the_sum_over_pairs(offset: float) -> None:
 def test_a_warning_of_an_underdamped_swarm_and_feedback_of_the_wrong_sign() -> None:
     text = "schema: 1\nmanifold: {torque_max: 1}\nswarm: {gains: {kd: [5, KD]}, generate: {KIND: 200, position: 0.125}}"
     (warning,) = parse_scenario(text.replace("KD", "5").replace("KIND", "double_integrator")).warnings()
-    assert warning.startswith("swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, 1.5")
+    assert warning.startswith("swarm.gains: with Kd < 2 sqrt(Kp) the inertia, 1.5")
     assert "use a kd of at least 6.325, or smaller positions" in warning
     assert parse_scenario(text.replace("KD", "6.325").replace("KIND", "double_integrator")).warnings() == ()
     assert parse_scenario(text.replace("KD", "5").replace("KIND", "single_integrator")).warnings() == ()
@@ -151,11 +151,12 @@ def test_a_warning_of_an_underdamped_swarm_and_feedback_of_the_wrong_sign() -> N
 def test_a_warning_of_faults_that_leave_too_few_robots_or_too_little_weight() -> None:
     ends = [f"{{kind: {kind}, at: {n}, agent: {n}}}" for n, kind in enumerate(("kill", "leave", "freeze"), 1)]
     scenario = parse_scenario(HEAD + f"manifold: {{torque_max: 1}}\nfaults: [{', '.join(ends)}]")
-    assert scenario.warnings() == ("faults: from step 301 on only 1 robots are active; torque and inertia need two",)
+    (warning,) = scenario.warnings()
+    assert warning.startswith("faults: from step 301 on, the number of active robots is 1; ")
     for fault, steps in (("leave, at: 2", [201]), ("join, at: 2", [0]), ("kill, at: 2", []), ("leave, at: 30", [])):
         text = f"manifold: {{torque_max: 1.9, curvature: 0}}\nfaults: [{{kind: {fault}, agent: 3}}]"
         found = [text.partition(" kg")[0] for text in parse_scenario(HEAD + text).warnings() if text[:7] == "faults:"]
-        assert found == [f"faults: from step {step} on the robots present weigh 1.368" for step in steps]
+        assert found == [f"faults: from step {step} on, the robots present weigh 1.368" for step in steps]
 
 
 def test_models_are_immutable_and_strict() -> None:

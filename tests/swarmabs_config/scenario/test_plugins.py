@@ -72,7 +72,7 @@ def test_overrides_reach_into_settings() -> None:
         ("{type: bang_bang, copy: 0}", "f:2: controller.copy: 0 is out of range; give a number >= 1"),
         ("{type: bang_bang, mode: sof}", "f:2: controller.mode: expected 'hard' or 'soft', found the text 'sof'; did"),
         ("{type: bang_bang, on: 1}", "f:2: controller.on: expected true or false"),
-        ('{type: bang_bang, label: "a\\nb"}', r"f:2: controller.label: 'a\nb' has characters that cannot be printed"),
+        ('{type: bang_bang, label: "a\\nb"}', r"f:2: controller.label: 'a\nb' contains unprintable characters"),
         ("{type: bang_bang, pair: [1]}", "f:2: controller.pair: expected a list of 2 numbers, found a list of 1"),
         ("{type: bang_bang, pair: [1, -1]}", "f:2: controller.pair.1: -1 is out of range; give a number >= 0"),
         ("{type: bang_bang, many: []}", "f:2: controller.many: expected a list of at least one value"),
@@ -109,7 +109,7 @@ def test_an_unfit_package_and_what_a_package_refuses_are_errors_before_anything_
     for kind, name, error, said in (
         ("ControllerType", "picky", "InputError('too steep; lower it')", "2: controller: too steep; lower it"),
         ("ControllerType", "picky2", "SettingError('k.1', 'no', 'more')", "2: controller.k.1: no; more"),
-        ("SwarmLaw", "picky3", "InputError('no')", "4: swarm.law: no; see what its package says"),
+        ("SwarmLaw", "picky3", "InputError('no')", "4: swarm.law: no; see the documentation of its package"),
     ):
         group = "law" if kind == "SwarmLaw" else "controller"
         install(packages, group, name, PICKY.format(name=name, kind=kind, error=error))
@@ -142,7 +142,7 @@ def test_the_bag_names_the_packages() -> None:
 
 def test_the_reference_of_a_law_without_offset_cannot_be_offset(packages: Path) -> None:
     offset = "faults=[{kind: reference, at: 1, offset: 0.1}]"
-    refused = r"faults\.0: the reference of controller 'bang_bang' cannot be offset \(see line 2\); leave it out"
+    refused = r"faults\.0: the reference of controller 'bang_bang' cannot be offset \(see line 2\); remove"
     with pytest.raises(ScenarioError, match=refused):
         parse("{type: bang_bang}", offset)
     method = """

@@ -53,20 +53,20 @@ def test_rows_take_the_place_of_the_file(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 BAD_ROWS = [
-    ("", "ref.csv:1: no header time,angle; let the first line be 'time,angle'"),
-    ("0,0\n1,0\n", "ref.csv:1: no header time,angle; let"),
-    ("angle,time\n0,0\n1,0\n", "ref.csv:1: no header time,angle; let"),
+    ("", "ref.csv:1: no header time,angle; make 'time,angle' the first line"),
+    ("0,0\n1,0\n", "ref.csv:1: no header time,angle; make"),
+    ("angle,time\n0,0\n1,0\n", "ref.csv:1: no header time,angle; make"),
     ("time,angle\n0,0\n", "ref.csv: 1 rows; give 2 to 2000 rows of time,angle"),
     ("time,angle\n" + "".join(f"{n},0\n" for n in range(2001)), "ref.csv: 2001 rows; give 2 to 2000"),
     ("time,angle\n0,0\n1\n", "ref.csv:3: 1 values; give two numbers, time in s and angle in rad"),
     ("time,angle\n0,0\n1,0,0\n", "ref.csv:3: 3 values; give two numbers"),
-    ("time,angle\n0,0\n1,nan\n", "ref.csv:3: angle: 'nan' is no number; give a finite number"),
-    ("time,angle\n0,0\n-inf,0\n", "ref.csv:3: time: '-inf' is no number; give a finite number"),
-    ("time,angle\n0,0\nx\x1b[2J,0\n", "ref.csv:3: time: 'x\\x1b[2J' is no number; give a finite"),
+    ("time,angle\n0,0\n1,nan\n", "ref.csv:3: angle: 'nan' is not a number; give a finite number"),
+    ("time,angle\n0,0\n-inf,0\n", "ref.csv:3: time: '-inf' is not a number; give a finite number"),
+    ("time,angle\n0,0\nx\x1b[2J,0\n", "ref.csv:3: time: 'x\\x1b[2J' is not a number; give a finite"),
     ("time,angle\n0,0\n1,1.5\n", "ref.csv:3: angle: 1.5 rad is out of range; stay within +-1.5 rad, in radians"),
     ("time,angle\n-1,0\n1,0\n", "ref.csv:2: time: -1.0 s is out of range; give 0 to 2147483647 s"),
-    ("time,angle\n0,0\n0,0\n", "ref.csv:3: time: time 0.0 s follows 0.0 s; let the times increase by at least 0.001"),
-    ("time,angle\n0,0\n2,0\n1,0\n", "ref.csv:4: time: time 1.0 s follows 2.0 s; let the times increase"),
+    ("time,angle\n0,0\n0,0\n", "ref.csv:3: time: time 0.0 s follows 0.0 s; make each time at least 0.001"),
+    ("time,angle\n0,0\n2,0\n1,0\n", "ref.csv:4: time: time 1.0 s follows 2.0 s; make each time"),
     ('time,angle\n0,0\n"1,0\n', "ref.csv:3: not CSV: unexpected end of data; give two numbers in each line"),
     (b"time,angle\n0,0\n1,\0\n", "ref.csv:3: not a text file: it has a NUL byte; give a trajectory in CSV"),
     (b"time,angle\n\xff\n", "ref.csv:2: not UTF-8: byte 0xff at offset 11; save the file as UTF-8"),
@@ -92,9 +92,9 @@ def test_bad_rows_are_named_with_file_and_line(tmp_path: Path, rows: str | bytes
         ("file: data", "data: is a directory; give a trajectory file in CSV"),
         ("file: pipe", "pipe: not a regular file; give a trajectory file in CSV"),
         ("times: [0, 1]", "trajectory: 2 times and 0 angles; give 'file', or as many times as angles, 2 to 2000"),
-        ("times: [0, 0]\n    angles: [0, 0]", "s.yaml:6: controller.trajectory.times.1: 0.0 s follows 0.0 s; let"),
+        ("times: [0, 0]\n    angles: [0, 0]", "s.yaml:6: controller.trajectory.times.1: 0.0 s follows 0.0 s; make"),
         ("times: [0, 1]\n    angles: [0, 2]", "s.yaml:7: controller.trajectory.angles.1: 2 is out of range; give"),
-        ("file: data/ref.csv\n    times: [0, 1]", "trajectory: a file beside rows, or in a scenario that is no file; "),
+        ("file: data/ref.csv\n    times: [0, 1]", "trajectory: 'file' is given together with rows"),
     ],
 )
 def test_bad_fields(tmp_path: Path, line: str, expected: str) -> None:
@@ -105,10 +105,10 @@ def test_bad_fields(tmp_path: Path, line: str, expected: str) -> None:
 
 
 def test_where_there_can_be_no_file_and_a_curve_that_swings_too_far_it_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="in a scenario that is no file; give 'file', or 'times' and 'angles'"):
+    with pytest.raises(ScenarioError, match="not read from a file; give either 'file', or 'times' and 'angles'"):
         parse_scenario(TEXT)
     with pytest.raises(ScenarioError, match=r"trajectory\.file: unknown key 'file'"):
         load_scenario(folder(tmp_path, text=TEXT.replace("type: csv", "type: constant")))
-    far = r"s\.yaml:6: .*times\.1: the smooth curve through the rows is at 1\.\d+ rad"
+    far = r"s\.yaml:6: .*times\.1: the smooth curve through the rows reaches 1\.\d+ rad"
     with pytest.raises(ScenarioError, match=far):
         load_scenario(folder(tmp_path, "time,angle\n0,-1.4\n1,1.4\n2,1.4\n3,-1.4\n"))

@@ -1,4 +1,4 @@
-"""The checked fleet: what involves several settings holds too."""
+"""A fleet that has also passed the checks across fields."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from swarmabs_config.model.fields import raise_findings
 
 
 class Fleet(UncheckedFleet):
-    """A fleet, completely described apart from its scenario. Build it with `load_fleet`, which names file and line."""
+    """A complete, valid fleet without its scenario. Build it with `load_fleet`, whose errors name file and line."""
 
     @model_validator(mode="after")
     def _check_together(self) -> Fleet:
@@ -18,5 +18,5 @@ class Fleet(UncheckedFleet):
         return self
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what is legal but likely to go wrong, one line each."""
+        """Return one line for each setting that is valid but likely to cause trouble."""
         return checks.warnings(self)

@@ -1,4 +1,4 @@
-"""Checks that look at several fields of a fleet at once, and warnings about legal but doubtful ones."""
+"""Checks across several fields of a fleet, and warnings about valid but doubtful settings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LOOPBACK = "lo"
 
 
 def findings(fleet: UncheckedFleet) -> list[Finding]:
-    """Return every error of a fleet whose fields are valid one by one."""
+    """Return every error of a fleet whose individual fields are valid."""
     # A later check relies on the earlier ones.
     for group in ((_hosts, _ids), (_references,), (_network, _loopback, _security, _installation, _participants)):
         if found := [finding for check in group for finding in check(fleet)]:
@@ -28,23 +28,25 @@ def findings(fleet: UncheckedFleet) -> list[Finding]:
 
 
 def warnings(fleet: UncheckedFleet) -> tuple[str, ...]:
-    """Return what is legal but likely to go wrong, one line each."""
+    """Return one line for each setting that is valid but likely to cause trouble."""
     found = []
     used = {node.host for node in participants.node_plans(fleet)}
     idle = [host.name for host in fleet.hosts if host.name not in used]
     if idle:
-        found.append(f"nothing runs on the host {idle[0]}; leave it out, or use it")
+        found.append(f"hosts: no node runs on {idle[0]}; remove this host, or assign a node to it")
     if fleet.security.level == "none":
         found.append(
-            "security is none: whoever is in the network can read everything and command the swarm within its limits"
+            "security is none: anyone on the network can read all traffic and command the swarm within its limits"
         )
     if fleet.security.level == "sros2" and fleet.network.discovery == "server":
         found.append(
-            "a discovery server with security sros2 has not been tested with this fleet; "
-            "use 'discovery: static', or test it before robots move"
+            "a discovery server has not been tested with security sros2; "
+            "use 'discovery: static', or test the fleet before robots move"
         )
     if fleet.coordinators.controller.start_mode == "run":
-        found.append("coordinators.controller.start_mode is run: robots move as soon as all is there, unasked")
+        found.append(
+            "coordinators.controller.start_mode is run: robots move as soon as all nodes are present, without a reset"
+        )
     return tuple(found)
 
 
@@ -52,7 +54,7 @@ def _twice(kind: str, values: Iterable[tuple[Location, Hashable]], remedy: str) 
     first: dict[Hashable, Location] = {}
     for location, value in values:
         if value in first:
-            yield Finding.of(location, f"{kind} {value} is there twice", remedy, see=first[value])
+            yield Finding.of(location, f"{kind} {value} is listed twice", remedy, see=first[value])
         first.setdefault(value, location)
 
 
@@ -62,12 +64,12 @@ def _hosts(fleet: UncheckedFleet) -> Iterator[Finding]:
     listed = list(enumerate(fleet.hosts))
     yield from _twice("host", ((("hosts", n, "name"), h.name) for n, h in listed), "give every host its own name")
     yield from _twice(
-        "address", ((("hosts", n, "address"), h.address) for n, h in listed), "every host has an address of its own"
+        "address", ((("hosts", n, "address"), h.address) for n, h in listed), "give every host its own address"
     )
     tunnels: list[tuple[Location, Hashable]] = [
         (("hosts", n, "tunnel_address"), h.tunnel_address) for n, h in listed if h.tunnel_address is not None
     ]
-    yield from _twice("tunnel address", tunnels, "every host has an address of its own")
+    yield from _twice("tunnel address", tunnels, "give every host its own address")
     for n, host in listed:
         if host.interface is None and fleet.network.interface is None:
             yield Finding.of(("hosts", n), f"no interface for {host.name}", "add 'interface: ...' here or in 'network'")
@@ -78,12 +80,14 @@ def _ids(fleet: UncheckedFleet) -> Iterator[Finding]:
         yield Finding.of(
             ("robots",),
             f"a swarm needs at least two robots, found {len(fleet.robots)}",
-            "add robots: torque and inertia are two quantities",
+            "add robots: one robot cannot control torque and inertia independently",
         )
     mass = math.fsum(robot.mass for robot in fleet.robots)
     if fleet.swarm_mass is not None and fleet.swarm_mass < mass:
         yield Finding.of(
-            ("swarm_mass",), f"{fleet.swarm_mass!r} kg is less than the {mass!r} kg of the robots listed", "give more"
+            ("swarm_mass",),
+            f"{fleet.swarm_mass!r} kg is less than the {mass!r} kg of the robots listed",
+            f"give at least {mass!r}",
         )
     ids: list[tuple[Location, Hashable]] = [(("robots", n, "id"), robot.id) for n, robot in enumerate(fleet.robots)]
     yield from _twice("robot", ids, "give every robot its own id")
@@ -112,7 +116,7 @@ def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
     if network.discovery != "server" and network.server is not None:
         yield Finding.of(
             ("network", "server"),
-            f"there is no server with the discovery {network.discovery}",
+            f"'discovery: {network.discovery}' uses no server",
             "remove it, or write 'discovery: server'",
             see=("network", "discovery"),
         )
@@ -120,7 +124,7 @@ def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
         yield Finding.of(
             ("network", "discovery"),
             "a tunnel carries no multicast",
-            "use the discovery static or server",
+            "use 'discovery: static' or 'discovery: server'",
             see=_TUNNEL,
         )
     if len(fleet.hosts) > 1:
@@ -128,36 +132,36 @@ def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
             if ipaddress.IPv4Address(host.address).is_loopback:
                 yield Finding.of(
                     ("hosts", n, "address"),
-                    f"{host.address} is on loopback, where the other hosts are not",
-                    "give the address of an interface",
+                    f"{host.address} is a loopback address, which other hosts cannot reach",
+                    "give the address of the host's network interface",
                 )
 
 
 def _loopback(fleet: UncheckedFleet) -> Iterator[Finding]:
-    """Refuse the loopback interface where others have to be met; a fleet on one host may be on it."""
+    """Reject the loopback interface, except for a fleet on one host."""
     for n, host in enumerate(fleet.hosts):
         alone = len(fleet.hosts) == 1 and ipaddress.IPv4Address(host.address).is_loopback
         if fleet.host_interface(host.name) == _LOOPBACK and not alone:
             location = ("hosts", n, "interface") if host.interface else ("network", "interface")
             yield Finding.of(
                 location,
-                f"{_LOOPBACK} of {host.name} leads to no other host",
+                f"{_LOOPBACK} on {host.name} reaches no other host",
                 f"name the interface that has the address {host.address}",
             )
     if fleet.tunnel is not None and fleet.tunnel.interface == _LOOPBACK:
         yield Finding.of(
-            ("security", "interface"), f"{_LOOPBACK} is on every host and no tunnel", "name another, e.g. swarmabs0"
+            ("security", "interface"), f"{_LOOPBACK} is the loopback interface", "choose another name, e.g. swarmabs0"
         )
 
 
 def _installation(fleet: UncheckedFleet) -> Iterator[Finding]:
-    """Refuse to install a bundle where the checkout is, or around it."""
+    """Reject a bundle folder that is the checkout or contains it."""
     place = fleet.installation
     installed = f"{place.prefix}/{fleet.name}"
     if f"{place.checkout}/".startswith(f"{installed}/"):
         yield Finding.of(
             ("installation", "prefix"),
-            f"the bundle would take the place of {installed}, where the checkout is",
+            f"the bundle would replace {installed}, which contains the checkout",
             "name another folder, e.g. /etc/swarmabs",
             see=("name",),
         )
@@ -173,15 +177,15 @@ def _security(fleet: UncheckedFleet) -> Iterator[Finding]:
         if fleet.tunnel is None and host.tunnel_address is not None:
             yield Finding.of(
                 ("hosts", n, "tunnel_address"),
-                f"there is no tunnel with the security {level}",
+                f"'security: {{level: {level}}}' has no tunnel",
                 "remove it, or write 'security: {level: tunnel}'",
                 see=_TUNNEL,
             )
         if fleet.tunnel is not None and fleet.tunnel.interface == fleet.host_interface(host.name):
             yield Finding.of(
                 ("security", "interface"),
-                f"{fleet.tunnel.interface} is the interface beneath the tunnel",
-                "name the tunnel's otherwise",
+                f"{fleet.tunnel.interface} is already the network interface of {host.name}",
+                "give the tunnel's interface another name",
                 see=("hosts", n),
             )
         if level == "sros2" and fleet.ros(host.name) == "wheels":
@@ -201,6 +205,6 @@ def _participants(fleet: UncheckedFleet) -> Iterator[Finding]:
             most = robots - (highest - participants.LARGEST_PARTICIPANT)
             yield Finding.of(
                 ("robots",),
-                f"{robots} robots on the host {host.name} take ports of the next domain",
+                f"{robots} robots on the host {host.name} need ports of the next ROS domain",
                 f"put at most {most} robots on one host",
             )

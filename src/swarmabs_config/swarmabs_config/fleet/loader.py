@@ -1,4 +1,4 @@
-"""Reading fleet files: text to a checked fleet with its scenario, every error with file, line, field and remedy."""
+"""Read fleet files into a checked fleet and its scenario; every error names file, line, field and remedy."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 FLEET_FILE = "fleet.yaml"
 SCENARIO_FILE = "scenario.yaml"
 _PLACEHOLDER = 0.25
-"""Where the scenario has a robot whose position is measured, in lengths of the plane, on both sides in turn."""
+"""Position in the scenario of a robot whose position is measured, in lengths of the plane, on alternating sides."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedFleet:
-    """A fleet with its scenario, which has the fleet's robots; where a drive measures, a position is a placeholder."""
+    """A fleet and its scenario with the fleet's robots; the position of a robot that measures it is a placeholder."""
 
     fleet: Fleet
     scenario: Scenario
 
     @property
     def fleet_text(self) -> str:
-        """The fleet in YAML with every default filled in; it belongs beside the scenario's text."""
+        """The fleet in YAML with every default filled in; it refers to `SCENARIO_FILE` in the same folder."""
         data = self.fleet.model_dump(mode="json", by_alias=True, exclude={"settings"})
         data["scenario"] = SCENARIO_FILE
         return dump_tree(data)
@@ -83,20 +83,20 @@ def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
 def json_schema() -> dict[str, object]:
     """Return the JSON Schema (2020-12) of a fleet file.
 
-    It covers names, types, units and ranges. What involves several fields at once is checked when a file is loaded.
+    It covers names, types, units and ranges. Checks across fields are made when a file is loaded.
     """
     return schema_of(Fleet, "swarmabs fleet")
 
 
 def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
-    """Check what fleet and scenario must agree on."""
+    """Check a fleet against its scenario."""
     fleet, scenario = loaded.fleet, loaded.scenario
     tolerance, half = scenario.realtime.clock_tolerance, scenario.plane.length / 2.0
     if tolerance < 2.0 * fleet.time.max_offset:
         mark, _ = root.locate(("time", "max_offset"))
         raise mark.error(
-            f"two clocks may differ by {2.0 * fleet.time.max_offset!r} s, robots tolerate {tolerance!r} s only",
-            f"give at most {tolerance / 2.0!r}, or raise realtime.clock_tolerance by 'set'",
+            f"two clocks may differ by {2.0 * fleet.time.max_offset!r} s, but robots tolerate only {tolerance!r} s",
+            f"give at most {tolerance / 2.0!r}, or raise realtime.clock_tolerance with 'set'",
             ("time", "max_offset"),
         )
     for index, robot in enumerate(fleet.robots):
@@ -105,7 +105,7 @@ def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
             location = ("robots", index, "limits", "lane")
             mark, _ = root.locate(location)
             raise mark.error(
-                f"{lane!r} m is beyond the plane, whose half length is {half!r} m", f"give at most {half!r}", location
+                f"{lane!r} m exceeds half the length of the plane, {half!r} m", f"give at most {half!r}", location
             )
 
 
@@ -115,7 +115,7 @@ def _default_name(stem: str) -> str:
 
 
 def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
-    """Return the scenario with the fleet's robots, checked as any other scenario."""
+    """Return the scenario with the fleet's robots, checked like any other scenario."""
     try:
         check_realtime(scenario)
     except InputError as error:
@@ -147,7 +147,7 @@ def _agent(robot: Robot, placeholder: float) -> Iterator[tuple[str, Plain]]:
 
 
 def _at_robot(error: ScenarioError, fleet: Fleet, root: Node) -> ScenarioError:
-    """Return an error of the scenario with the fleet's robots at the field of the fleet file that it comes from."""
+    """Return an error of the combined scenario at the field of the fleet file that caused it."""
     parts = error.field.split(".")
     location: Location = ("scenario",)
     if parts[:2] == ["swarm", "agents"]:

@@ -38,7 +38,7 @@ _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 class UncheckedFleet(Model):
-    """A fleet, completely described apart from its scenario; what involves several settings is not checked yet."""
+    """A fleet without its scenario, before the checks across fields."""
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
@@ -50,31 +50,31 @@ class UncheckedFleet(Model):
     )
     scenario: str = Field(
         default=DEFAULT,
-        description="plane, controller, gains and realtime limits: a built-in scenario, or a file, relative to this",
+        description="built-in scenario, or a file relative to this one: plane, controller, gains, real-time limits",
     )
     settings: dict[DottedPath, Any] = Field(
-        default={}, alias="set", description="values that differ from the scenario's, by dotted path"
+        default={}, alias="set", description="overrides of the scenario's values, by dotted path"
     )
-    hosts: Annotated[tuple[Host, ...], AsTuple] = Field(description="the computers")
+    hosts: Annotated[tuple[Host, ...], AsTuple] = Field(description="computers of the fleet")
     robots: Annotated[tuple[Annotated[Robot, Tagged("kind", ROBOT_KINDS)], ...], AsTuple] = Field(
         description="the robots; they replace those of the scenario"
     )
     swarm_mass: Positive | None = Field(
         default=None,
-        description="mass of all robots that ever take part, kg, which bounds what is believed; null: of those listed",
+        description="mass of all robots that ever take part, kg, for validating data; null: that of the listed robots",
     )
     coordinators: Coordinators = Field(description="where plane, observer, controller and recorder run")
     network: NetworkConfig = Field(description="how the nodes find each other")
     security: Annotated[Security, Tagged("level", LEVELS)] = Field(
-        description="what protects the traffic: {level: none}, {level: tunnel} or {level: sros2}"
+        description="protection of the traffic: {level: none}, {level: tunnel} or {level: sros2}"
     )
-    time: Time = Field(default=Time(), description="how well clocks must agree")
-    installation: Installation = Field(default=Installation(), description="what bundles find on a host")
+    time: Time = Field(default=Time(), description="how closely clocks must agree")
+    installation: Installation = Field(default=Installation(), description="software and folders on the hosts")
 
     @field_validator("epoch")
     @classmethod
     def _check_epoch(cls, text: str) -> str:
-        error = problem(f"{show(text)} is no time in UTC", "write e.g. 2026-01-01T00:00:00Z")
+        error = problem(f"{show(text)} is not a time in UTC", "write e.g. 2026-01-01T00:00:00Z")
         if not _TIME.fullmatch(text):
             raise error
         try:
@@ -82,10 +82,10 @@ class UncheckedFleet(Model):
         except ValueError:
             raise error from None
         if begin < _UNIX:
-            raise problem(f"{show(text)} is before 1970, from when on nodes count", "give one in the past since 1970")
+            raise problem(f"{show(text)} is before 1970, the start of Unix time", "give a time between 1970 and now")
         if begin > datetime.now(timezone.utc):
             raise problem(
-                f"{show(text)} has not begun by this machine's clock", "give a time in the past, or set the clock"
+                f"{show(text)} is in the future by this machine's clock", "give a time in the past, or set the clock"
             )
         return text
 
@@ -104,7 +104,7 @@ class UncheckedFleet(Model):
         return next(host for host in self.hosts if host.name == name)
 
     def address(self, name: str) -> str:
-        """Return the address at which DDS reaches a host: in a tunnel, if there is one."""
+        """Return the address at which DDS reaches a host: that in the tunnel, if there is one."""
         host = self.host(name)
         return host.tunnel_address if self.tunnel and host.tunnel_address else host.address
 
@@ -113,7 +113,7 @@ class UncheckedFleet(Model):
         return self.tunnel.interface if self.tunnel else self.host_interface(name)
 
     def host_interface(self, name: str) -> str:
-        """Return the interface of a host in the fleet's network, beneath the tunnel if there is one."""
+        """Return a host's interface in the fleet's network, which also carries the tunnel, if there is one."""
         return self.host(name).interface or self.network.interface or ""
 
     def user(self, name: str) -> str:
@@ -121,7 +121,7 @@ class UncheckedFleet(Model):
         return self.host(name).user or self.installation.user
 
     def ros(self, name: str) -> str:
-        """Return where a host has its ROS 2 from: ``wheels`` or ``sourced``."""
+        """Return where ROS 2 comes from on a host: ``wheels`` or ``sourced``."""
         return self.host(name).ros or self.installation.ros
 
     @property

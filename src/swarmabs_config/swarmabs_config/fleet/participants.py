@@ -1,7 +1,7 @@
-"""Which node runs where, under which DDS participant id, and which ports that takes.
+"""Host, DDS participant id and ports of each node.
 
-A participant id is fixed per host, so a node's ports are known before it starts, and a robot that is added on a host
-of its own changes nobody else's.
+Participant ids are assigned per host: the ports of a node are known before it starts, and adding a robot on its own
+host changes no other node's ports.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from swarmabs_config.fleet.robots import Robot
 
 OPERATOR = FIRST_SPARE
-"""Participant id of the tool that an operator uses, one at a time."""
+"""Participant id of the operator's tool; only one runs at a time."""
 DISCOVERY_SERVER = 5
 DRIVERS = (6, 7)
-"""Participant ids of the robot's own nodes behind a topic drive, one per process."""
+"""Participant ids of the robot's driver nodes behind a topic drive, one per process."""
 LARGEST_PARTICIPANT = 44
-"""Up to here the ports stay below those of the next domain."""
+"""Up to this id, ports stay below those of the next domain."""
 
 DISCOVERY = "discovery_server"
 Role = Literal["coordinator", "robot", "server"]
@@ -42,10 +42,10 @@ Role = Literal["coordinator", "robot", "server"]
 
 @dataclass(frozen=True, slots=True)
 class NodePlan:
-    """One node of a fleet: the name of node, unit and files, the module whose ``main`` it runs, and where.
+    """One node of a fleet: its name, also that of its unit and files, the module whose ``main`` it runs, and its host.
 
-    The DDS participant id is unique on its host. By its role it announces itself: coordinators to everybody, robots to
-    coordinators.
+    The DDS participant id is unique on the host. The role determines discovery: coordinators announce themselves to all
+    nodes, robots to coordinators.
     """
 
     name: str

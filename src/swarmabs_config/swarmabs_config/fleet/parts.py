@@ -1,6 +1,6 @@
 """Parts of a fleet file: hosts, coordinators, network, time, security, installation.
 
-Texts that end up in paths, units and scripts are of a few letters, and never anything a shell reads.
+Texts that are used in paths, units and scripts contain no character that a shell interprets.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def _address(*, loopback: bool) -> Callable[[str], str]:
         try:
             address = ipaddress.IPv4Address(text)
         except ValueError:
-            raise problem(f"{show(text)} is no IPv4 address", "write four numbers, e.g. 192.168.10.1") from None
+            raise problem(f"{show(text)} is not an IPv4 address", "write four numbers, e.g. 192.168.10.1") from None
         if address.is_multicast or address.is_unspecified or address.is_reserved:
-            raise problem(f"{text} is no address of a host", "give the address of the host's interface")
+            raise problem(f"{text} is not the address of a host", "give the address of the host's interface")
         if address.is_loopback and not loopback:
-            raise problem(f"{text} is on loopback, where no other host is", "give one of the tunnel, e.g. 10.83.0.1")
+            raise problem(f"{text} is a loopback address", "give an address in the tunnel, e.g. 10.83.0.1")
         return text
 
     return check
@@ -39,7 +39,7 @@ def _address(*, loopback: bool) -> Callable[[str], str]:
 
 def _not_root(text: str) -> str:
     if text == "root":
-        raise problem("root may do everything on its host", "name an account for the nodes alone, e.g. swarmabs")
+        raise problem("nodes must not run as root", "name a dedicated account, e.g. swarmabs")
     return text
 
 
@@ -47,7 +47,7 @@ def _network(text: str) -> str:
     try:
         ipaddress.IPv4Network(text)
     except ValueError:
-        raise problem(f"{show(text)} is no IPv4 network", "write e.g. 192.168.1.5 or 192.168.1.0/24") from None
+        raise problem(f"{show(text)} is not an IPv4 network", "write e.g. 192.168.1.5 or 192.168.1.0/24") from None
     return text
 
 
@@ -57,14 +57,12 @@ Network: TypeAlias = Annotated[str, AfterValidator(_network)]
 
 Interface: TypeAlias = Annotated[
     str,
-    matching(
-        r"[A-Za-z0-9][A-Za-z0-9_.-]*", "name of a network interface", "write e.g. eth0; see 'ip link' on the host", 15
-    ),
+    matching(r"[A-Za-z0-9][A-Za-z0-9_.-]*", "network interface name", "write e.g. eth0; see 'ip link' on the host", 15),
 ]
 
 Account: TypeAlias = Annotated[
     str,
-    matching(r"[a-z_][a-z0-9_-]*", "name of an account", "use small letters, digits, - and _", 31),
+    matching(r"[a-z_][a-z0-9_-]*", "account name", "use lowercase letters, digits, - and _", 31),
     AfterValidator(_not_root),
 ]
 
@@ -76,23 +74,23 @@ FolderPath: TypeAlias = Annotated[
         "write e.g. /opt/swarmabs; letters, digits, '.', '-' and '_', without '..'",
     ),
 ]
-"""An absolute path that needs no quotes anywhere; never the root."""
+"""An absolute path that never needs quoting; not the root folder."""
 
 Namespace: TypeAlias = Annotated[
     str, matching(rf"/|(/{WORD})+", "ROS namespace", "write / or e.g. /hall_a; letters, digits and _")
 ]
 PluginName: TypeAlias = Annotated[
     str,
-    matching(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", "name of an entry point", "use letters, digits, '_', '.' and '-'", 80),
+    matching(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", "entry point name", "use letters, digits, '_', '.' and '-'", 80),
 ]
 SettingName: TypeAlias = Annotated[
     str,
-    matching(rf"{WORD}(\.{WORD})*", "name of a setting", "use letters, digits and _; dots nest", 80),
+    matching(rf"{WORD}(\.{WORD})*", "setting name", "use letters, digits and _; dots nest", 80),
 ]
 
 
 def path_of(namespace: str, name: str) -> str:
-    """Return the absolute name of what a node in a namespace calls by a relative or absolute name."""
+    """Resolve a relative or absolute ROS name in a namespace."""
     return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
 
 
@@ -104,22 +102,22 @@ class Host(Model):
 
     name: Name = Field(description="name of the host")
     address: Address = Field(description="IPv4 address of its interface in the fleet's network")
-    interface: Interface | None = Field(default=None, description="the interface; null: network.interface")
+    interface: Interface | None = Field(default=None, description="network interface; null: network.interface")
     tunnel_address: TunnelAddress | None = Field(
-        default=None, description="address in the tunnel; needed with 'security: {level: tunnel}', and only then"
+        default=None, description="address in the tunnel; required with 'security: {level: tunnel}', else not allowed"
     )
-    user: Account | None = Field(default=None, description="account of its nodes; null: installation.user")
-    ros: Ros | None = Field(default=None, description="where ROS 2 comes from there; null: installation.ros")
+    user: Account | None = Field(default=None, description="account that runs its nodes; null: installation.user")
+    ros: Ros | None = Field(default=None, description="source of its ROS 2; null: installation.ros")
     further_addresses: Annotated[tuple[Network, ...], AsTuple] = Field(
-        default=(), description="what its nodes may talk to besides the fleet, such as a motor controller"
+        default=(), description="addresses outside the fleet that its nodes may use, such as a motor controller's"
     )
-    further_interfaces: Annotated[tuple[Interface, ...], AsTuple] = Field(default=(), description="interfaces to these")
+    further_interfaces: Annotated[tuple[Interface, ...], AsTuple] = Field(default=(), description="interfaces to them")
 
 
 class SimulatedPlane(Model):
-    """A plane that is computed, of the scenario."""
+    """The scenario's plane, simulated."""
 
-    type: Literal["simulated"] = Field(default="simulated", description="the plane is computed")
+    type: Literal["simulated"] = Field(default="simulated", description="the plane is simulated")
     host: Name = Field(description="host on which its node runs")
 
 
@@ -137,7 +135,7 @@ PLANES: dict[str, type[Model]] = {"simulated": SimulatedPlane, "driver": model_o
 
 
 class Observer(Model):
-    """The node that sums up the robots."""
+    """The node that computes the swarm's abstract state."""
 
     host: Name = Field(description="host on which it runs")
 
@@ -147,18 +145,18 @@ class Controller(Model):
 
     host: Name = Field(description="host on which it runs")
     start_mode: Literal["stop", "run"] = Field(
-        default="stop", description="stop: robots stand until somebody resets; run: they move once all is there"
+        default="stop", description="stop: robots do not move until a reset; run: they move once all nodes are present"
     )
 
 
 class Recorder(Model):
     """The node that writes the bag."""
 
-    host: Name = Field(description="host on which it runs, below /var/lib/swarmabs-NAME")
+    host: Name = Field(description="host on which it runs; its bags are in /var/lib/swarmabs-NAME")
 
 
 class Coordinators(Model):
-    """Where the nodes run that are not robots; they may share a host."""
+    """Hosts of the nodes that are not robots; they may share one."""
 
     plane: Annotated[SimulatedPlane | MeasuredPlane, Tagged("type", PLANES, "simulated")] = Field(
         description="the plane, simulated or measured"
@@ -171,23 +169,25 @@ class Coordinators(Model):
 class NetworkConfig(Model):
     """How the nodes find each other."""
 
-    domain: int = Field(ge=0, le=LARGEST_DOMAIN, description="ROS domain of the fleet, one that no other fleet has")
-    interface: Interface | None = Field(default=None, description="interface of hosts that name none")
+    domain: int = Field(ge=0, le=LARGEST_DOMAIN, description="ROS domain of the fleet; no other fleet may use it")
+    interface: Interface | None = Field(default=None, description="interface of the hosts that do not name one")
     discovery: Literal["static", "multicast", "server"] = Field(
         default="static",
-        description="static: addresses are listed; multicast: by multicast; server: by one on the host 'server'",
+        description="static: by listed addresses; multicast: by multicast; server: by a server on the host 'server'",
     )
     server: Name | None = Field(default=None, description="host of the discovery server")
 
 
 class Time(Model):
-    """How well the hosts' clocks must agree."""
+    """How closely the hosts' clocks must agree."""
 
-    max_offset: Positive = Field(default=0.005, description="largest error of a host's clock, s; it is checked")
+    max_offset: Positive = Field(
+        default=0.005, description="largest permitted error of a host's clock, s; checked on the host"
+    )
 
 
 class NoSecurity(Model):
-    """Nothing but the interface: whoever is in the network can read, and move robots within their limits."""
+    """No protection: anyone on the network can read the traffic and move robots within their limits."""
 
     level: Literal["none"] = Field(default="none", description="no protection beyond the network's own")
 
@@ -213,12 +213,12 @@ LEVELS: dict[str, type[Model]] = {"none": NoSecurity, "tunnel": TunnelSecurity, 
 
 
 class Installation(Model):
-    """What the bundles find on a host, and where they go."""
+    """The software that bundles expect on a host, and where they are installed."""
 
     checkout: FolderPath = Field(default="/opt/swarmabs", description="prepared checkout of swarmabs on each host")
     ros: Ros = Field(
         default="wheels", description="wheels: the checkout's .venv; sourced: an installed ROS 2 Jazzy, as on ARM"
     )
-    setup: FolderPath = Field(default="/opt/ros/jazzy/setup.sh", description="what to source where ROS 2 is installed")
+    setup: FolderPath = Field(default="/opt/ros/jazzy/setup.sh", description="setup script of the installed ROS 2")
     prefix: FolderPath = Field(default="/etc/swarmabs", description="folder below which bundles are installed")
     user: Account = Field(default="swarmabs", description="account under which nodes run")

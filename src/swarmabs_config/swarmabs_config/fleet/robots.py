@@ -1,4 +1,4 @@
-"""The robots of a fleet: dynamics, limits, and the drive between the law and the body."""
+"""The robots of a fleet: dynamics, limits, and the drive that connects the control law to the body."""
 
 from __future__ import annotations
 
@@ -19,25 +19,27 @@ from swarmabs_core.realtime.instruments import TopicSettings
 
 
 class SimulatedDrive(Model):
-    """A body that exists on paper only; its motion is computed from the commands."""
+    """A simulated body, whose motion is computed from the commands."""
 
-    type: Literal["simulated"] = Field(default="simulated", description="the body is computed")
+    type: Literal["simulated"] = Field(default="simulated", description="the body is simulated")
     position: Position = like(RobotConfig, "position", required=True)
     velocity: Velocity = like(RobotConfig, "velocity")
 
 
 class PluginDrive(Model):
-    """A body that a package's own code moves, such as a vendor's library."""
+    """A body that is moved by code of a package, such as a vendor's library."""
 
-    type: Literal["plugin"] = Field(default="plugin", description="the body is moved by a package's own code")
+    type: Literal["plugin"] = Field(default="plugin", description="the body is moved by code of a package")
     name: PluginName = Field(description="name of the drive, an entry point in the group swarmabs.drives")
-    settings: dict[SettingName, JsonValue] = Field(default={}, description="what the drive is given, by name")
+    settings: dict[SettingName, JsonValue] = Field(default={}, description="settings of the drive, by name")
 
     @field_validator("name")
     @classmethod
     def _check_name(cls, name: str) -> str:
         if name in {"simulated", "topic", "plugin"}:
-            raise problem(f"'{name}' is no drive of a package", f"write 'type: {name}', or the name of the entry point")
+            raise problem(
+                f"'{name}' is not a drive of a package", f"write 'type: {name}', or the name of the entry point"
+            )
         return name
 
     @field_validator("settings")
@@ -45,21 +47,24 @@ class PluginDrive(Model):
     def _check_settings(cls, settings: dict[str, JsonValue]) -> dict[str, JsonValue]:
         for name, value in settings.items():
             if name in {"type", "name"}:
-                raise problem(f"a setting cannot be called {name}", "the drive is named by 'name'")
+                raise problem(f"a setting cannot be called {name}", "choose another name for it")
             items = value if isinstance(value, list) and value else [value]
             kinds = {type(item) for item in items}
             if len(kinds) != 1 or not kinds <= {bool, int, float, str}:
-                raise problem(f"{name}: {describe(value)} is no parameter", "give a number, text, flag, or list of one")
+                raise problem(
+                    f"{name}: {describe(value)} is not a parameter value",
+                    "give a number, a text, true or false, or a list of values of one of these types",
+                )
             if any(type(item) is int and not -(2**63) <= item < 2**63 for item in items):
-                raise problem(f"{name}: {describe(value)} is out of range", "give a whole number of 64 bits")
+                raise problem(f"{name}: {describe(value)} is out of range", "give a 64-bit integer")
             if any(isinstance(item, float) and abs(item) > LARGEST for item in items):
                 raise problem(f"{name}: {describe(value)} is out of range", f"give a number within +-{LARGEST:g}")
         return settings
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """What the drive is given, as parameters have it."""
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in self.settings.items()}  # type: ignore[misc]  # they are checked
+        """The drive's settings as parameter values."""
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in self.settings.items()}  # type: ignore[misc]  # checked above
 
 
 Drive: TypeAlias = SimulatedDrive | TopicSettings | PluginDrive
@@ -71,15 +76,15 @@ DRIVES: dict[str, type[Model]] = {
 
 
 class RobotLimits(Model):
-    """What a robot may do at most; what is left out is as in the scenario."""
+    """Limits of a robot; the scenario's apply where one is left out."""
 
     velocity: Positive | None = Field(default=None, description="largest speed, m/s; null: as in the scenario")
-    force: Positive | None = Field(default=None, description="largest force of a double integrator, N; null: as there")
+    force: Positive | None = Field(default=None, description="largest force of a double integrator, N; null: likewise")
     deceleration: Positive | None = Field(
-        default=None, description="how hard the base of a single integrator brakes, m/s^2; null: it stops at once"
+        default=None, description="braking deceleration of a single integrator's base, m/s^2; null: it stops at once"
     )
     lane: Positive | None = Field(
-        default=None, description="largest distance from the axis, m; null: half the plane less realtime.lane_margin"
+        default=None, description="largest distance from the axis, m; null: half the plane minus realtime.lane_margin"
     )
 
 
@@ -90,15 +95,15 @@ class SingleIntegratorRobot(Model):
     host: Name = Field(description="host on which its node runs")
     kind: Literal["single_integrator"] = Field(default="single_integrator", description="p' = u")
     mass: Mass = like(RobotConfig, "mass", required=True)
-    limits: RobotLimits = Field(default=RobotLimits(), description="what it may do at most")
-    drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="what is between the law and the body")
+    limits: RobotLimits = Field(default=RobotLimits(), description="limits of this robot")
+    drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="connects the control law to the body")
 
     damping: ClassVar[float] = 0.0
 
     @field_validator("drive", mode="before")
     @classmethod
     def _check_weight(cls, drive: object) -> object:
-        """Ask for no IMU where there is no weight to hold: a single integrator's base holds it itself."""
+        """Reject an IMU for a single integrator, whose base holds the weight itself."""
         if not isinstance(drive, Mapping) or drive.get("type") != TopicSettings.type:
             return drive
         if drive.get("gravity") == "imu":
@@ -129,8 +134,8 @@ class DoubleIntegratorRobot(Model):
     kind: Literal["double_integrator"] = Field(default="double_integrator", description="m v' = u - c v")
     mass: Mass = like(RobotConfig, "mass", required=True)
     damping: Damping = like(RobotConfig, "damping", required=True)
-    limits: RobotLimits = Field(default=RobotLimits(), description="what it may do at most")
-    drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="what is between the law and the body")
+    limits: RobotLimits = Field(default=RobotLimits(), description="limits of this robot")
+    drive: Annotated[Drive, Tagged("type", DRIVES)] = Field(description="connects the control law to the body")
 
 
 Robot: TypeAlias = SingleIntegratorRobot | DoubleIntegratorRobot

@@ -1,4 +1,4 @@
-"""The robots of a scenario, listed one by one or generated."""
+"""The robots of a scenario, listed or generated."""
 
 import math
 import random
@@ -23,7 +23,7 @@ from .fields import LARGEST, AsPair, Finding, Model, NonNegative, Positive, prob
 
 LARGEST_ID = 65535
 AUTO_INERTIA = 0.0288
-"""Inertia in kg m^2 that the robots have at ``position: auto``: that of the paper's four robots."""
+"""Inertia of the robots with ``position: auto``, kg m^2: that of the paper's four robots."""
 
 AgentId: TypeAlias = Annotated[int, Like(RobotConfig, "agent_id")]
 Mass: TypeAlias = Annotated[float, Like(RobotConfig, "mass")]
@@ -33,10 +33,10 @@ Velocity: TypeAlias = Annotated[float, Like(RobotConfig, "velocity")]
 
 
 def _offer_velocity(schema: dict[str, JsonValue]) -> None:
-    """Let the schema tolerate what `SingleIntegratorAgent.tolerates` does."""
+    """Let the schema accept what `SingleIntegratorAgent.tolerates` accepts."""
     properties = schema["properties"]
     if isinstance(properties, dict):
-        properties["velocity"] = {"const": 0, "description": "tolerated if 0: it moves by command only, m/s"}
+        properties["velocity"] = {"const": 0, "description": "accepted if 0, m/s: the robot moves by command only"}
 
 
 class SingleIntegratorAgent(Model):
@@ -54,7 +54,7 @@ class SingleIntegratorAgent(Model):
 
     @classmethod
     def tolerates(cls, key: str, value: object) -> bool:
-        """Tolerate an initial velocity of 0, so that robots of both kinds can be written alike."""
+        """Accept an initial velocity of 0, so that robots of both kinds can be written alike."""
         return key == "velocity" and isinstance(value, int | float) and not isinstance(value, bool) and value == 0
 
     @classmethod
@@ -136,7 +136,9 @@ class Generate(Model):
         count = self.single_integrator + self.double_integrator
         if count > LARGEST_ID:
             findings.append(
-                Finding.of((), f"{count} robots are more than there are ids", f"generate at most {LARGEST_ID} in all")
+                Finding.of(
+                    (), f"{count} robots are more than the {LARGEST_ID} ids", f"generate at most {LARGEST_ID} in all"
+                )
             )
         raise_findings(findings)
         return self

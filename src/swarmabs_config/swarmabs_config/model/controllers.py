@@ -1,7 +1,7 @@
 """Parent controllers, swarm laws and reference trajectories.
 
-The models of controllers and laws, built-in or of a package, are derived from the settings that these declare, as their
-ROS parameters are.
+The models of controllers and laws, built in or from a package, are derived from the settings that these declare; so are
+their ROS parameters.
 """
 
 import itertools
@@ -32,7 +32,7 @@ from .fields import (
 )
 
 MOST_ROWS = 2000
-"""Most rows of a trajectory: they travel to the parent controller as parameters."""
+"""Maximum number of rows of a trajectory, which reach the parent controller as parameters."""
 
 Angle: TypeAlias = Annotated[float, Field(gt=-STEEPEST, lt=STEEPEST), WithoutNegativeZero]
 """An angle of the plane in rad."""
@@ -41,7 +41,7 @@ Angle: TypeAlias = Annotated[float, Field(gt=-STEEPEST, lt=STEEPEST), WithoutNeg
 class CsvTrajectory(Model):
     """The smooth curve through the rows of a file, see `swarmabs_core.trajectory`.
 
-    When a scenario is loaded its rows take the place of the file, so that a resolved scenario needs it no more.
+    Loading a scenario replaces the file by its rows, so a resolved scenario no longer needs the file.
     """
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["file"]}, {"required": ["times", "angles"]}]})
@@ -63,7 +63,8 @@ class CsvTrajectory(Model):
     def _check_rows(self) -> "CsvTrajectory":
         if self.file is not None:
             raise problem(
-                "a file beside rows, or in a scenario that is no file", "give 'file', or 'times' and 'angles'"
+                "'file' is given together with rows, or in a scenario that was not read from a file",
+                "give either 'file', or 'times' and 'angles'",
             )
         if len(self.times) != len(self.angles) or not 2 <= len(self.times) <= MOST_ROWS:
             raise problem(
@@ -76,7 +77,7 @@ class CsvTrajectory(Model):
                     Finding.of(
                         ("times", index),
                         f"{later!r} s follows {earlier!r} s",
-                        f"let the times increase by at least {SHORTEST} s",
+                        f"make each time at least {SHORTEST} s later than the one before",
                     )
                 )
         curve = QuinticSpline(self.times, self.angles)
@@ -87,8 +88,8 @@ class CsvTrajectory(Model):
                     raise as_error(
                         Finding.of(
                             ("times", index),
-                            f"the smooth curve through the rows is at {angle:.3g} rad at {time:.6g} s",
-                            f"give rows closer together, such that it stays within +-{STEEPEST} rad",
+                            f"the smooth curve through the rows reaches {angle:.3g} rad at {time:.6g} s",
+                            f"add rows, so that the curve stays within +-{STEEPEST} rad",
                         )
                     )
         return self
@@ -109,7 +110,7 @@ class ControllerConfig(Model):
 
     @classmethod
     def unknown_key(cls, key: str) -> PydanticCustomError:
-        """Say of a trajectory that this controller cannot follow one."""
+        """Explain that this controller follows no trajectory."""
         if key == "trajectory":
             return problem(
                 f"the {cls.model_fields['type'].default} controller follows no trajectory",
@@ -143,7 +144,7 @@ class TrackingConfig(ControllerConfig):
 
 
 class _Configs(Mapping[str, type[Model]]):
-    """Models by name, each derived when it is asked for."""
+    """Models by name, each derived on first use."""
 
     def __init__(self, registry: Registry[Any, Any], base: type[Model]) -> None:
         self._registry = registry
@@ -160,9 +161,9 @@ class _Configs(Mapping[str, type[Model]]):
 
 
 CONTROLLER_CONFIGS: Mapping[str, type[Model]] = _Configs(CONTROLLERS, ControllerConfig)
-"""The model of each ``controller.type``, those of installed packages too."""
+"""The model of each ``controller.type``, including those of installed packages."""
 LAW_CONFIGS: Mapping[str, type[Model]] = _Configs(LAWS, LawConfig)
-"""The model of each ``swarm.law.type``, those of installed packages too."""
+"""The model of each ``swarm.law.type``, including those of installed packages."""
 
 
 ModelT = TypeVar("ModelT", bound=Model)
@@ -175,10 +176,10 @@ def derived(part: Part[Any, Any], base: type[ModelT]) -> type[ModelT]:
     last: dict[str, Any] = {}
     if base is ControllerConfig and set(TRAJECTORY) <= set(settings):
         settings = tuple(setting for setting in settings if setting not in TRAJECTORY)
-        if part.name in CONTROLLERS.built_in:  # its text has always ended with the trajectory
+        if part.name in CONTROLLERS.built_in:  # the canonical text ends with the trajectory
             last = {"trajectory": (Trajectory, TrackingConfig.model_fields["trajectory"])}
         else:
-            base = TrackingConfig  # type: ignore[assignment]  # a ControllerConfig, as is asked for
+            base = TrackingConfig  # type: ignore[assignment]  # a subclass of ControllerConfig
     name = "".join(word.capitalize() for word in part.name.split("_"))
     described = part.description or f"the {part.name} of an installed package"
     tag = (Literal[part.name], Field(default=part.name, description=described))

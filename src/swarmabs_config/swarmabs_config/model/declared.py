@@ -1,7 +1,7 @@
-"""Models of what is declared elsewhere: of the declarations of core, and of the settings of plug-ins.
+"""Models derived from the declarations of core and from the settings of plug-ins.
 
-Each setting is declared once, with default, bounds, unit and meaning; from it follow the strict model by which a file
-is checked, its schema, and how it is written.
+Each setting is declared once, with default, bounds, unit and meaning. The strict model that checks a file, its schema
+and its canonical text follow from the declaration.
 """
 
 from collections.abc import Iterable, Mapping
@@ -37,10 +37,10 @@ ModelT = TypeVar("ModelT", bound=Model)
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """Annotation of a field whose type is a declaration: it is validated by the model that is derived from it."""
+    """Annotation of a field whose type is a declaration, which is validated by the model derived from it."""
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate by the derived model, and give the declaration's instance."""
+        """Validate by the derived model, and return an instance of the declaration."""
         model = handler.generate_schema(model_of(source))
         return core_schema.no_info_before_validator_function(
             lambda value: tree_of(value) if isinstance(value, source) else value,
@@ -50,12 +50,12 @@ class Declared:
 
 
 class DeclaredModel(Model):
-    """Base of the models that are derived from declarations."""
+    """Base of the models derived from declarations."""
 
     declaration: ClassVar[type]
 
     def made(self) -> object:
-        """Return the declaration's instance."""
+        """Return an instance of the declaration."""
         return self._made(self.declaration)
 
     def _made(self, declaration: type) -> object:
@@ -75,9 +75,9 @@ class DeclaredModel(Model):
 
 @cache
 def model_of(declaration: type, tag: str = "") -> type[Model]:
-    """Return the model of a declaration, whose documentation is the first paragraph of the declaration's.
+    """Return the model of a declaration, documented by the first paragraph of the declaration's docstring.
 
-    With a `tag`, the key by which a file chooses it, the declaration has an attribute of this name: the key's value.
+    The `tag` is the key by which a file selects the declaration; its attribute of this name is the value of the key.
     """
     text = cleandoc(declaration.__doc__ or "").partition("\n\n")[0]
     fields: dict[str, Any] = {}
@@ -103,7 +103,7 @@ def _fields_of(declaration: type) -> dict[str, Any]:
             else:
                 found |= _fields_of(inner)
             continue
-        assert isinstance(declared, Setting)  # noqa: S101 - nothing in a file is chosen by this way
+        assert isinstance(declared, Setting)  # noqa: S101 - a file cannot select anything else
         default = ... if declared.required else None if declared.unset is not None else declared.parameter.default
         content = Field(default=default, alias=name, description=declared.in_file.description)
         found[_field_of(name)] = (_type_of(declared), content)
@@ -111,7 +111,7 @@ def _fields_of(declaration: type) -> dict[str, Any]:
 
 
 def declared_field(declaration: type, description: str, alias: str | None = None) -> Any:
-    """Return the field of a model that has a declaration, by default with all its defaults."""
+    """Return a field whose type is a declaration; its default has all the declaration's defaults."""
     return Field(
         default_factory=declaration,
         alias=alias,
@@ -127,7 +127,7 @@ def model_of_table(
     last: Mapping[str, Any] = MappingProxyType({}),
     **fields: Any,
 ) -> type[ModelT]:
-    """Return the model of a plug-in's settings: dotted names become nested mappings; further `fields`, then `last`."""
+    """Return the model of a plug-in's settings, of further `fields` and of `last`; dotted names become mappings."""
     by_head: dict[str, list[Parameter]] = {}
     for setting in settings:
         head, _, rest = setting.name.partition(".")
@@ -137,7 +137,7 @@ def model_of_table(
             inner = model_of_table(f"{title}_{head}", Model, group)
             fields[_field_of(head)] = (
                 inner,
-                Field(default=inner(), alias=head, description=f"settings {head} of {title}"),
+                Field(default=inner(), alias=head, description=f"{head} settings of {title}"),
             )
         else:
             content = Field(default=group[0].default, alias=head, description=group[0].description)
@@ -146,24 +146,24 @@ def model_of_table(
 
 
 def _field_of(name: str) -> str:
-    """Return the name of a model's field, which must collide with nothing that pydantic's models have."""
+    """Return a field name that cannot collide with an attribute of pydantic's models."""
     return f"setting_{name}"
 
 
 @dataclass(frozen=True, eq=False)
 class Like:
-    """Annotation of a field that is as a declaration has declared one of its settings."""
+    """Annotation of a field with the type and bounds of a declared setting."""
 
     declaration: type
     attribute: str
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate as the declaration says."""
+        """Validate by the declared type and bounds."""
         return handler.generate_schema(_type_of(setting_of(self.declaration, self.attribute)))
 
 
 def like(declaration: type, attribute: str, *, required: bool = False) -> Any:
-    """Return the field of a model that is annotated by `Like`."""
+    """Return a field, annotated with `Like`, with the default and description of the declared setting."""
     declared = setting_of(declaration, attribute)
     return Field(default=... if required else declared.parameter.default, description=declared.in_file.description)
 
@@ -186,7 +186,7 @@ def _of_parameter(setting: Parameter, **more: Any) -> Any:
         return annotated[array[(item,) * length], BeforeValidator(as_tuple(length))]
     if not default:
         return annotated[array[item, ...], BeforeValidator(as_tuple(None))]
-    # A ROS parameter that is empty counts as not given, and would have its default in the node.
+    # An empty ROS parameter counts as not given, so the node would use its default.
     return annotated[array[item, ...], AfterValidator(_not_empty), BeforeValidator(as_tuple(None))]
 
 
@@ -216,17 +216,17 @@ def _scalar(
 
 
 def _whole(bound: float | None) -> float | None:
-    """Return a bound as a whole number if it is one, as schemas and errors show it."""
+    """Return a whole bound as an integer, as schemas and errors show it."""
     return int(bound) if bound is not None and bound == int(bound) else bound
 
 
 def _not_empty(values: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
     if not values:
-        raise problem("expected a list of at least one value, found an empty one", "leave the key out for its default")
+        raise problem("expected a list of at least one value, found an empty one", "remove the key to use its default")
     return values
 
 
 def _printable(text: str) -> str:
     if not text.isprintable():
-        raise problem(f"{show(text)} has characters that cannot be printed", "give a text in one line")
+        raise problem(f"{show(text)} contains unprintable characters", "give one line of printable text")
     return text

@@ -1,4 +1,4 @@
-"""Errors of scenario files, and how hostile content is shown in their one line."""
+"""Errors of scenario files; untrusted content is shown safely in one line."""
 
 from collections.abc import Mapping
 
@@ -9,11 +9,11 @@ _LONGEST_PART = 400
 
 
 class ScenarioError(InputError):
-    """A scenario was refused.
+    """A scenario is invalid.
 
-    The text is one line, ``FILE:LINE: field: problem; remedy``, without the parts that are not known. The source is the
-    file or the override (``--set a.b=v``) that caused it, `field` a dotted path as ``--set`` takes it, and `more` tells
-    how many further errors the scenario has.
+    The text is one line, ``FILE:LINE: field: problem; remedy``, without unknown parts. `source` is the file or override
+    (``--set a.b=v``) that caused the error, `field` a dotted path as in ``--set``, and `more` the number of further
+    errors in the scenario.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class ScenarioError(InputError):
 
 
 def printable(text: str) -> str:
-    """Return `text` with every character that could leave the line or steer a terminal escaped."""
+    """Escape every character of `text` that could break the line or control a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
@@ -54,7 +54,7 @@ def shorten(text: str, longest: int = _LONGEST_VALUE) -> str:
 
 
 def describe(value: object) -> str:
-    """Name a value found in a scenario, with its type, in a few words."""
+    """Describe a value found in a scenario and its type, in a few words."""
     if value is None:
         return "nothing (null)"
     if isinstance(value, bool):

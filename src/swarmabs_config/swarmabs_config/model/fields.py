@@ -1,4 +1,4 @@
-"""What the models of files are built of: the strict base model, numbers, times, texts, lists and tagged choices."""
+"""Building blocks of the models of files: the strict base model, numbers, times, texts, lists and tagged choices."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -29,13 +29,13 @@ from .errors import describe, shorten, show
 Location: TypeAlias = tuple[str | int, ...]
 
 LARGEST = 1e12
-"""Largest magnitude of any number: far above anything physical, so low that no sum or square overflows."""
+"""Largest magnitude of any number: far above any physical value, low enough that no sum or square overflows."""
 SMALLEST = 1e-12
 """Smallest magnitude of a number that must be positive."""
 
 
 def problem(text: str, remedy: str, see: Location | None = None) -> PydanticCustomError:
-    """Return an error with a remedy; `see` is the location of the other field that takes part in it."""
+    """Return an error with a remedy; `see` is the location of the other field involved."""
     context: dict[str, str | Location] = {"problem": text, "remedy": remedy}
     if see is not None:
         context["see"] = see
@@ -51,7 +51,7 @@ class Finding:
 
     @classmethod
     def of(cls, location: Location, text: str, remedy: str, see: Location | None = None) -> "Finding":
-        """Return the finding with its error made from texts, see `problem`."""
+        """Return a finding from the texts of its error, see `problem`."""
         return cls(location, problem(text, remedy, see))
 
 
@@ -81,7 +81,7 @@ class Model(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     def made(self) -> object:
-        """Return what this model stands for: itself, if it is not derived from a declaration."""
+        """Return the object that this model describes: itself, unless it is derived from a declaration."""
         return self
 
     @classmethod
@@ -96,14 +96,14 @@ class Model(BaseModel):
 
     @classmethod
     def tolerates(cls, key: str, value: object) -> bool:
-        """Say whether a key that this model does not have may stand there all the same, without effect."""
+        """Tell whether a key that this model does not have is accepted and ignored."""
         del key, value
         return False
 
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, data: object) -> object:
-        # Unknown keys before missing ones, so that a misspelt required key is reported as what it is.
+        # Unknown keys before missing ones, so that a misspelt required key is reported as misspelt.
         if not isinstance(data, Mapping):
             return data
         known = set(cls.key_names())
@@ -124,7 +124,7 @@ def schema_of(model: type[Model], title: str) -> dict[str, object]:
 
 
 def not_tiny(value: float) -> float:
-    """Refuse a positive number that is next to nothing."""
+    """Reject a positive number below `SMALLEST`."""
     if value < SMALLEST:
         raise problem(f"{value!r} is too small", f"give a number of at least {SMALLEST}")
     return value
@@ -135,7 +135,7 @@ def _without_negative_zero(value: float) -> float:
 
 
 WithoutNegativeZero = AfterValidator(_without_negative_zero)
-"""Makes -0.0 the 0.0 that it equals, so that equal scenarios give equal bytes."""
+"""Turns -0.0 into 0.0, so that equal scenarios give equal bytes."""
 
 Number: TypeAlias = Annotated[float, Field(ge=-LARGEST, le=LARGEST), WithoutNegativeZero]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=LARGEST), WithoutNegativeZero]
@@ -181,33 +181,33 @@ WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 
 
 def matching(pattern: str, what: str, remedy: str, longest: int = 255) -> AfterValidator:
-    """Return a validator of texts that match a pattern as a whole; errors say `what` a text is not, and the remedy."""
+    """Return a validator of texts that match a pattern completely; `what` names such a text in errors."""
     expression = re.compile(pattern)
 
     def check(text: str) -> str:
         if not expression.fullmatch(text) or len(text) > longest:
-            raise problem(f"{show(text)} is no {what}", remedy)
+            raise problem(f"{show(text)} is not a valid {what}", remedy)
         return text
 
     return AfterValidator(check)
 
 
 TopicName: TypeAlias = Annotated[
-    str, matching(rf"(/?{WORD}(/{WORD})*)?", "name of a topic", "write e.g. /odom; letters, digits, _ and /")
+    str, matching(rf"(/?{WORD}(/{WORD})*)?", "topic name", "write e.g. /odom; letters, digits, _ and /")
 ]
-"""A topic, or nothing for one below the node's own name."""
+"""A topic; an empty name means one below the node's own name."""
 FrameName: TypeAlias = Annotated[
-    str, matching(r"[A-Za-z0-9_./-]*", "name of a frame or joint", "use letters, digits, '_', '.', '-' and '/'")
+    str, matching(r"[A-Za-z0-9_./-]*", "frame or joint name", "use letters, digits, '_', '.', '-' and '/'")
 ]
 
 LONGEST_FILE_NAME = 32
-"""Of names of fleets and hosts, which become parts of names of units and folders."""
+"""Longest name of a fleet or host, which becomes part of the names of units and folders."""
 Name: TypeAlias = Annotated[
     str,
     matching(
         r"[A-Za-z0-9][A-Za-z0-9_-]*",
         "name for folders and units",
-        f"use 1 to {LONGEST_FILE_NAME} letters, digits, - and _, first a letter or a digit",
+        f"use 1 to {LONGEST_FILE_NAME} letters, digits, - and _, starting with a letter or a digit",
         LONGEST_FILE_NAME,
     ),
 ]
@@ -217,14 +217,14 @@ TEXTS: dict[str, Any] = {"name": Name, "topic": TopicName, "frame": FrameName}
 """Type of a setting by what its text names."""
 
 SCHEMA_VERSION = 1
-"""The newest version of the files; how older ones are read: `loader.upgraded`."""
+"""The newest version of the files; `loader.upgraded` converts older ones."""
 
 
 def known_version(value: object) -> object:
-    """Refuse, as a field's validator, every version but the newest."""
+    """Reject every version but the newest; a validator of fields."""
     if type(value) is int and value > SCHEMA_VERSION:
         raise problem(
-            f"{describe(value)} is a newer version than this one reads ({SCHEMA_VERSION})",
+            f"version {show(value)} is newer than the version {SCHEMA_VERSION} that this swarmabs reads",
             "update swarmabs",
         )
     if type(value) is not int or value != SCHEMA_VERSION:
@@ -233,7 +233,7 @@ def known_version(value: object) -> object:
 
 
 def as_tuple(length: int | None) -> Callable[[object], object]:
-    """Return a validator that makes a tuple of a list, of any length or of a given one."""
+    """Return a validator that converts a list, of any length or of a given one, to a tuple."""
 
     def convert(value: object) -> object:
         wanted = "a list" if length is None else f"a list of {length} numbers"
@@ -254,16 +254,16 @@ AsPair = BeforeValidator(as_tuple(2))
 class Tagged:
     """Annotation of a field whose model is looked up in a registry by the value of its tag key.
 
-    The registry is read at every validation, so models that are registered later are accepted from then on. Of a model
-    that is asked for by its name no other is looked at.
+    The registry is read at every validation, so models that are registered later are accepted too. Looking up one model
+    does not load the others.
 
     Parameters
     ----------
     tag : str
         Name of the tag key.
     registry : mapping of str to type of Model
-        The model of each value of the tag; instances of these models are taken as they are. In the place of a model
-        that is derived from a declaration there is then the declaration's instance.
+        The model of each value of the tag; instances of these models are accepted unchanged. A model derived from a
+        declaration gives an instance of the declaration.
     default : str, optional
         Value of the tag when the key is left out; without it the key is required.
     """
@@ -273,7 +273,7 @@ class Tagged:
     default: str | None = None
 
     def validate(self, value: object) -> object:
-        """Return what the registered model that `value` describes stands for."""
+        """Return the object that `value` describes, according to its registered model."""
         if is_dataclass(value) and hasattr(value, self.tag):
             value = self._tree(value)
         if isinstance(value, Model):

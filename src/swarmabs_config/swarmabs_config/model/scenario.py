@@ -53,7 +53,7 @@ FAULT_KINDS = {kind: model_of(each, tag="kind") for kind, each in FAULTS.items()
 
 
 def is_name(text: str) -> bool:
-    """Say whether `text` can name a scenario and, with a number, the folder of a run."""
+    """Tell whether `text` can name a scenario and, with a number, the folder of a run."""
     return (
         0 < len(text) <= LONGEST_NAME
         and text.isprintable()
@@ -67,13 +67,13 @@ def _folder_name(name: str) -> str:
     if not is_name(name):
         raise problem(
             f"{describe(name)} cannot name a folder",
-            f"use 1 to {LONGEST_NAME} printable characters, no / or \\, first a letter, a digit or _",
+            f"use 1 to {LONGEST_NAME} printable characters, no / or \\, starting with a letter, a digit or _",
         )
     return name
 
 
 FolderName: TypeAlias = Annotated[str, AfterValidator(_folder_name)]
-"""A name that the folder of a run or a sweep begins with."""
+"""A name with which the folder of a run or a sweep begins."""
 
 
 class Swarm(Model):
@@ -86,10 +86,10 @@ class Swarm(Model):
     )
     gains: Annotated[SwarmGains, Declared()] = declared_field(SwarmGains, "gains of the robots' control laws")
     agents: Annotated[tuple[Annotated[Agent, Tagged("kind", AGENT_KINDS)], ...], AsTuple] | None = Field(
-        default=None, description="the robots, one by one"
+        default=None, description="list of the robots"
     )
-    generate: Generate | None = Field(default=None, description="a swarm drawn at random instead")
-    sensor: Annotated[RobotSensor, Declared()] = declared_field(RobotSensor, "what a robot knows of its own motion")
+    generate: Generate | None = Field(default=None, description="random swarm, instead of 'agents'")
+    sensor: Annotated[RobotSensor, Declared()] = declared_field(RobotSensor, "how a robot measures its own motion")
     actuator_lag: Annotated[float, Like(Run, "actuator_lag")] = like(Run, "actuator_lag")
 
     @model_validator(mode="after")
@@ -112,7 +112,7 @@ class Swarm(Model):
 
 
 class UncheckedScenario(Model):
-    """A run, completely described; what involves several settings is not checked yet."""
+    """A complete description of a run, before the checks across fields."""
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
@@ -126,19 +126,21 @@ class UncheckedScenario(Model):
     step: Duration = Field(default=0.01, description="control period, s")
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
     plane: Annotated[Plane, Declared()] = declared_field(Plane, "the tilting plane")
-    manifold: Annotated[Manifold, Declared()] = declared_field(Manifold, "the curve Js(tau) on which the swarm is held")
+    manifold: Annotated[Manifold, Declared()] = declared_field(
+        Manifold, "the curve Js(tau) to which the swarm is controlled"
+    )
     controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
         default=PdConfig(), description="the parent controller"
     )
     swarm: Swarm = Field(description="the robots and their gains")
     observer: Annotated[SumObserver | ParentResponse, Tagged("type", OBSERVERS, DEFAULT_OBSERVER)] = Field(
         default=SumObserver(),
-        description="where the robots' abstract state comes from",
+        description="how the abstract state of the robots is obtained",
         json_schema_extra={"default": {"type": DEFAULT_OBSERVER}},
     )
     limits: Annotated[Limits, Declared()] = declared_field(Limits, "limits of the robots' drives")
     lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
-    realtime: Annotated[Realtime, Declared()] = declared_field(Realtime, "what holds where the clock makes the steps")
+    realtime: Annotated[Realtime, Declared()] = declared_field(Realtime, "settings of runs in real time")
     faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )
@@ -160,7 +162,7 @@ class UncheckedScenario(Model):
 
     @property
     def period(self) -> float:
-        """The control period in s, as everything computes with it."""
+        """The control period in s, as used in every computation."""
         return self.step_ns / NANOSECONDS
 
     @property
@@ -170,7 +172,7 @@ class UncheckedScenario(Model):
 
     @property
     def initial_agents(self) -> tuple[Agent, ...]:
-        """The robots that are there at step 0: all but those that join later."""
+        """The robots present at step 0: all but those that join later."""
         later = {fault.agent for fault in self.faults if isinstance(fault, JoinFault) and self.fault_step(fault.at) > 0}
         return tuple(agent for agent in self.agents if agent.id not in later)
 
@@ -185,6 +187,6 @@ class UncheckedScenario(Model):
     def fault_step(self, at: float | None) -> int:
         """Return the step of a fault at time `at` (s): round(at/step) of the exact decimals, ties to even.
 
-        What has no time is not planned: `swarmabs_core.membership.UNPLANNED`.
+        A fault without a time is not planned: `swarmabs_core.membership.UNPLANNED`.
         """
         return UNPLANNED if at is None else nearest_step(at, self.step_ns)

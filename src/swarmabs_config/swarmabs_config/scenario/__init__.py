@@ -1,4 +1,4 @@
-"""Scenarios: the one description of a run that everything is started from (docs/reference/scenario.md)."""
+"""Scenarios, the complete descriptions of runs (docs/reference/scenario.md)."""
 
 from swarmabs_config.model.agents import Agent
 from swarmabs_config.model.errors import ScenarioError

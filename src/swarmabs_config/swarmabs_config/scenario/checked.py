@@ -1,4 +1,4 @@
-"""The checked scenario: what involves several settings holds too."""
+"""A scenario that has also passed the checks across fields."""
 
 from pydantic import model_validator
 
@@ -9,10 +9,10 @@ from . import checks
 
 
 class Scenario(UncheckedScenario):
-    """A run, completely described.
+    """A complete, valid description of a run.
 
-    Instances are valid and immutable. Build them with `load_scenario` or `parse_scenario`, which name file
-    and line of an error, or directly; then an invalid value raises `pydantic.ValidationError`.
+    Instances are immutable. Build them with `load_scenario` or `parse_scenario`, whose errors name file and line, or
+    directly; then an invalid value raises `pydantic.ValidationError`.
     """
 
     @model_validator(mode="after")
@@ -26,14 +26,13 @@ class Scenario(UncheckedScenario):
         return self.model_copy(update={"swarm": swarm})
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what is legal but likely to go wrong, one line each."""
+        """Return one line for each setting that is valid but likely to cause trouble."""
         return checks.warnings(self)
 
 
 def json_schema() -> dict[str, object]:
     """Return the JSON Schema (2020-12) of a scenario file, with the registered controllers and trajectories.
 
-    It covers names, types, units and ranges. What involves several fields at once is not in it: that is
-    checked when a scenario is loaded.
+    It covers names, types, units and ranges. Checks across fields are made when a scenario is loaded.
     """
     return schema_of(Scenario, "swarmabs scenario")

@@ -1,4 +1,4 @@
-"""Checks that look at several fields of a scenario at once, and warnings about legal but doubtful ones."""
+"""Checks across several fields of a scenario, and warnings about valid but doubtful settings."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from swarmabs_config.model.scenario import UncheckedScenario
     from swarmabs_core.manifold import Manifold
 
-SMALLEST_SPREAD = 1e-12
-"""S3 must exceed this many S0^2 L^2: below, the robots cannot tell torque from inertia."""
+SMALLEST_S3 = 1e-12
+"""Lower bound of S3 in units of S0^2 L^2; below it, the swarm cannot control torque and inertia independently."""
 
 
 def findings(scenario: "UncheckedScenario") -> list[Finding]:
-    """Return every error of a scenario whose fields are valid one by one."""
-    # A later check relies on, or is only of interest after, the earlier ones.
+    """Return every error of a scenario whose individual fields are valid."""
+    # A later check relies on the earlier ones, or matters only after them.
     for checks in (
         (_timing,),
         (_ids, _positions, faults, _plane),
-        (_spread,),
+        (_distinct_positions,),
         (_preimage,),
-        (_brought,),
+        (_constructed,),
         (offset_law,),
     ):
         if found := [finding for check in checks for finding in check(scenario)]:
@@ -46,12 +46,12 @@ def findings(scenario: "UncheckedScenario") -> list[Finding]:
 
 
 def warnings(scenario: "UncheckedScenario") -> tuple[str, ...]:
-    """Return what is legal but likely to go wrong, one line each."""
+    """Return one line for each setting that is valid but likely to cause trouble."""
     checks = (_underdamped, _wrong_feedback, _membership)
     return tuple(text for check in checks for text in check(scenario))
 
 
-def spread(agents: Iterable["Agent"]) -> tuple[float, float]:
+def second_moments(agents: Iterable["Agent"]) -> tuple[float, float]:
     """Return S0 (kg^2) and S3 = S0 sum m^2 (p - S1/S0)^2 (kg^4 m^2) of `agents`, from centred positions."""
     members = [(agent.mass * agent.mass, agent.position) for agent in agents]
     s0 = math.fsum(square for square, _ in members)
@@ -77,7 +77,7 @@ def _ids(scenario: "UncheckedScenario") -> Iterator[Finding]:
         yield Finding.of(
             _swarm_location(scenario),
             f"a swarm needs at least two robots, found {count}",
-            "add robots: torque and inertia are two quantities",
+            "add robots: one robot cannot control torque and inertia independently",
         )
     first: dict[int, Location] = {}
     for index, agent in enumerate(scenario.swarm.agents or ()):
@@ -117,19 +117,19 @@ def _plane(scenario: "UncheckedScenario") -> Iterator[Finding]:
         yield Finding.of(
             ("plane", "angle"),
             f"{plane.angle!r} rad is beyond the end stop at {plane.end_stop!r} rad",
-            "begin between the stops, or move them",
+            "start between the end stops, or move them",
             see=("plane", "end_stop"),
         )
     if plane.robot_gravity and (any(plane.sensor.noise) or any(plane.sensor.resolution)):
         yield Finding.of(
             ("plane", "sensor"),
-            "with robot_gravity the robots feel the plane's true angle, which its sensor would hide",
-            "leave out one of them",
+            "robot_gravity uses the plane's true angle and cannot be combined with sensor noise or resolution",
+            "remove one of them",
             see=("plane", "robot_gravity"),
         )
 
 
-def _spread(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _distinct_positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
     where = _swarm_location(scenario)
     present = scenario.initial_agents
     if len(present) < 2:
@@ -139,12 +139,12 @@ def _spread(scenario: "UncheckedScenario") -> Iterator[Finding]:
             "let fewer robots join later, or add robots",
         )
         return
-    s0, s3 = spread(present)
-    if s3 <= SMALLEST_SPREAD * s0 * s0 * scenario.plane.length * scenario.plane.length:
+    s0, s3 = second_moments(present)
+    if s3 <= SMALLEST_S3 * s0 * s0 * scenario.plane.length * scenario.plane.length:
         yield Finding.of(
             where,
-            f"the robots stand at one point (S3 = {s3:.3g} kg^4 m^2), "
-            "where torque and inertia cannot be steered independently",
+            f"all robots are at one point (S3 = {s3:.3g} kg^4 m^2), "
+            "where the swarm cannot control torque and inertia independently",
             "give them different positions, e.g. alternating +0.125 and -0.125",
         )
 
@@ -157,8 +157,8 @@ def _preimage(scenario: "UncheckedScenario") -> Iterator[Finding]:
     weight = scenario.plane.gravity**2 * (manifold.curvature + manifold.offset / manifold.torque_max**2)
     yield Finding.of(
         ("manifold",),
-        f"no positions of the robots ({mass:.6g} kg in all) have the inertia curvature*tau^2 + offset "
-        f"for |tau| > {failing:.6g} N m, and torque_max is {manifold.torque_max!r}",
+        f"robots of {mass:.6g} kg in total cannot have the inertia curvature*tau^2 + offset "
+        f"for |tau| > {failing:.6g} N m, but torque_max is {manifold.torque_max!r}",
         f"lower torque_max to {_rounded_down(failing)!r}, or use at least {_rounded_up(1 / weight)!r} kg of robots",
     )
 
@@ -180,8 +180,8 @@ def _rounded_up(value: float) -> float:
     return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal_from_float(value))
 
 
-def _brought(scenario: "UncheckedScenario") -> Iterator[Finding]:
-    """Make the controller, and what installed packages bring, so that what these refuse is refused before the start."""
+def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
+    """Construct the controller and any law of an installed package, so that settings they reject fail here."""
     made: list[tuple[Location, Callable[[], object]]] = []
     made.append((("controller",), partial(configure.parent_controller, scenario)))
     if scenario.swarm.law.type not in LAWS.built_in:
@@ -195,7 +195,7 @@ def _brought(scenario: "UncheckedScenario") -> Iterator[Finding]:
             return
         except InputError as error:
             problem, _, remedy = str(error).rpartition("; ")
-            yield Finding.of(location, problem or remedy, remedy if problem else "see what its package says")
+            yield Finding.of(location, problem or remedy, remedy if problem else "see the documentation of its package")
             return
 
 
@@ -217,9 +217,9 @@ def _underdamped(scenario: "UncheckedScenario") -> Iterator[str]:
         return
     if undershoot >= scenario.manifold.offset / 2:
         yield (
-            f"swarm.gains: Kd < 2 sqrt(Kp) lets the inertia, {initial:.4g} kg m^2 at the start, undershoot "
-            f"the {scenario.manifold.offset!r} it should reach by {undershoot:.3g}, and near 0 the swarm is "
-            f"flung apart; use a kd of at least {_rounded_up(2 * math.sqrt(kp))!r}, or smaller positions"
+            f"swarm.gains: with Kd < 2 sqrt(Kp) the inertia, {initial:.4g} kg m^2 at the start, undershoots its "
+            f"target {scenario.manifold.offset!r} by {undershoot:.3g}; near 0 the robots are driven far "
+            f"apart; use a kd of at least {_rounded_up(2 * math.sqrt(kp))!r}, or smaller positions"
         )
 
 
@@ -230,12 +230,12 @@ def _wrong_feedback(scenario: "UncheckedScenario") -> Iterator[str]:
 
 
 def _membership(scenario: "UncheckedScenario") -> Iterator[str]:
-    """Follow the robots that are there through all faults: their number, and the preimage of the manifold."""
+    """Warn if, after a fault, the remaining robots are too few, or too light for the manifold."""
     active = {agent.id for agent in scenario.initial_agents}
     heavy = set(active)
     by_step: dict[int, list[MembershipFault]] = {}
     for fault in scenario.faults_of(MembershipFault):
-        # A robot that joins is there in the fault step, one that goes is so for the last time.
+        # A robot that joins is present from the fault step on; one that leaves is present in it for the last time.
         first = scenario.fault_step(fault.at) + (not isinstance(fault, JoinFault))
         if first <= scenario.steps:
             by_step.setdefault(first, []).append(fault)
@@ -252,13 +252,16 @@ def _membership(scenario: "UncheckedScenario") -> Iterator[str]:
         states.append((step, len(active), frozenset(heavy)))
     few = next(((step, count) for step, count, _ in states if count < 2), None)
     if few is not None:
-        yield f"faults: from step {few[0]} on only {few[1]} robots are active; torque and inertia need two"
+        yield (
+            f"faults: from step {few[0]} on, the number of active robots is {few[1]}; keep at least two to control "
+            "torque and inertia"
+        )
     for step, _, present in states:
         mass = _total_mass(agent for agent in scenario.agents if agent.id in present)
         failing = None if mass < SMALLEST else _empty_from(scenario.manifold, mass, scenario.plane.gravity)
         if failing is not None:
             yield (
-                f"faults: from step {step} on the robots present weigh {mass:.4g} kg, too little for the "
+                f"faults: from step {step} on, the robots present weigh {mass:.4g} kg, too little for the "
                 f"manifold beyond |tau| = {failing:.4g} N m; lower manifold.torque_max, or keep more robots"
             )
             return

@@ -1,4 +1,4 @@
-"""Writing scenarios: the canonical text of a resolved scenario."""
+"""The canonical text of a resolved scenario."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Checks of a scenario's faults: that they hit robots and steps that there are, and do not contradict each other."""
+"""Checks of a scenario's faults: their robots and steps must exist, and faults must not contradict each other."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """Where a fault stands, the robots that it hits, and that it acts from step `first` until before step `end`."""
+    """A fault with its location, its robots, and the steps in which it acts, from `first` until before `end`."""
 
     fault: Fault
     here: Location
@@ -39,7 +39,7 @@ class _Span:
 
 
 def faults(scenario: "UncheckedScenario") -> Iterator[Finding]:
-    """Check each fault by itself, then those that hit the same robots, or set the same."""
+    """Check each fault alone, then those of the same robots or the same setting."""
     ids = {agent.id for agent in scenario.agents}
     spans: list[_Span] = []
     for index, fault in enumerate(scenario.faults):
@@ -68,14 +68,16 @@ def _within_run(span: _Span, scenario: "UncheckedScenario") -> Iterator[Finding]
         )
     elif span.first >= span.end:
         yield Finding.of(
-            (*span.here, end), f"the fault begins and ends with step {span.first}", "let it last a step or more"
+            (*span.here, end), f"the fault begins and ends at step {span.first}", "make it last at least one step"
         )
     elif isinstance(fault, ClockOffsetFault) and scenario.duration + fault.offset > LONGEST_TIME:
-        yield Finding.of((*span.here, "offset"), "stamps would be beyond what a message holds", "use a smaller offset")
+        yield Finding.of(
+            (*span.here, "offset"), "time stamps would exceed the range of a message", "use a smaller offset"
+        )
 
 
 def _memberships(spans: list[_Span]) -> Iterator[Finding]:
-    """Check the faults that end robots or let them join: each robot has at most one of both, in this order."""
+    """Check the joins and ends of robots: each robot joins at most once, then ends at most once."""
     joined: dict[int, _Span] = {}
     gone: dict[int, _Span] = {}
     for span in spans:
@@ -90,21 +92,21 @@ def _memberships(spans: list[_Span]) -> Iterator[Finding]:
         if join.first == UNPLANNED:
             yield Finding.of(
                 end.here,
-                f"robot {robot} is there only when it is added, and nobody knows when",
-                "leave this fault out, or give the time at which the robot joins",
+                f"robot {robot} joins at an unplanned time, so its end cannot be planned",
+                "remove this fault, or give the time at which the robot joins",
                 see=join.here,
             )
         elif 0 < join.first >= end.first:
             yield Finding.of(
                 (*join.here, "at"),
-                f"robot {robot} joins at step {join.first}, but is out from step {end.first}",
+                f"robot {robot} joins at step {join.first}, but is gone from step {end.first} on",
                 "let it join at an earlier step",
                 see=end.here,
             )
 
 
 def _second(span: _Span, others: list[_Span], ids: set[int]) -> Iterator[Finding]:
-    """Check that of a kind one fault acts on a robot at a time, and that one thing is set at a time."""
+    """Check that at most one fault of a kind acts on a robot, or on a setting, at a time."""
     kind = span.fault.kind
     for other in others:
         if other.fault.kind != kind:
@@ -114,30 +116,30 @@ def _second(span: _Span, others: list[_Span], ids: set[int]) -> Iterator[Finding
             # One without an end holds until the next; one with an end must be over by then.
             earlier, later = sorted((span, other), key=lambda each: each.first)
             if earlier.first == later.first or later.first < earlier.end < math.inf:
-                problem, remedy = f"a second {kind} at the same time", "let one end before the other begins"
+                problem, remedy = f"a second {kind} at the same time", "end one before the other begins"
                 yield Finding.of(span.here, problem, remedy, see=other.here)
                 return
         elif isinstance(span.fault, RobotFault) and both and span.first < other.end and other.first < span.end:
             whom = "" if both == ids else f" for robot {min(both)} at the same time"
-            remedy = "" if both == ids else ", or let it end ('to') before the other begins ('from')"
+            remedy = "" if both == ids else ", or end one ('to') before the other begins ('from')"
             yield Finding.of(span.here, f"a second {kind}{whom}", f"keep one {kind}{remedy}", see=other.here)
             return
 
 
 def offset_law(scenario: "UncheckedScenario") -> Iterator[Finding]:
-    """Check that the parent controller's reference can be offset, if it shall be."""
+    """Check that the parent controller's reference can be offset, if a fault does so."""
     index = next((index for index, fault in enumerate(scenario.faults) if isinstance(fault, ReferenceFault)), None)
     if index is not None and not isinstance(configure.parent_controller(scenario), OffsetController):
         yield Finding.of(
             ("faults", index),
             f"the reference of controller {scenario.controller.type!r} cannot be offset",
-            "leave it out, or add a method offset_torque to the controller's law",
+            "remove this fault, or add a method offset_torque to the controller's law",
             see=("controller",),
         )
 
 
 def _named(fault: Fault) -> list[tuple[Location, int]]:
-    """Return the robots that a fault names, and where; none if it hits all."""
+    """Return the robots that a fault names and their locations; none if it affects all robots."""
     if isinstance(fault, MembershipFault | SingleRobotFault):
         return [(("agent",), fault.agent)]
     agents = fault.agents if isinstance(fault, MessageFault) else None

@@ -1,6 +1,6 @@
-"""Reading scenarios: text to a checked `Scenario`, every error with its file, line, field and remedy.
+"""Read scenarios into a checked `Scenario`; every error names file, line, field and remedy.
 
-Other files in YAML that are checked as strictly, such as sweeps, are read with the same pieces.
+Other strict YAML files, such as sweeps, are read with the same functions.
 """
 
 import os
@@ -23,13 +23,13 @@ from .text_file import read_text
 from .yaml_tree import Node, Plain, dotted, read_tree
 
 _NUMERIC = re.compile(r"\s*[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\s*")
-_START = "begin with 'schema: 1'"
+_START = "start with 'schema: 1'"
 
 Upgrade: TypeAlias = Callable[[dict[str, Plain]], dict[str, Plain]]
-"""Makes the content of a scenario of the next version from that of one version, all but ``schema``."""
+"""Converts the content of a scenario, without ``schema``, from one version to the next."""
 
 UPGRADES: tuple[Upgrade, ...] = ()
-"""The first leads from schema 1 to schema 2, and so on; there is one version so far."""
+"""The first converts schema 1 to schema 2, and so on; so far there is one version."""
 
 AnyModel = TypeVar("AnyModel", bound=Model)
 
@@ -64,13 +64,13 @@ def parse_scenario(
     text : str
         The scenario.
     source : str
-        What errors call it.
+        Its name in errors.
     default_name : str
         The scenario's name if the text has none.
     overrides : sequence of str
         Overrides ``a.b=v``, applied in order, see `apply_overrides`.
     folder : Path, optional
-        To what the name of a trajectory's file is relative; without it a text may name none.
+        Folder to which the file of a trajectory is relative; without it, the text cannot name a file.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_mapping(text: str, source: str, kind: str = "scenario") -> Node:
     """
     root = read_tree(text, source)
     if root.value is None:
-        raise root.mark.error(f"no {kind}: there is nothing in it", _START)
+        raise root.mark.error(f"the {kind} is empty", _START)
     if not isinstance(root.value, Mapping):
         raise root.mark.error(f"expected a mapping, found {describe(root.value)}", f"{_START}, then 'key: value' lines")
     return root
@@ -118,7 +118,7 @@ def validated(model: type[AnyModel], data: Plain, root: Node) -> AnyModel:
 def upgraded(data: dict[str, Plain], upgrades: Sequence[Upgrade] = UPGRADES) -> dict[str, Plain]:
     """Return a scenario's content as one of the newest version, by one upgrade for each older one.
 
-    What has no version, or one that is not known, comes back as it is: the check of the fields refuses it.
+    Content without a known version is returned unchanged; the check of the fields rejects it.
     """
     version = data.get("schema")
     if type(version) is not int or not 1 <= version <= len(upgrades):
@@ -137,7 +137,7 @@ def default_name(stem: str) -> str:
 
 
 def _first_error(exc: ValidationError, root: Node) -> ScenarioError:
-    """Return the first error in order of the file, those of overrides before it."""
+    """Return the first error: those of overrides come first, then those of the file by line."""
     errors = [_located(detail, root) for detail in exc.errors(include_url=False)]
     first = min(errors, key=lambda error: error.line or 0)
     first.more = len(errors) - 1
@@ -145,7 +145,7 @@ def _first_error(exc: ValidationError, root: Node) -> ScenarioError:
 
 
 def _located(detail: ErrorDetails, root: Node) -> ScenarioError:
-    """Return the error at its field; of two fields in contradiction, at the one that was overridden."""
+    """Return the error at its field; if two fields contradict each other, at the one that was overridden."""
     text, remedy = _explain(detail)
     own = _field(detail["loc"])
     fields: list[Location] = [own]
@@ -161,7 +161,7 @@ def _located(detail: ErrorDetails, root: Node) -> ScenarioError:
 
 
 def _field(location: Location) -> Location:
-    """Return a location without the mark by which pydantic says that a mapping's key is meant, not its value."""
+    """Return a location without pydantic's marker for the key of a mapping, as opposed to its value."""
     return location[:-1] if location[-1:] == ("[key]",) else location
 
 
@@ -181,7 +181,7 @@ def _explain(detail: ErrorDetails) -> tuple[str, str]:
         expected = str(context["expected"])
         remedy = nearest(value, re.findall("'([^']*)'", expected)) if isinstance(value, str) else f"write {expected}"
         return f"expected {expected}, found {describe(value)}", remedy
-    expected, remedy = _EXPECTED.get(kind, ("something else", detail["msg"]))
+    expected, remedy = _EXPECTED.get(kind, ("another value", detail["msg"]))
     if isinstance(value, str) and _NUMERIC.fullmatch(value) and "number" in expected:
         remedy = "remove the quotes"
     return f"expected {expected}, found {describe(value)}", remedy

@@ -25,10 +25,10 @@ _TYPED = {
 def apply_overrides(root: Node, overrides: Sequence[str]) -> Node:
     """Return the tree with all overrides ``path=value`` applied in order.
 
-    The path is dotted, list elements by index (the index after the last element appends), the value YAML. Mappings that
-    are missing on the way are created; so are lists that have a default. Where the type of a controller, a trajectory,
-    a law or the observer is set to another one than the file's, the file's other keys of that mapping are dropped,
-    because they belong to the old type; keys that overrides have set stay.
+    The path is dotted, with list elements by index (the index after the last element appends); the value is YAML.
+    Missing mappings on the path are created, and so are lists that have a default. An override that changes the type of
+    a controller, a trajectory, a law or the observer drops the file's other keys of that mapping, because they belong
+    to the old type; keys set by overrides stay.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def _apply(root: Node, text: str) -> Node:
     if not equals or not all(parts):
         raise mark.error("not of the form path=value", "write e.g. --set plane.angle=0.2")
     if len(parts) > 32:
-        raise mark.error(f"a path of {len(parts)} parts", "write e.g. --set plane.angle=0.2")
+        raise mark.error(f"the path has {len(parts)} parts", "write e.g. --set plane.angle=0.2")
     new = read_tree(value, mark.source, numbered=False)
     for typed, default in _TYPED.items():
         if parts == [*typed, "type"]:
@@ -56,7 +56,7 @@ def _apply(root: Node, text: str) -> Node:
 
 
 def _set(node: Node, done: Location, parts: Sequence[str], new: Node, root: Node) -> Node:
-    """Return `node`, which stands at `done` in `root`, with `new` at the path `parts` below it."""
+    """Return `node`, which is at `done` in `root`, with `new` at the path `parts` below it."""
     if not parts:
         return new
     mark, head, rest = new.mark, parts[0], parts[1:]
@@ -80,7 +80,7 @@ def _set(node: Node, done: Location, parts: Sequence[str], new: Node, root: Node
 def _index(items: Sequence[Node], done: Location, head: str, mark: Mark) -> int:
     if not (head.isascii() and head.isdigit()) or len(head) > 9 or int(head) > len(items):
         raise mark.error(
-            f"'{shorten(head)}' is no index of this list of {len(items)}",
+            f"'{shorten(head)}' is not an index of this list of {len(items)}",
             f"use 0 to {len(items) - 1}, or {len(items)} to append" if items else "use 0 to append",
             done,
         )
@@ -88,14 +88,14 @@ def _index(items: Sequence[Node], done: Location, head: str, mark: Mark) -> int:
 
 
 def _missing(root: Node, done: Location, rest: Sequence[str], mark: Mark) -> Node:
-    """Return what stands for a value that the file leaves out: its default if an element of it is set."""
+    """Return the node for a value that the file leaves out: its default, if one of its elements is set."""
     if not rest or not (rest[0].isascii() and rest[0].isdigit()):
         return Node({}, mark)
     default = _default(root, done)
     if isinstance(default, list):
         return read_tree(json.dumps(default), mark.source, numbered=False)
     if done == ("swarm", "agents"):
-        raise mark.error("the robots are not listed one by one", "list them, or set parts of swarm.generate", done)
+        raise mark.error("the robots are generated, not listed", "list them, or set keys of swarm.generate", done)
     raise mark.error("it is not a list", "set one of its keys, or the whole value", done)
 
 
@@ -112,7 +112,7 @@ def _default(root: Node, location: Location) -> object:
             target[key] = {"type": named["type"]}
     try:
         default: object = Scenario.model_validate(data).model_dump(mode="json", by_alias=True)
-    except ValueError:  # the controller's type is unknown: said when the scenario is checked
+    except ValueError:  # unknown type of controller: reported when the scenario is checked
         return None
     for part in location:
         default = default.get(str(part)) if isinstance(default, dict) else None

@@ -1,4 +1,4 @@
-"""The CSV file of a reference trajectory, whose rows take its place when a scenario is loaded."""
+"""The CSV file of a reference trajectory, which its rows replace when a scenario is loaded."""
 
 import csv
 import math
@@ -19,9 +19,9 @@ HEADER = ["time", "angle"]
 
 
 def with_rows(root: Node, folder: Path | None) -> Node:
-    """Return the tree with the rows of ``controller.trajectory.file`` in its place, if it names a file of type csv.
+    """Return the tree with ``controller.trajectory.file`` replaced by the rows of this CSV file, if there is one.
 
-    The name is relative to the folder of the scenario's file, one that comes from an override to the current folder.
+    The path is relative to the folder of the scenario's file; that of an override is relative to the current folder.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def read_rows(path: Path) -> tuple[list[float], list[float]]:
     try:
         header = next(reader, [])
         if [cell.strip() for cell in header] != HEADER:
-            raise ScenarioError(source, "no header time,angle", "let the first line be 'time,angle'", line=1)
+            raise ScenarioError(source, "no header time,angle", "make 'time,angle' the first line", line=1)
         for row in reader:
             if not row:
                 continue
@@ -73,7 +73,7 @@ def read_rows(path: Path) -> tuple[list[float], list[float]]:
                 raise ScenarioError(
                     source,
                     f"time {time!r} s follows {times[-1]!r} s",
-                    f"let the times increase by at least {SHORTEST} s",
+                    f"make each time at least {SHORTEST} s later than the one before",
                     line=reader.line_num,
                     field="time",
                 )
@@ -96,7 +96,7 @@ def _row(row: list[str], source: str, line: int) -> tuple[float, float]:
         except ValueError:
             number = math.nan
         if not abs(number) <= LARGEST:
-            raise ScenarioError(source, f"{show(text)} is no number", "give a finite number", line=line, field=name)
+            raise ScenarioError(source, f"{show(text)} is not a number", "give a finite number", line=line, field=name)
         numbers.append(number)
     time, angle = numbers
     if not 0.0 <= time <= LONGEST_TIME:

@@ -1,4 +1,4 @@
-"""The scenario of a run that was steered: what was done to it from outside, as if it had been planned."""
+"""The scenario of a steered run, with its steering as planned faults."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ def as_planned(
     source: str = "scenario of the steered run",
     overrides: Sequence[str] = (),
 ) -> Scenario:
-    """Return a scenario whose run is that of a scenario and what was done from outside.
+    """Return the scenario that plans what steering did to a run.
 
     Parameters
     ----------
     scenario : Scenario
-        What was planned.
+        The scenario of the run.
     events : iterable of SwarmEvent
-        The events of the run; among them those of what was planned, which change nothing.
+        The events of the run; those of planned faults change nothing.
     ends : iterable of Change
-        Further ends of robots that were not planned.
+        Further unplanned ends of robots.
     source : str
-        What errors call it.
+        Its name in errors.
     overrides : sequence of str
-        Changes ``a.b=v`` of the scenario that is returned.
+        Overrides ``a.b=v`` of the returned scenario.
 
     Raises
     ------
     InputError
-        If the events tell of what cannot be planned, or contradict the scenario.
+        If an event cannot be planned, or contradicts the scenario.
     """
     settings = {kind: dict(configure.step_changes(scenario, kind)) for kind in _SETTINGS}
     joined: dict[int, int] = {}
@@ -62,8 +62,8 @@ def as_planned(
         if event.kind == EventKind.STEERING:
             if event.detail not in settings:
                 raise InputError(
-                    f"{source}: a setting was changed from outside at step {event.step} ({event.detail!r:.80}), "
-                    "which this version does not know"
+                    f"{source}: this version does not know the setting {event.detail!r:.80}, which was changed at step "
+                    f"{event.step}; update swarmabs"
                 )
             settings[event.detail][event.step] = event.value
         elif event.kind == EventKind.JOINED and event.agent_id in absent:
@@ -82,7 +82,7 @@ def as_planned(
 def _planned(
     scenario: Scenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
 ) -> list[dict[str, Any]] | None:
-    """Return the faults of the scenario with what was done from outside; None if that is nothing."""
+    """Return the faults of the scenario and of the steering; None if nothing was steered."""
 
     def at(step: int) -> float:
         return step * scenario.step_ns / 1e9

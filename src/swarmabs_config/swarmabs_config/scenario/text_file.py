@@ -1,4 +1,4 @@
-"""Reading the text files that a user names, and nothing but regular files of a bounded size."""
+"""Read text files that a user names; only regular files of limited size are accepted."""
 
 import os
 import stat
@@ -11,12 +11,12 @@ from .yaml_tree import LARGEST_TEXT
 
 
 def read_text(path: Path, kind: str = "scenario", form: str = "YAML") -> str:
-    """Return the text of a file that a user has named as one of a kind.
+    """Return the text of a file that a user has named; `kind` and `form` describe it in errors.
 
     Raises
     ------
     ScenarioError
-        If it cannot be read, or is no text in UTF-8, or larger than `LARGEST_TEXT`.
+        If it cannot be read, is not UTF-8, or is larger than `LARGEST_TEXT`.
     """
     source = str(path)
     data = _read_bytes(path, source, kind, form)
@@ -50,13 +50,13 @@ def _read_bytes(path: Path, source: str, kind: str, form: str) -> bytes:
         raise ScenarioError(source, f"cannot be read: {reason}", "check the path and its permissions") from exc
     if len(data) > LARGEST_TEXT:
         raise ScenarioError(
-            source, f"larger than {LARGEST_TEXT} bytes", "shorten it; 'swarm.generate' stands for many robots"
+            source, f"larger than {LARGEST_TEXT} bytes", "shorten it; 'swarm.generate' describes many robots"
         )
     return data
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    """Open a file; a pipe that nobody writes is opened at once, too, so that it can be refused."""
+    """Open a file without blocking, so that a pipe without a writer can be rejected."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 

@@ -1,9 +1,8 @@
-"""YAML as a tree that remembers where every key and value stands; nothing is executed and nothing guessed.
+"""YAML as a tree that records the position of every key and value; nothing is executed and nothing guessed.
 
-Only plain data is read: mappings with text keys, lists, and scalars of the YAML 1.2 core kind. So ``1e-3``
-is a number, ``yes`` and ``1:30`` are texts, and what two YAML versions read differently (``010``) or what is
-no number to compute with (``.nan``) is refused. Size, depth and the number of values after expansion of
-aliases are limited.
+Only plain data is read: mappings with text keys, lists, and scalars of the YAML 1.2 core schema. So ``1e-3`` is a
+number, and ``yes`` and ``1:30`` are texts. Values that YAML versions read differently (``010``) and numbers that are
+not finite (``.nan``) are rejected. Size, depth and the number of values after expansion of aliases are limited.
 """
 
 import math
@@ -20,11 +19,11 @@ from swarmabs_config.model.fields import Location
 LARGEST_TEXT = 16 * 2**20
 """Largest text in bytes; 65,535 listed robots, the most there can be, fit."""
 MOST_VALUES = 2_000_000
-"""Most values and keys, each alias counted as what it stands for."""
+"""Maximum number of values and keys, with aliases expanded."""
 DEEPEST = 32
 """Deepest nesting of lists and mappings."""
 
-# Only the events of these loaders are used, never what they construct. libyaml's is ten times faster.
+# Only the events of these loaders are used, never the objects they construct. libyaml's is ten times faster.
 LOADER: "Loader" = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
@@ -48,19 +47,19 @@ Plain: TypeAlias = "Scalar | list[Plain] | dict[str, Plain]"
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Where something stands: a file with a line counted from 1, or an override."""
+    """A position: a file with a line counted from 1, or an override."""
 
     source: str
     line: int | None
 
     def error(self, problem: str, remedy: str, field: Location = ()) -> ScenarioError:
-        """Return the error that something here is wrong."""
+        """Return an error at this position."""
         return ScenarioError(self.source, problem, remedy, line=self.line, field=dotted(field))
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A value with its place; `size` and `height` count what is in it after expansion of aliases."""
+    """A value with its position; `size` and `height` are those after expansion of aliases."""
 
     value: "Scalar | tuple[Node, ...] | Mapping[str, Entry]"
     mark: Mark
@@ -68,7 +67,7 @@ class Node:
     height: int = 0
 
     def plain(self) -> Plain:
-        """Return the value without places."""
+        """Return the value without positions."""
         if isinstance(self.value, Mapping):
             return {key: entry.node.plain() for key, entry in self.value.items()}
         if isinstance(self.value, tuple):
@@ -76,10 +75,10 @@ class Node:
         return self.value
 
     def locate(self, location: Location) -> tuple[Mark, bool]:
-        """Return where a field stands and True, or where the nearest of its parents does and False.
+        """Return the position of a field and True, or that of its nearest parent and False.
 
-        A mapping or a list is where its key is, a scalar where it is itself; what an override has changed, in
-        whole or in part, is where the override is.
+        The position of a mapping or a list is that of its key, of a scalar its own, and of a value that an override has
+        changed, even in part, the override.
         """
         node, mark = self, self.mark
         for part in location:
@@ -96,7 +95,7 @@ class Node:
 
     @property
     def entries(self) -> "Mapping[str, Entry]":
-        """What is in it if it is a mapping."""
+        """The entries of a mapping; none for any other value."""
         return self.value if isinstance(self.value, Mapping) else {}
 
     def changed(self, path: Sequence[str], change: "Callable[[Node], Node]") -> "Node":
@@ -110,7 +109,7 @@ class Node:
         return Node({**self.entries, path[0]: below}, self.mark)
 
     def override(self) -> Mark | None:
-        """Return the place of the last value in this one that has no line: overrides have none."""
+        """Return the position of the last override in this value; overrides have no line."""
         parts = self.value if isinstance(self.value, tuple) else [entry.node for entry in self.entries.values()]
         found = self.mark if self.mark.line is None else None
         for part in parts:
@@ -120,21 +119,21 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A value of a mapping with the place of its key."""
+    """A value of a mapping with the position of its key."""
 
     mark: Mark
     node: Node
 
 
 def dotted(location: Location) -> str:
-    """Return a field's path as ``--set`` takes it."""
+    """Return a field's path as in ``--set``."""
     return ".".join(str(part) for part in location)
 
 
 def read_tree(text: str, source: str, *, numbered: bool = True, loader: "Loader" = LOADER) -> Node:
-    """Read one YAML document; an empty one is null. Places have line numbers if it is `numbered`.
+    """Read one YAML document; an empty one is null. Positions have line numbers if `numbered`.
 
-    The `loader` gives the events.
+    The `loader` provides the events.
 
     Raises
     ------
@@ -160,11 +159,11 @@ class _Reader:
     def read(self) -> Node:
         if len(self._text) > LARGEST_TEXT:
             raise self._mark(None).error(
-                f"more than {LARGEST_TEXT} characters", "shorten it; 'swarm.generate' stands for many robots"
+                f"more than {LARGEST_TEXT} characters", "shorten it; 'swarm.generate' describes many robots"
             )
         if bad := _UNPRINTABLE.search(self._text):
             line = self._text.count("\n", 0, bad.start())
-            raise self._mark(line).error(f"the character {bad.group()!a} is not text", "remove it; a scenario is text")
+            raise self._mark(line).error(f"the character {bad.group()!a} is not allowed in a text", "remove it")
         self._events = yaml.parse(self._text, Loader=self._loader)
         try:
             return self._document()
@@ -196,7 +195,7 @@ class _Reader:
         if isinstance(event, yaml.ScalarEvent):
             node = Node(self._scalar(event), self._at(event))
         elif depth >= DEEPEST:
-            self._fail(event, f"nested more than {DEEPEST} deep", "a scenario needs no such nesting")
+            self._fail(event, f"nested more than {DEEPEST} deep", "flatten it")
         elif isinstance(event, yaml.SequenceStartEvent):
             node = self._sequence(event, depth + 1)
         else:
@@ -211,7 +210,7 @@ class _Reader:
             self._fail(event, f"the alias {show(event.anchor)} has no anchor before it", "write the value itself")
         self._count(event, node.size)
         if depth + node.height > DEEPEST:
-            self._fail(event, f"nested more than {DEEPEST} deep", "a scenario needs no such nesting")
+            self._fail(event, f"nested more than {DEEPEST} deep", "flatten it")
         return node
 
     def _sequence(self, event: yaml.SequenceStartEvent, depth: int) -> Node:
@@ -277,14 +276,14 @@ class _Reader:
             self._fail(
                 event,
                 f"{show(text)} begins with 0, which could mean octal",
-                "leave out the 0, or quote a text",
+                "remove the 0, or quote the value to make it a text",
             )
         if _NOT_FINITE.fullmatch(text):
             self._fail(event, f"{text} is not a finite number", "give a finite number")
         if not _FLOAT.fullmatch(text):
             return text
         if len(text) > _LONGEST_NUMBER:
-            self._fail(event, f"a number of {len(text)} characters", "give a number a computer can hold")
+            self._fail(event, f"a number of {len(text)} characters", f"shorten it to at most {_LONGEST_NUMBER}")
         if _INTEGER.fullmatch(text):
             return int(text)
         value = float(text)
