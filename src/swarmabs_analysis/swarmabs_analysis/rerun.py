@@ -14,7 +14,9 @@ from swarmabs_bag.attached import (
     SCHEMA_VERSION,
     attached_provenance,
     attached_scenario,
+    is_realtime,
     plugin_versions,
+    supply_scenario,
     versions,
     was_steered,
 )
@@ -103,8 +105,8 @@ class RecordedRun:
         return True
 
 
-def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun:
-    """Find out what a bag holds of a run that is to be repeated.
+def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: str | None = None) -> RecordedRun:
+    """Find out what a bag holds of a run that is to be repeated; a `scenario` is named of a bag that holds none.
 
     Raises
     ------
@@ -118,8 +120,9 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun
     bag = open_bag(path, several=True)
     if len(bag.swarms) > 1:
         raise InputError(f"{bag.path} holds several swarms, and a run is of one; {_REMEDY}")
+    supply_scenario(bag, scenario)
     recorded = attached_scenario(bag)
-    scenario = attached_scenario(bag, overrides) if overrides else recorded
+    changed = attached_scenario(bag, overrides) if overrides else recorded
     provenance = attached_provenance(bag)
     _check_repeatable(bag, provenance)
     differences = [*_differences(provenance, recorded)]
@@ -135,11 +138,11 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = ()) -> RecordedRun
                 steps += 1
     except DamagedBagError as error:
         differences.append(f"only a part of the bag can be compared: {error}")
-    there = set(configure.members(scenario))
-    ends = [end for end in ends if end.agent_id in there and 0 <= end.step <= scenario.steps]
+    there = set(configure.members(changed))
+    ends = [end for end in ends if end.agent_id in there and 0 <= end.step <= changed.steps]
     return RecordedRun(
         Path(path),
-        as_planned(scenario, (), ends=ends, source=str(bag.path)),
+        as_planned(changed, (), ends=ends, source=str(bag.path)),
         digest.hexdigest() if last_step >= 0 else None,
         last_step,
         last_step == recorded.steps == steps - 1,
@@ -154,7 +157,7 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
             f"{bag.path}: its provenance is of schema {show(schema)}, this version reads {SCHEMA_VERSION}; "
             "update swarmabs"
         )
-    if driver == "realtime":
+    if is_realtime(bag):
         raise InputError(
             f"{bag.path} was recorded in real time: what each robot heard depended on the wall clock, "
             f"which cannot be repeated; {_REMEDY}"

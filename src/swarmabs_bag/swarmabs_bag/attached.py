@@ -143,7 +143,10 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
     """
     text = bag.attachment(SCENARIO_FILE)
     if text is None:
-        raise InputError(f"{bag.path} holds no scenario, so it is not known what it is a run of")
+        raise InputError(
+            f"{bag.path} holds no scenario, so it is not known what it is a run of; if you have its file, "
+            "verify, report, run and simulate take it with --scenario"
+        )
     if bag.contradicts_itself(SCENARIO_FILE):
         of = "which of its swarms each is of" if len(bag.swarms) > 1 else "of which it is a run"
         raise InputError(f"{bag.path} holds several scenarios and does not say {of}")

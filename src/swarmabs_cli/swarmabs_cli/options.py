@@ -19,9 +19,6 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 namespace_option = click.option("--namespace", metavar="NAME", help="Swarm to read if the bag holds several.")
-bag_scenario_option = click.option(
-    "--scenario", metavar="FILE", help="Scenario of a bag that holds none, as ros2 bag record and convert write it."
-)
 bag_argument = click.argument("bag", type=A_PATH, metavar="BAG")
 bags_argument = click.argument("bags", nargs=-1, required=True, type=A_PATH, metavar="BAG...")
 run_argument = click.argument("run", type=A_PATH, metavar="RUN")
@@ -29,6 +26,12 @@ scenario_argument = click.argument("scenario", default="pd_het_4", metavar="[SCE
 duration_option = click.option(
     "--duration", metavar="SECONDS", help="Simulated time; short for --set duration=SECONDS."
 )
+
+
+def named_scenario_option(parameter: str = "scenario") -> Decorator:
+    """Return the option that names the scenario of a bag, given to the command as this parameter."""
+    said = "Scenario of a bag that holds none, as ros2 bag record and convert write it."
+    return click.option("--scenario", parameter, metavar="FILE", help=said)
 
 
 def examples(*lines: str) -> str:

@@ -18,6 +18,7 @@ from swarmabs_cli.options import (
     COMMAND,
     duration_option,
     json_option,
+    named_scenario_option,
     output_option,
     scenario_argument,
     set_option,
@@ -61,6 +62,7 @@ def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter,
 
 run_options = together(
     scenario_argument,
+    named_scenario_option("bag_scenario"),
     output_option("Folder of the results.  [default: runs/NAME-NNN]"),
     set_option(),
     duration_option,
@@ -88,6 +90,7 @@ def carry_out(
     *,
     realtime: bool,
     scenario: str,
+    bag_scenario: str | None,
     output: Path | None,
     overrides: tuple[str, ...],
     duration: str | None,
@@ -101,7 +104,9 @@ def carry_out(
     """Load, run, sum up, print; return the exit code."""
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
-    recorded = recorded_run(scenario, overrides) if names_bag(scenario) else None
+    if bag_scenario is not None and not names_bag(scenario):
+        raise InputError(f"--scenario is for a bag that holds none, and {scenario} is no bag; leave --scenario out")
+    recorded = recorded_run(scenario, overrides, scenario=bag_scenario) if names_bag(scenario) else None
     loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
     check(loaded)
     if realtime:

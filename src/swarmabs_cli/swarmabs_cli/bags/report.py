@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from swarmabs_analysis.report import check_target, default_folder, make_report, write_file
-from swarmabs_cli.options import bag_argument, bag_scenario_option, examples, json_option, namespace_option
+from swarmabs_cli.options import bag_argument, examples, json_option, named_scenario_option, namespace_option
 from swarmabs_cli.output import print_json
 
 
@@ -23,7 +23,7 @@ from swarmabs_cli.output import print_json
     help="Folder of report.html and report.png.  [default: that of the run]",
 )
 @namespace_option
-@bag_scenario_option
+@named_scenario_option()
 @json_option
 def report(
     bag: Path,

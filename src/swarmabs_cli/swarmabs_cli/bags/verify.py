@@ -11,7 +11,7 @@ import click
 from swarmabs_analysis.verification.base import Verdict
 from swarmabs_analysis.verify import open_to_verify
 from swarmabs_bag.errors import repair_command
-from swarmabs_cli.options import bag_scenario_option, bags_argument, examples, json_option, namespace_option
+from swarmabs_cli.options import bags_argument, examples, json_option, named_scenario_option, namespace_option
 from swarmabs_cli.output import print_documents, printable
 
 _LINE_INTERVAL = 2.0
@@ -27,7 +27,7 @@ _LINE_INTERVAL = 2.0
     help="Accept a number that differs from the recomputed b by T (1 + |b|).  [default: 0, bit for bit]",
 )
 @namespace_option
-@bag_scenario_option
+@named_scenario_option()
 @json_option
 def verify(
     bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, scenario: str | None, as_json: bool
