@@ -1,13 +1,14 @@
 """Show which seeded mutants the tests notice: ``./scripts/swarm test -p tests.mutants --mutate src/PACKAGE TESTS``.
 
 A mutant is a function with one change. Each is tried in a fork of a process that has collected the tests and run none,
-by those tests that run the changed line, quick ones first. mutmut and cosmic-ray start a process for each, which takes
-seconds instead of tenths. Lines that only other processes run are not seen: mutants there count as missed.
+by those tests that run the changed line, quick ones first; where only other processes run it, by the tests that start
+processes (`smoke`). mutmut and cosmic-ray start a process for each, which takes seconds instead of tenths.
 """
 
 import ast
 import gc
 import json
+import marshal
 import os
 import signal
 import sys
@@ -21,13 +22,18 @@ from hashlib import sha256
 from operator import itemgetter
 from pathlib import Path
 from select import select
-from tempfile import TemporaryFile
+from tempfile import TemporaryFile, gettempdir
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
 import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import Phase, settings
+from tests.processes import carrying
+
+PLACE = Path(gettempdir()) / f"mutant-{os.getpid()}"
+"""Where the processes that a test starts find the code of the mutant, by `tests/mutated`."""
+os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent / "mutated"), os.environ.get("PYTHONPATH", "")])
 
 TOOL = 4
 """Number under which lines are watched; those below belong to debuggers and coverage."""
@@ -147,17 +153,17 @@ def codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def put_in(mutant: Mutant) -> bool:
-    """Give the functions of this process the code of a mutant; tell whether there was one to change."""
-    tree = Seeder(mutant.number).visit(ast.parse(Path(mutant.path).read_bytes()))
-    new = {(each.co_qualname, each.co_firstlineno): each for each in codes(compile(tree, mutant.path, "exec"))}
-    found = False
+    """Give the functions of this process, and those that it starts, a mutant's code; tell whether one was to change."""
+    text = Path(mutant.path).read_bytes()
+    tree = Seeder(mutant.number).visit(ast.parse(text))
+    module = compile(tree, mutant.path, "exec")
+    PLACE.write_bytes(marshal.dumps(module))
+    os.environ["SWARMABS_MUTANT"] = str(PLACE)
+    new = {(each.co_qualname, each.co_firstlineno): each for each in codes(module)}
     for function in gc.get_objects():
         if isinstance(function, FunctionType) and function.__code__.co_filename == mutant.path:
-            code = new[function.__code__.co_qualname, function.__code__.co_firstlineno]
-            if code != function.__code__:
-                function.__code__ = code
-                found = True
-    return found
+            function.__code__ = new[function.__code__.co_qualname, function.__code__.co_firstlineno]
+    return ast.dump(tree) != ast.dump(ast.parse(text))
 
 
 class Watch:
@@ -219,6 +225,9 @@ def ended(process: int, patience: float | None) -> int:
     os.close(place)
     with suppress(ProcessLookupError):
         os.killpg(process, signal.SIGKILL)  # also what a test has left behind
+    for left in carrying(f"SWARMABS_MUTANT={PLACE}"):
+        with suppress(ProcessLookupError):
+            os.kill(left, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
     return NOTICED if hangs or code < 0 else code
 
@@ -289,7 +298,9 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
     for mutant in mutants:
         places = {(mutant.path, line) for line in mutant.lines}
         asked, total = list[pytest.Item](), 0.0
-        for took, _, item in sorted((each for each in seen if each[1] & places), key=itemgetter(0)):
+        fit = [each for each in seen if each[1] & places]
+        fit = fit or [each for each in seen if each[2].get_closest_marker("smoke")]
+        for took, _, item in sorted(fit, key=itemgetter(0)):
             if total + took < LONGEST:
                 asked.append(item)
                 total += took
@@ -298,6 +309,7 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
         counts.setdefault(str(Path(name).parent), Counter())[code] += 1
         if code == MISSED:
             say(f"missed by {len(asked)} tests: {name}:{mutant.lines.start}: {mutant.text}")
+    PLACE.unlink(missing_ok=True)
     for name, count in sorted(counts.items()):
         say(f"{name}: {count[NOTICED]} of {count[NOTICED] + count[MISSED]}")
     found = sum(counts.values(), Counter())

@@ -16,8 +16,13 @@ MARK = "SWARMABS_TEST_MARK"
 
 
 def marked_processes(mark: str) -> dict[int, str]:
-    """Return the names of the living processes that carry a mark in their environment, by process id."""
-    needle = f"{MARK}={mark}".encode()
+    """Return the names of the living processes that a test with this mark has started, by process id."""
+    return carrying(f"{MARK}={mark}")
+
+
+def carrying(variable: str) -> dict[int, str]:
+    """Return the names of the other living processes that have a variable in their environment, by process id."""
+    needle = variable.encode()
     found = {}
     for folder in Path("/proc").iterdir():
         if not folder.name.isdigit() or int(folder.name) == os.getpid():

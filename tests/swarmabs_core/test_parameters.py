@@ -152,7 +152,8 @@ def test_values_are_those_of_parameters_and_lead_back_to_the_instance() -> None:
     values = values_of(PAINTER)
     assert list(values) == [each.name for each in parameters_of(Painter, values)]
     assert list(values.values()) == [7, "blue", ("blue", "red"), 3, 0.2, 5.0, 0.3, 0.9, "wild", 4.0]
-    assert values_of(Painter(), "x.")["x.brush.limit"] == 0.0
+    unset = values_of(Painter(), "x.")
+    assert (unset["x.brush.limit"], list(unset)) == (0.0, [f"x.{each.name}" for each in parameters_of(Painter)])
     assert {each.name: each.check(values[each.name]) for each in parameters_of(Painter, values)} == values
     assert [made_of(Painter, values_of(painter)) for painter in (Painter(), PAINTER)] == [Painter(), PAINTER]
     assert tree_of(Brush()) == {"width": 0.5, "limit": None}, "a file says null for none"

@@ -177,7 +177,8 @@ def test_a_state_of_the_plane_that_cannot_be_true_is_not_answered(step: int, ang
 
 def test_a_swarm_that_waits_for_a_reset_is_told_so_without_a_plane_once_per_step() -> None:
     node = nodes.controller(Mode.STOP)
-    assert nodes.desired(node.tick(nodes.at(3.75))).mode == Mode.STOP
+    assert node.health(nodes.at(3)).text == "STOP: waits for a reset"
+    assert nodes.desired(node.tick(nodes.at(3.75)))[:3] == (nodes.at(3.75), 3, Mode.STOP)
     node.reset(nodes.at(4))
     modes = {nodes.desired(node.tick(nodes.at(step + 0.75))).mode for step in range(5, 103)}
     assert modes == {Mode.RESET}
@@ -203,6 +204,10 @@ def test_the_plane_is_held_until_a_robot_follows_and_then_makes_up_for_being_lat
     nodes.hear(node, nodes.states(10, broadcast_step=9)[:1], 10)
     _, moved = node.tick(nodes.at(11.5))
     assert moved[2:] != (0.1, 0.0)
+    node.halt()
+    assert ("angular velocity, rad/s", "0.0000") in node.health(nodes.at(12)).values
+    _, held = node.tick(nodes.at(12.5))
+    assert held[2:] == (moved[2], 0.0)
     late, punctual = (RealtimePlane(configure.plane_config(nodes.scenario(), nodes.CLOCK)) for _ in range(2))
     for node in (late, punctual):
         nodes.hear(node, nodes.states(0, broadcast_step=0, velocity=0.0), 0)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from swarmabs_ros.status import START_FD
 from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE
 from swarmabs_run.orchestration.plan import ProcessPlan
 
 
@@ -25,6 +26,8 @@ def main(arguments: list[str]) -> int:
         raise RuntimeError(rest[0])
     if action == "loaded":
         return sum(name not in sys.modules for name in rest) + (gc.get_freeze_count() == 0)
+    if action == "participant":
+        return int(os.environ[PARTICIPANT_VARIABLE])
     if action == "start":
         return len(os.read(int(os.environ[START_FD]), 100))
     if action == "ignore-sigterm":

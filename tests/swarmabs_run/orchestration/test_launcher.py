@@ -95,6 +95,7 @@ def test_children_are_named_logged_and_heard_and_a_signal_reaches_the_one_it_is_
         for name, arguments, code, logged in (
             ("none", ("exit", "0"), 0, "exit begins"),
             ("three", ("exit", "3"), 3, "exit begins"),
+            ("eight", ("participant",), 8, "participant begins"),
             ("gain", ("raise", "no such gain"), 1, "RuntimeError: no such gain"),
             ("nodes", ("loaded", "agent_node.node", "plane_sim.node", "swarmabs_msgs.msg"), 0, "loaded begins"),
         ):

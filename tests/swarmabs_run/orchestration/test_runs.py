@@ -253,13 +253,13 @@ LOCKSTEP = {
 }
 LATE = "the recorder has not ended 10 s after the last step" + log_of(RECORDER)
 HUNG = "plane_sim (process 101 is 101 stopped) did not end when it was told to; what it did before is not known"
-AGES = ("realtime={broadcast_age_limit: 0.1, state_age_limit: 0.3, plane_age_limit: 0.2}",)
+AGES = ("realtime={broadcast_age_limit: 0.1, state_age_limit: 0.6, plane_age_limit: 0.2}",)
 REALTIME = {
     "a robot is killed": Ending(1.25, "", (KILLED, *A_SECOND)),
     "all end": Ending(1.25, "", A_SECOND),
     "a robot does not end": Ending(1.05 + ENDING_SECONDS, "", A_SECOND, deaf=("agent_002",)),
     "the plane does not end": Ending(1.05 + ENDING_SECONDS, HUNG + log_of(PLANE), A_SECOND, deaf=(PLANE, "agent_002")),
-    "the observer is killed": Ending(0.5 + GRACE + 0.3, OBSERVER_LOST, (exited(0.3, OBSERVER, -9),), AGES),
+    "the observer is killed": Ending(0.6 + GRACE + 0.6, OBSERVER_LOST, (exited(0.3, OBSERVER, -9),), AGES),
     "the observer is killed at the end": Ending(1.25, OBSERVER_LOST, (exited(0.9, OBSERVER, -9), *A_SECOND)),
     "the recorder is killed": Ending(0.5, RECORDER_LOST, (exited(0.3, RECORDER, 1),)),
     "the recorder hangs": Ending(1.0 + OVERTIME + ENDING_SECONDS, LATE, (recorded(0.5, 50),), deaf=(RECORDER,)),
