@@ -42,7 +42,7 @@ def scenario_file(tmp_path: Path, request: pytest.FixtureRequest) -> str:
 
 def test_a_single_integrator_has_neither_damping_nor_velocity() -> None:
     for name, value in (("damping", 0.5), ("velocity", -0.1)):
-        with pytest.raises(InputError, match=rf"parameter {name}: a single integrator has none; leave it out"):
+        with pytest.raises(InputError, match=rf"parameter {name}: not applicable to a single integrator"):
             node.make(settings_from(node.PARAMETERS, kind="single_integrator", **{name: value}), CHANNEL)
 
 

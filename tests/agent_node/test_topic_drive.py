@@ -203,7 +203,7 @@ def test_an_imu_that_cannot_be_vouched_for(change: dict[str, object], reason: st
         (SI, {"source": "joint_state"}, "give the name of the joint"),
         (SI, {"command": "joint"}, "give the name of the joint"),
         (SI, {"source": "joint_state", "joint__name": "a", "joint__scale": 0.0}, "0 is not allowed"),
-        (SI, {"reversed": True}, "says which way the body faces"),
+        (SI, {"reversed": True}, "states which way the body faces"),
         (SI, {"axis": "north"}, r"one of \+x, \+y, \+z"),
         (SI, {"frames": "odom"}, "has no parameter 'frames'"),
     ],
@@ -211,7 +211,7 @@ def test_an_imu_that_cannot_be_vouched_for(change: dict[str, object], reason: st
 def test_settings_that_make_no_sense_are_refused(kind: Kind, settings: dict[str, Value], text: str) -> None:
     with pytest.raises(InputError, match=text):
         made(kind, **settings)
-    with pytest.raises(InputError, match="no ROS node"):
+    with pytest.raises(InputError, match="needs a ROS node"):
         DRIVES.make("topic", {}, Body(1, SI, Schedule(MS), 0.5))
 
 

@@ -70,7 +70,7 @@ def test_an_encoder_behind_a_gear_that_counts_backwards_and_one_that_measures_no
     driver = PlaneDriver(PlaneDriverConfig(schedule=SCHEDULE, scale=-0.1, offset=0.3))
     driver.measure([encoder(at(4) - MS, 2.0, 0.5)], at(4))
     assert driver.tick(at(4)) == (PlaneState(at(4), 4, pytest.approx(0.1), pytest.approx(-0.05)),)
-    with pytest.raises(InputError, match="scale: a scale of 0 measures nothing"):
+    with pytest.raises(InputError, match="scale: 0 is not allowed"):
         PlaneDriver(PlaneDriverConfig(schedule=SCHEDULE, scale=0.0))
 
 

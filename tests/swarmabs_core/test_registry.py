@@ -90,12 +90,12 @@ UNFIT: dict[str, tuple[str, str]] = {
     ),
     "default out of bounds": (
         f"{PART}PART = ControllerType('unfit', (Parameter('a', -1.0, 'x', minimum=0.0),), print)",
-        r"has a default that its own bounds exclude: parameter a: -1.0 is not allowed; give at least 0",
+        r"has a default outside its own bounds: parameter a: -1.0 is not allowed; give at least 0",
     ),
     **{
         name: (
             f"{PART}PART = ControllerType('unfit', ({settings},), print)",
-            rf"has a setting '{name}', a name which is malformed or taken",
+            rf"has a setting '{name}', whose name is malformed",
         )
         for name, settings in {
             "a": "Parameter('a', 1.0, 'x'), Parameter('a', 2.0, 'x')",
@@ -121,13 +121,13 @@ def test_an_unfit_package_is_named(packages: Path, registry: Laws, case: str) ->
 def test_two_packages_with_one_name_and_one_with_a_built_in_name_are_refused(packages: Path, registry: Laws) -> None:
     for package in ("first-one", "second-one"):
         install(packages, "controller", "bang_bang", BANG_BANG, package=package)
-    said = r"brought by package first-one 1\.5 and package second-one 1\.5; uninstall all but one"
+    said = r"provided by package first-one 1\.5 and package second-one 1\.5; uninstall all but one"
     with pytest.raises(PluginError, match=said):
         registry.find("bang_bang")
     install(packages, "controller", "pd", f"{PART}PART = ControllerType('pd', (), print)", package="usurper")
     assert isinstance(registry.make("pd", {}, CONTEXT), StateFeedback)
     for ask in (registry.__iter__, lambda: registry.find("pid")):
-        with pytest.raises(PluginError, match=r"package usurper 1\.5 brings a parent controller 'pd', a name which is"):
+        with pytest.raises(PluginError, match=r"package usurper 1\.5 provides a parent controller 'pd'"):
             list(ask())
 
 

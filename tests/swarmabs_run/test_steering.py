@@ -124,14 +124,14 @@ def test_the_status_says_how_it_is(run: SteeredRun) -> None:
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        (b'{"action": "kill", "agent": 9}', "there is no robot 9; there are 1, 2, 3, 4"),
+        (b'{"action": "kill", "agent": 9}', "there is no robot 9; the robots are 1, 2, 3, 4"),
         (b'{"action": "kill"}', "kill needs 'agent'"),
         (b'{"action": "reference", "value": 0.1, "agent": 1}', "reference takes no 'agent'"),
         (b'{"action": "reference", "value": NaN}', "value: Input should be a finite number"),
         (b'{"action": "reference", "value": 1.2}', "1.2 rad is out of range"),
         (b'{"action": "disturbance", "value": 5.1}', "5.1 N m is out of range"),
         (b'{"action": "explode"}', "action: Input should be 'reference'"),
-        (b'{"action": "add", "agent": 2}', "robot 2 is there by the scenario"),
+        (b'{"action": "add", "agent": 2}', "robot 2 is scheduled by the scenario"),
         (b'{"action": "status", "request": ""}', "request: String should have at least 1 character"),
         (b'{"action": "status", "shell": "true"}', "shell: Extra inputs are not permitted"),
         (b"", "Invalid JSON"),

@@ -1,4 +1,4 @@
-"""A fingerprint of the machine's mathematical library: it explains why a digest differs elsewhere."""
+"""A fingerprint of the machine's mathematical library, which explains why digests differ between machines."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ _PROBES = tuple(0.001 * n * 1.37**n for n in range(1, 40))
 
 
 def _normal_quantile(x: float) -> float:
-    """Return the quantile that noise is drawn by, at a probability between 0 and 1 that grows with x."""
+    """Return the quantile from which noise is drawn, at a probability between 0 and 1 that increases with x."""
     return NormalDist().inv_cdf(0.5 + 0.499999 * x / (1.0 + abs(x)))
 
 
 _FUNCTIONS = (math.tanh, math.cos, math.sin, math.exp, math.expm1, _normal_quantile)
 _EARLIER = (_FUNCTIONS[:5],)
-"""What fingerprints of earlier versions, which drew no noise, were made of; only bags still have them."""
+"""Functions in the fingerprints of earlier versions, which drew no noise; only bags still contain them."""
 
 
 def libm_fingerprint() -> str:
     """Return a short hash of tanh, cos, sin, exp, expm1 and the normal quantile at fixed arguments.
 
-    These are all functions beyond correctly rounded arithmetic on which a recorded number depends: equal
-    fingerprints mean that equal scenarios give equal digests.
+    Apart from correctly rounded arithmetic, recorded numbers depend on these functions only: with equal fingerprints,
+    equal scenarios give equal digests.
     """
     return _hash(_FUNCTIONS)
 
 
 def libm_fingerprints() -> tuple[str, ...]:
-    """Return this machine's fingerprint, and those that earlier versions would have given it."""
+    """Return this machine's fingerprint, then its fingerprints in earlier versions."""
     return tuple(_hash(functions) for functions in (_FUNCTIONS, *_EARLIER))
 
 

@@ -1,4 +1,4 @@
-"""Where packages that bring a swarm law have imported it from; new ones import from `swarmabs_core.swarm_law`."""
+"""Former import path for packages that provide a swarm law; new packages import from `swarmabs_core.swarm_law`."""
 
 from swarmabs_core.swarm_law import LAWS, PAPER, Command, Robot, SwarmLaw
 

@@ -1,4 +1,4 @@
-"""The curve in the abstract space on which the desired abstract state is kept (eq. JLimit)."""
+"""The curve in abstract space to which the desired abstract state is constrained (eq. JLimit)."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from swarmabs_core.declaration import setting
 
 @dataclass(frozen=True, slots=True)
 class Manifold:
-    """The curve in the abstract space on which the swarm is held, Js = curvature tau^2 + offset.
+    """The curve in abstract space on which the swarm is held, Js = curvature tau^2 + offset.
 
     The torque is limited to +-torque_max (eq. tauLimit).
     """
 
     curvature: float = setting(0.0125, "A of Js = A tau^2 + B, kg m^2/(N m)^2", minimum=0.0)
     offset: float = setting(0.025, "B of Js = A tau^2 + B, kg m^2", above=0.0)
-    torque_max: float = setting(5.0, "bound of the torque asked of the swarm, N m", above=0.0)
+    torque_max: float = setting(5.0, "largest torque requested from the swarm, N m", above=0.0)
 
     def clip(self, torque: float) -> float:
         """Return the torque (N m) limited to +-torque_max."""
         return min(max(torque, -self.torque_max), self.torque_max)
 
     def inertia(self, torque: float) -> float:
-        """Return the inertia (kg m^2) that belongs to a torque (N m)."""
+        """Return the inertia (kg m^2) on the curve at a torque (N m)."""
         return self.curvature * torque * torque + self.offset
 
     def inertia_rate(self, torque: float, rate: float) -> float:

@@ -1,7 +1,7 @@
-"""Who takes part in which step: the same rule for observer, plane and recorder.
+"""Which robots take part in which step: the same rule for observer, plane and recorder.
 
-Scheduled changes (the faults of a scenario) are known to all three beforehand. A change that nobody planned
-is decided by the observer alone and reaches the others as an event.
+All three know scheduled changes (the faults of a scenario) in advance. Unplanned changes are decided by the observer
+alone and reach the others as events.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 SILENT = "silent"
-"""Reason of the end of a robot that did not answer and was dropped."""
+"""Reason for the end of a robot that was dropped because it did not answer."""
 
 UNPLANNED = 2**63 - 1
-"""Step at which a robot joins that is only there when it is added: beyond every run."""
+"""Step at which a robot joins that takes part only once it is added: later than any run."""
 
 
 class ChangeKind(str, Enum):
-    """How a robot's membership changes at a step."""
+    """A way in which a robot's membership changes at a step."""
 
     JOIN = "join"
     """It publishes its first state at the step."""
     LEAVE = "leave"
-    """It publishes its last state, saying so, at the step; afterwards its weight is gone."""
+    """It publishes its last state, marked as such, at the step; afterwards its weight is gone."""
     KILL = "kill"
-    """It publishes its last state at the step; afterwards it stands still where it was."""
+    """It publishes its last state at the step; afterwards it remains at rest in its position."""
     FREEZE = "freeze"
-    """Like `KILL`, but the process is stopped and not ended."""
+    """Like `KILL`, but the process is suspended instead of ended."""
     REMOVE = "remove"
-    """It publishes its last state, not knowing it, at the step; afterwards its weight is gone."""
+    """It publishes its last state, without knowing that, at the step; afterwards its weight is gone."""
 
     @property
     def stays(self) -> bool:
-        """Whether the robot's weight stays on the plane when it has ended so."""
+        """Whether the weight of a robot that ends in this way stays on the plane."""
         return self in (ChangeKind.KILL, ChangeKind.FREEZE)
 
 
@@ -74,7 +74,7 @@ class Change:
 
 
 def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Change, ...]:
-    """Return the scheduled changes with unplanned ends, which come before the planned ones."""
+    """Return the scheduled changes combined with unplanned ends, which replace the planned ends of their robots."""
     unplanned = tuple(ends)
     ended = {change.agent_id for change in unplanned}
     kept = (change for change in schedule if change.kind is ChangeKind.JOIN or change.agent_id not in ended)
@@ -83,9 +83,9 @@ def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Chang
 
 @dataclass(slots=True)
 class Span:
-    """First and last step (None: not known) at which a robot publishes, and whether its weight stays on the plane then.
+    """First and last step in which a robot publishes, and whether its weight stays on the plane afterwards.
 
-    The first is `UNPLANNED` if it is not known.
+    If unknown, the first step is `UNPLANNED` and the last one None.
     """
 
     first: int = 0
@@ -94,12 +94,12 @@ class Span:
     reason: str = ""
 
     def covers(self, step: int) -> bool:
-        """Tell whether the robot publishes its state of a step."""
+        """Return whether the robot publishes its state of a step."""
         return self.first <= step and (self.last is None or step <= self.last)
 
 
 class Membership:
-    """Membership by step of all robots that ever take part, from step 0 those without a scheduled ``join``."""
+    """Membership by step of all robots that ever take part; those without a scheduled ``join`` start at step 0."""
 
     def __init__(self, members: Iterable[int], schedule: Iterable[Change] = ()) -> None:
         self._spans = {agent_id: Span() for agent_id in sorted(members)}
@@ -110,7 +110,7 @@ class Membership:
             self.plan(change)
 
     def plan(self, change: Change) -> None:
-        """Note a change, which may be scheduled or ordered from outside; an earlier end that is known stands."""
+        """Add a change, whether scheduled or requested from outside; a known earlier end takes precedence."""
         if change.kind is ChangeKind.JOIN:
             self._spans[change.agent_id].first = change.step
             self._cached = (-1, ())
@@ -121,22 +121,22 @@ class Membership:
         return agent_id in self._spans
 
     def publishing(self, step: int) -> tuple[int, ...]:
-        """Return the ids, ascending, of the robots whose state of a step is waited for."""
+        """Return the ids, ascending, of the robots that publish a state in a step."""
         if self._cached[0] != step:
             self._cached = (step, tuple(i for i, span in self._spans.items() if span.covers(step)))
         return self._cached[1]
 
     def publishes(self, agent_id: int, step: int) -> bool:
-        """Tell whether a robot publishes its state of a step."""
+        """Return whether a robot publishes its state of a step."""
         span = self._spans.get(agent_id)
         return span is not None and span.covers(step)
 
     def span(self, agent_id: int) -> Span:
-        """Return when a robot publishes its states."""
+        """Return the steps in which a robot publishes."""
         return self._spans[agent_id]
 
     def changes(self, step: int) -> list[tuple[int, EventKind, str]]:
-        """Return robot, kind and reason of every change that holds from a step on, by robot id."""
+        """Return robot, kind and reason of every change that takes effect at a step, by robot id."""
         found = []
         for agent_id, span in self._spans.items():
             if span.first == step and step > 0:
@@ -146,13 +146,13 @@ class Membership:
         return found
 
     def end(self, agent_id: int, last: int, *, stays: bool, reason: str) -> None:
-        """Note that a robot publishes its last state at step `last`; an earlier end that is known stands."""
+        """Set the step `last` in which a robot publishes its last state; a known earlier end takes precedence."""
         span = self._spans[agent_id]
         if span.last is None or span.last > last:
             span.last, span.stays, span.reason = last, stays, reason
             self._cached = (-1, ())
 
     def apply(self, kind: int, agent_id: int, step: int, reason: str) -> None:
-        """Take over a change that the observer has announced; `step` is the first at which it holds."""
+        """Apply a change that the observer announced; `step` is the first at which it holds."""
         if kind in (EventKind.DEAD, EventKind.LEFT) and agent_id in self._spans:
             self.end(agent_id, step - 1, stays=kind == EventKind.DEAD, reason=reason)

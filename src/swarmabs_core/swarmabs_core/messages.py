@@ -1,9 +1,9 @@
 """The messages of the swarm as immutable values, with their topics.
 
-These are the ROS-free twins of the definitions in ``swarmabs_msgs``: the node behaviours exchange them,
-`swarmabs_core.cdr` turns them into the bytes that travel over DDS and that stand in a bag. A field is declared here and
-nowhere else in Python: name, type, unit, meaning. ``stamp`` is the header's time stamp in nanoseconds; in lockstep it
-is exactly ``step`` times the control period.
+They correspond to the definitions in ``swarmabs_msgs`` but do not depend on ROS: the node behaviours exchange them, and
+`swarmabs_core.cdr` converts them to the bytes that are sent over DDS and stored in bags. This is the only place in
+Python that declares name, type, unit and meaning of each field. ``stamp`` is the header's time stamp in nanoseconds; in
+lockstep it is exactly ``step`` times the control period.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Kind(IntEnum):
 
 
 class Status(IntEnum):
-    """What a robot says of itself (``AgentState.status``)."""
+    """Status that a robot reports (``AgentState.status``)."""
 
     ACTIVE = 1
     SAFE_STOP = 2
@@ -35,7 +35,7 @@ class Status(IntEnum):
 
 
 class Mode(IntEnum):
-    """What the parent controller asks of the swarm (``DesiredAbstractState.mode``)."""
+    """Mode that the parent controller commands (``DesiredAbstractState.mode``)."""
 
     RUN = 1
     STOP = 2
@@ -43,7 +43,7 @@ class Mode(IntEnum):
 
 
 class EventKind(IntEnum):
-    """What happened (``SwarmEvent.kind``)."""
+    """Kind of an event (``SwarmEvent.kind``)."""
 
     JOINED = 1
     LEFT = 2
@@ -60,7 +60,7 @@ class EventKind(IntEnum):
 
 
 class Source(IntEnum):
-    """Whose answer a provenance belongs to (``Basis.source``)."""
+    """Node whose output a provenance message describes (``Basis.source``)."""
 
     OBSERVER = 1
     PLANE = 2
@@ -68,7 +68,7 @@ class Source(IntEnum):
 
 
 class Action(IntEnum):
-    """What is changed in a run from outside (``Steering.action``)."""
+    """Change to a run from outside (``Steering.action``)."""
 
     NONE = 0
     REFERENCE = 1
@@ -80,12 +80,12 @@ class Action(IntEnum):
 
 
 def word(value: IntEnum) -> str:
-    """Return a constant of a message as the word that tables and scenarios have for it: "double_integrator"."""
+    """Return the word for a constant of a message in tables and scenarios, such as "double_integrator"."""
     return value.name.lower()
 
 
 def word_of(constants: type[IntEnum], number: int) -> str:
-    """Return the word of a number that a message holds for a constant; of an unknown one its digits."""
+    """Return the word for a number that a message contains for a constant; the digits if it is unknown."""
     try:
         return word(constants(number))
     except ValueError:
@@ -101,20 +101,20 @@ FieldType = Literal["time", "uint8", "uint16", "uint64", "float64", "string", "u
 
 
 class Field(NamedTuple):
-    """How a field is declared; CDR, arrays and tables follow from it, and a test holds it to the definition.
+    """The declaration of a field; CDR, arrays and tables follow from it, and a test compares it with the definition.
 
     Attributes
     ----------
     ros_type : str
         As in the definition; ``time`` for the stamp, which is in the header.
     unit : str
-        SI unit, 1 for numbers without one, empty for texts.
+        SI unit, 1 for dimensionless numbers, empty for strings.
     meaning : str
-        What the name does not say.
+        What the name does not express.
     constants : type of IntEnum, optional
-        The values that it may have.
+        The allowed values.
     missing : int, optional
-        The value that stands for none.
+        The value that means none.
     """
 
     ros_type: FieldType
@@ -124,7 +124,7 @@ class Field(NamedTuple):
     missing: int | None = None
 
 
-Stamp: TypeAlias = Annotated[int, Field("time", "ns", "when it was made, by the clock of who made it")]
+Stamp: TypeAlias = Annotated[int, Field("time", "ns", "time of creation, by the clock of the publisher")]
 StepNumber: TypeAlias = Annotated[int, Field("uint64", meaning="number of the control period")]
 EarlierStep: TypeAlias = Annotated[int, Field("uint64", meaning="a step", missing=NEVER)]
 Robot: TypeAlias = Annotated[int, Field("uint16", meaning="robot")]
@@ -140,10 +140,10 @@ class PlaneState(NamedTuple):
 
 
 class AgentState(NamedTuple):
-    """State of one robot, and the command that led here.
+    """State of one robot, and the command that led to it.
 
-    ``command`` is in m/s for a single integrator and in N for a double integrator. It was held over the
-    period that ends at ``step`` and was computed from the broadcasts of ``broadcast_step``.
+    ``command`` is in m/s for a single integrator and in N for a double integrator. It was held over the period that
+    ends at ``step`` and was computed from the broadcasts of ``broadcast_step``.
     """
 
     stamp: Stamp
@@ -157,7 +157,7 @@ class AgentState(NamedTuple):
     position: Annotated[float, Field("float64", "m")]
     velocity: Annotated[float, Field("float64", "m/s")]
     command: Annotated[
-        float, Field("float64", "m/s or N", "held over the step before; m/s of single, N of double integrators")
+        float, Field("float64", "m/s or N", "held over the previous step; m/s for single, N for double integrators")
     ]
 
 
@@ -189,7 +189,7 @@ class AuxiliaryState(NamedTuple):
 
 
 class DesiredAbstractState(NamedTuple):
-    """What the parent controller asks for; what is no mean is the value at ``step``."""
+    """What the parent controller requests; fields that are not means hold the value at ``step``."""
 
     stamp: Stamp
     step: StepNumber
@@ -205,18 +205,18 @@ class DesiredAbstractState(NamedTuple):
 
 
 class SwarmEvent(NamedTuple):
-    """Something that happened: ``step`` is the first at which it holds, ``agent_id`` 0 if no robot did it."""
+    """An event: ``step`` is the first at which it holds, ``agent_id`` is 0 if it concerns no single robot."""
 
     stamp: Stamp
     step: StepNumber
     agent_id: Robot
     kind: Annotated[int, Field("uint8", constants=EventKind)]
     value: Annotated[float, Field("float64", "by kind")]
-    detail: Annotated[str, Field("string", "", "for people")]
+    detail: Annotated[str, Field("string", "", "human-readable")]
 
 
 class RecordingProgress(NamedTuple):
-    """Credit from the recorder: it and all before ``written_step`` are on disk (`NEVER`: nothing yet)."""
+    """Credit from the recorder: all steps up to ``written_step`` are on disk (`NEVER`: none yet)."""
 
     stamp: Stamp
     step: StepNumber
@@ -224,7 +224,7 @@ class RecordingProgress(NamedTuple):
 
 
 class Broadcast(NamedTuple):
-    """The three broadcasts of a step in one message, for robots that ask for them so."""
+    """The three broadcasts of a step in one message, for robots that request packed broadcasts."""
 
     stamp: Stamp
     step: StepNumber
@@ -234,12 +234,12 @@ class Broadcast(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """From what a coordinator in real time computed its answer of a step.
+    """Provenance of a coordinator's output in real time: the data from which it was computed.
 
-    ``since`` is the step of the answer from which it went on (`NEVER`: it began anew). ``begun`` is the step in which
-    the simulated plane was let go (`NEVER`: it is held), or the one with which the time of the parent controller's law
-    began. ``state_steps`` and ``agent_ids``, ascending, say which robots' states entered it,
-    and ``standing`` which of these robots the observer took to stand still, since they were silent (1, else 0).
+    ``since`` is the step of the output from which the coordinator continued (`NEVER`: it restarted). ``begun`` is the
+    step in which the simulated plane was released (`NEVER`: it is held), or step 0 of the parent controller's law.
+    ``agent_ids``, ascending, and ``state_steps`` identify the robots' states that entered it. ``standing`` is 1 for
+    robots that the observer assumes to be at rest because they are silent, else 0.
     """
 
     stamp: Stamp
@@ -249,11 +249,11 @@ class Basis(NamedTuple):
     source: Annotated[int, Field("uint8", constants=Source)]
     state_steps: Annotated[tuple[int, ...], Field("uint64[]", meaning="steps of the robots' states")]
     agent_ids: Annotated[tuple[int, ...], Field("uint16[]", meaning="robots")]
-    standing: Annotated[tuple[int, ...], Field("uint8[]", meaning="1: taken to stand, else 0")]
+    standing: Annotated[tuple[int, ...], Field("uint8[]", meaning="1: assumed at rest, else 0")]
 
 
 class Steering(NamedTuple):
-    """What is changed from outside from a step on; ``request`` is the number of the request, 0 if nothing is."""
+    """A change from outside that takes effect at a step; ``request`` is its number, 0 if nothing changes."""
 
     stamp: Stamp
     step: StepNumber
@@ -278,7 +278,7 @@ Message = (
 """Any message of the swarm."""
 
 Messages = tuple[Message, ...]
-"""What a node behaviour answers: the messages to publish, in this order."""
+"""Output of a node behaviour: the messages to publish, in this order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # compared and hashed by identity, which is fast
@@ -291,7 +291,7 @@ class Topic:
 
 
 def fields_of(message: type[Message]) -> dict[str, Field | type[Message]]:
-    """Return how the fields of a message are declared, in order; of one that is a message itself its class."""
+    """Return the declarations of a message's fields, in order; for a nested message, its class."""
     hints: dict[str, Any] = get_type_hints(message, include_extras=True)
     return {name: getattr(hint, "__metadata__", (hint,))[0] for name, hint in hints.items()}
 
@@ -315,7 +315,7 @@ MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRE
 """The five topics that make up a run, in the order in which a bag holds them within a step."""
 
 BROADCASTS = (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
-"""All that a robot hears from the swarm."""
+"""All that a robot receives from the swarm."""
 
 TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS, STEERING)
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}

@@ -1,7 +1,7 @@
 """Declared parameters: name, default, meaning and bounds in one place.
 
-One table of `Parameter` per node, and per kind of parent controller, feeds the declaration to ROS, the checks
-and the documentation.
+The declaration to ROS, the checks and the documentation all use the same table of `Parameter`: one for each node and
+each kind of parent controller.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Settings = Mapping[str, Value]
 
 
 class SettingError(InputError):
-    """Settings contradict each other; it names one of them, below the declaration that refuses, problem and remedy."""
+    """Settings that contradict each other: the name of one, relative to the declaration, the problem and the remedy."""
 
     def __init__(self, name: str, problem: str, remedy: str) -> None:
         self.name, self.problem, self.remedy = name, problem, remedy
@@ -28,26 +28,26 @@ class SettingError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One declared parameter; its type is that of its default."""
+    """A declared parameter, with the type of its default."""
 
-    name: str  # dots nest
+    name: str  # dots separate levels
     default: Value
     description: str  # meaning and unit
-    minimum: float | None = None  # inclusive bounds of a number, or of each number of an array
+    minimum: float | None = None  # inclusive bounds of a number, or of each number in an array
     maximum: float | None = None
     above: float | None = None  # exclusive bound, as `below`
-    length: int | None = None  # that an array must have
-    choices: tuple[str, ...] | None = None  # the texts allowed
-    item: Scalar = ""  # an item of an array whose default is empty, for its type
+    length: int | None = None  # required length of an array
+    choices: tuple[str, ...] | None = None  # the strings allowed
+    item: Scalar = ""  # determines the type of the items if the default is an empty array
     below: float | None = None
 
     def check(self, value: Value) -> Value:
-        """Return the value as the default's type: tuples for arrays, floats for integers where one is due.
+        """Return the value in the type of the default: arrays become tuples, and integers floats where required.
 
         Raises
         ------
         InputError
-            If type, length, choice or bounds are not met; the text names parameter, value and what is allowed.
+            If type, length, choice or bounds are violated; the text states parameter, value and what is allowed.
         """
         if isinstance(self.default, tuple):
             return self._check_array(value)
@@ -98,7 +98,7 @@ def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dic
     Raises
     ------
     InputError
-        For a value that its parameter refuses, and for a name that is not in the table.
+        If a value is not allowed, or a name is not in the table.
     """
     unknown = sorted(given.keys() - {parameter.name for parameter in table})
     if unknown:

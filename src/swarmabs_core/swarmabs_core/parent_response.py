@@ -1,11 +1,11 @@
-r"""The torque of the swarm, seen from the plane alone: a disturbance observer (docs/explanation/parent_response.md).
+r"""Estimate of the swarm's torque from the plane alone: a disturbance observer (docs/explanation/parent_response.md).
 
-Over a period the plane's angular momentum changes by all torques that act on it (eq. newDynamics, integrated),
+Over a period all torques on the plane change its angular momentum (eq. newDynamics, integrated),
 
 .. math:: \left[ (J + J_s) w \right]_{k-1}^{k} = -\int (\cos\theta\,\tau_s + f_f(w) + \tau_d)\,dt
 
-so angle and angular velocity at both ends give the mean over the period of :math:`\tau_s + \tau_d/\cos\theta`: the
-swarm and what disturbs the plane cannot be told apart. A filter of first order takes the noise off.
+so angle and angular velocity at both ends give the mean over the period of :math:`\tau_s + \tau_d/\cos\theta`: swarm
+and disturbance cannot be distinguished. A first-order filter attenuates the noise.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class SumObserver:
     """The sum over the robots' states."""
 
     type: ClassVar[str] = "sum"
-    description: ClassVar[str] = "torque and inertia are summed up over the robots"
+    description: ClassVar[str] = "torque and inertia are summed over the robots"
 
 
 @dataclass(frozen=True, slots=True)
 class ParentResponse:
-    """The torque estimated from the plane's angle and angular velocity, see docs/explanation/parent_response.md."""
+    """The disturbance-observer estimate of the torque, see docs/explanation/parent_response.md."""
 
     type: ClassVar[str] = "parent_response"
     description: ClassVar[str] = "the torque is estimated from the plane's motion"
@@ -41,7 +41,7 @@ class ParentResponse:
 
 
 class TorqueEstimator:
-    """Estimates the torque of the swarm from one measurement of the plane per control period.
+    """A disturbance observer: estimates the torque of the swarm from one measurement of the plane per control period.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class TorqueEstimator:
     friction : Friction
         Friction of its bearing.
     bandwidth : float
-        Of the filter, rad/s; its delay is the inverse.
+        Bandwidth of the filter, rad/s; its delay is the inverse.
     period : float
         Control period, s.
     """
@@ -66,8 +66,8 @@ class TorqueEstimator:
     def update(self, angle: float, angular_velocity: float, swarm_inertia: float) -> tuple[float, float]:
         """Take angle (rad) and angular velocity (rad/s); return the estimated torque (N m) and its rate (N m/s).
 
-        The first one says nothing of a torque yet: the estimate is 0 as if the plane were in equilibrium.
-        What the response does not tell is the moment of inertia J_s (kg m^2) of the swarm.
+        After the first measurement the estimate is 0, as if the plane were in equilibrium. The moment of inertia J_s
+        (kg m^2) of the swarm cannot be estimated from the response, so it is given.
         """
         friction = self._friction.torque(angular_velocity)
         momentum = (self._inertia + swarm_inertia) * angular_velocity

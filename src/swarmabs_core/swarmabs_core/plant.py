@@ -2,10 +2,10 @@ r"""The tilting plane under a moving swarm (eq. newDynamics with eq. frictionMod
 
 .. math:: (J + J_s) \dot w = -\cos(\theta) \tau_s - \dot J_s w - f_f(w) - \tau_d(t), \qquad \dot\theta = w
 
-Within a control period each robot's path is a polynomial of the time: a straight line for a single
-integrator, which holds its velocity; the cubic Hermite interpolant of positions and velocities at both ends
-for a double integrator; a constant for a robot that stands. So torque and inertia of the swarm are
-polynomials too, of degree 3 and 6, summed once a period.
+Within a control period each robot's path is a polynomial in time: a straight line for a single integrator, which holds
+its velocity; the cubic Hermite interpolant of positions and velocities at both ends for a double integrator; a constant
+for a robot at rest. Torque and inertia of the swarm are therefore polynomials of degree 3 and 6, summed once per
+period.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
 STEEPEST = 1.5
-"""Angle of the plane, rad, at which a run fails: robots slip off, and the ARISE law divides by its cosine."""
+"""Angle of the plane, rad, at which a run fails: robots slide off, and the ARISE law divides by its cosine."""
 
 
 class RobotPath(NamedTuple):
@@ -37,17 +37,17 @@ class RobotPath(NamedTuple):
 
 
 def standing(mass: float, position: float) -> RobotPath:
-    """Return the path of a robot of a mass (kg) that does not move from its position (m)."""
+    """Return the path of a robot with a mass (kg) that stays at a position (m)."""
     return RobotPath(mass, position, 0.0, 0.0, 0.0)
 
 
 def straight(mass: float, start: float, end: float) -> RobotPath:
-    """Return the path of a robot of a mass (kg) that moves from `start` to `end` (m) at constant velocity."""
+    """Return the path of a robot with a mass (kg) that moves from `start` to `end` (m) at constant velocity."""
     return RobotPath(mass, start, end - start, 0.0, 0.0)
 
 
 def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], period: float) -> RobotPath:
-    """Return the cubic path of a mass (kg) between two states, position (m) and velocity (m/s), a period (s) apart."""
+    """Return the cubic path of a mass (kg) between two states (position in m, velocity in m/s) one period (s) apart."""
     p0, v0 = start
     p1, v1 = end
     d0, d1, rise = v0 * period, v1 * period, p1 - p0
@@ -63,10 +63,7 @@ class SwarmLoad:
 
 
 def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
-    """Sum the loads of all robots on the plane, correctly rounded, so that their order does not matter.
-
-    Gravity is in m/s^2.
-    """
+    """Sum the loads of all robots on the plane, correctly rounded and so independent of order; gravity in m/s^2."""
     curved = [path for path in paths if path.c2 or path.c3]
     return summed_load(
         term_columns((path[:3] for path in paths), linear_terms), term_columns(curved, cubic_terms), gravity
@@ -74,13 +71,13 @@ def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
 
 
 def linear_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0) -> tuple[float, ...]:
-    """Return what mass, c0 and c1 of a path contribute to torque/g (s^0, s^1) and inertia (s^0 to s^2)."""
+    """Return the contributions of mass, c0 and c1 of a path to torque/g (s^0, s^1) and inertia (s^0 to s^2)."""
     ma, mb = m * a, m * b
     return ma, mb, ma * a, 2.0 * ma * b, mb * b
 
 
 def cubic_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0) -> tuple[float, ...]:
-    """Return what c2 and c3 of a path contribute besides to torque/g (s^2, s^3) and inertia (s^2 to s^6)."""
+    """Return the further contributions of c2 and c3 of a path to torque/g (s^2, s^3) and inertia (s^2 to s^6)."""
     ma, mb, mc, md = m * a, m * b, m * c, m * d
     return mc, md, 2.0 * ma * c, 2.0 * (ma * d + mb * c), mc * c + 2.0 * mb * d, 2.0 * mc * d, md * d
 
@@ -88,16 +85,16 @@ def cubic_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, 
 def summed_load(
     linear: Iterable[Any], cubic: Iterable[Any], gravity: float, numbers: Callable[[Any], Iterable[float]] = iter
 ) -> SwarmLoad:
-    """Sum columns of `linear_terms` of all paths, and of `cubic_terms` of those that are not straight.
+    """Sum columns of the `linear_terms` of all paths and the `cubic_terms` of curved paths.
 
     Parameters
     ----------
     linear, cubic : iterable of columns
-        A column for each term.
+        One column for each term.
     gravity : float
-        m/s^2.
+        Acceleration of gravity, m/s^2.
     numbers : callable
-        Gives the numbers of a column.
+        Returns the numbers in a column.
     """
     t0, t1, j0, j1, j2 = linear
     t2, t3, j2_cubic, *higher = cubic
@@ -110,8 +107,8 @@ def summed_load(
 class Friction(NamedTuple):
     """Friction of the bearing (eq. frictionModel), f_f(w) = g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w.
 
-    Amplitudes of the Stribeck and of the Coulomb term are in N m, steepness of the hyperbolic tangents is in s/rad,
-    viscous friction in N m s/rad.
+    The amplitudes g1 (Stribeck) and g4 (Coulomb) are in N m, the slopes g2, g3, g5 in s/rad, the viscous friction g6 in
+    N m s/rad.
     """
 
     g1: float
@@ -127,7 +124,7 @@ class Friction(NamedTuple):
         return self.g1 * (tanh(self.g2 * w) - tanh(self.g3 * w)) + self.g4 * tanh(self.g5 * w) + self.g6 * w
 
     def slope_at_rest(self) -> float:
-        """Return df_f/dw at w = 0, N m s/rad: it sets how stiff the plane is near rest."""
+        """Return df_f/dw at w = 0, N m s/rad, which determines the stiffness of the equation near rest."""
         return self.g1 * (self.g2 - self.g3) + self.g4 * self.g5 + self.g6
 
 
@@ -172,27 +169,27 @@ class Plane:
     end_stop: float = setting(
         inf, "angle of inelastic end stops on both sides, below 1.5 rad", above=0.0, below=STEEPEST, unset=0.0
     )
-    sensor: PlaneSensor = part(PlaneSensor, "what is published of the plane's motion")
+    sensor: PlaneSensor = part(PlaneSensor, "sensor of the plane's motion")
 
 
 class PlaneDynamics:
     """Integrates the plane over one control period (s) by the classical Runge-Kutta method with fixed substeps.
 
     The period is divided into equal substeps; 0.5 to 1 ms suit the paper's friction, whose slope at rest makes the
-    plane stiff. The end stops are inelastic: at the end of a substep that leads beyond one, the plane is at the stop
-    and at rest. It stays there as long as every further substep leads beyond.
+    equation stiff. The end stops are inelastic: a substep that leads beyond a stop ends at the stop, at rest. The plane
+    stays there while each further substep leads beyond.
 
     Attributes
     ----------
     impact : tuple of float or None
-        The first touch of an end stop in the last period, of a plane that did not rest there at its beginning: the end
-        of the substep (s), and the angular velocity (rad/s) that is lost.
+        First impact on an end stop in the last period, unless the plane rested there at its start: the end of the
+        substep (s), and the angular velocity (rad/s) that is lost.
     """
 
     def __init__(self, plane: Plane, period: float) -> None:
         self._plane = plane
         self._period = period
-        # A period that is a multiple of the substep must not gain one more by rounding.
+        # Rounding must not add a substep to a period that is a multiple of the substep.
         self._count = max(1, ceil(period / plane.substep * (1.0 - 1e-12)))
         self._shares = [n / (2 * self._count) for n in range(2 * self._count + 1)]
         self.impact: tuple[float, float] | None = None
@@ -202,12 +199,12 @@ class PlaneDynamics:
     ) -> tuple[float, float]:
         """Return angle (rad) and angular velocity (rad/s) one period after `time` (s).
 
-        `extra` is a constant torque (N m) over the period besides the disturbance, with the sign of the disturbance.
+        `extra` is a constant torque (N m) over the period, added to the disturbance.
 
         Raises
         ------
         RunError
-            If the motion is no longer finite.
+            If the motion is not finite.
         """
         count, period = self._count, self._period
         torque, inertia, inertia_rate, disturbance = self._sample(time, load)
@@ -246,7 +243,7 @@ class PlaneDynamics:
         return th, w
 
     def _sample(self, time: float, load: SwarmLoad) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Evaluate torque, inertia, inertia rate, disturbance at the ends and middles of the substeps."""
+        """Evaluate torque, inertia, inertia rate and disturbance at the ends and midpoints of the substeps."""
         t0, t1, t2, t3 = load.torque
         j0, j1, j2, j3, j4, j5, j6 = load.inertia
         period, total = self._period, self._plane.inertia + j0

@@ -1,4 +1,4 @@
-"""Which node has published a message."""
+"""Which node published a message."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class NodeKind(str, Enum):
-    """What a node does in the swarm."""
+    """The function of a node in the swarm."""
 
     PLANE = "plane"
     OBSERVER = "observer"
@@ -34,7 +34,7 @@ class NodeKind(str, Enum):
 
 
 class NodeName(NamedTuple):
-    """A node of a run, in writing ``plane``, ``observer``, ``controller`` or ``agent:N``."""
+    """A node of a run, written as ``plane``, ``observer``, ``controller`` or ``agent:N``."""
 
     kind: NodeKind
     agent_id: int = 0
@@ -44,12 +44,12 @@ class NodeName(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> NodeName:
-        """Read a node's name.
+        """Parse the name of a node.
 
         Raises
         ------
         InputError
-            If it is none.
+            If it is not such a name.
         """
         kind, colon, number = text.partition(":")
         try:
@@ -69,13 +69,13 @@ PUBLISHER = {
     AUXILIARY_STATE: OBSERVER,
     DESIRED_ABSTRACT_STATE: CONTROLLER,
 }
-"""Who publishes on the topics that have one publisher."""
+"""Publisher of each topic with a single publisher."""
 _ANNOUNCED_BY_OBSERVER = (EventKind.JOINED, EventKind.LEFT, EventKind.DEAD)
 _ANNOUNCED_BY_ROBOTS = (EventKind.SAFE_STOP, EventKind.RECOVERED, EventKind.FAULT_INJECTED)
 
 
 def publisher_of(message: Message) -> NodeName:
-    """Return the node that has published a message of one of the main topics, or an event."""
+    """Return the node that published an event, or a message of a main topic."""
     if isinstance(message, AgentState):
         return NodeName(NodeKind.AGENT, message.agent_id)
     if isinstance(message, SwarmEvent):
@@ -84,7 +84,7 @@ def publisher_of(message: Message) -> NodeName:
 
 
 def _announcer(event: SwarmEvent) -> NodeName:
-    """Return who has announced an event. A limit may be hit by three nodes, which say so in their own words."""
+    """Return the node that announced an event. Three nodes report limits; their detail texts identify them."""
     if event.kind in _ANNOUNCED_BY_OBSERVER:
         return OBSERVER
     if event.kind in _ANNOUNCED_BY_ROBOTS or event.detail == COMMAND_LIMITED:

@@ -1,4 +1,4 @@
-"""A message on its way from the wire to a bag: what it says, and the bytes that say so."""
+"""A message on its way from the wire to a bag: its content and its bytes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from swarmabs_core.messages import TOPIC_OF
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Topic
 
-_new: Any = tuple.__new__  # of a NamedTuple: its own `__new__` is a Python function around it
+_new: Any = tuple.__new__  # of a NamedTuple, without the Python wrapper `__new__`
 
 
 class Record(NamedTuple):
-    """A message with its bytes: decoded once and never encoded again.
+    """A message with its bytes, decoded once and never re-encoded.
 
-    The robot that it is about is 0 for none; the payload is canonical CDR but for what `read` returns. Where a bag's
-    own times are to be judged, there are its log time and when it was published by the bag, ns.
+    `agent_id` is 0 if the message concerns no robot. The payload is canonical CDR, except in records made by `read`.
+    For checks of a bag's own times, `time` and `published` are its log and publish times, ns.
     """
 
     topic: Topic
@@ -29,7 +29,7 @@ class Record(NamedTuple):
 
     @classmethod
     def of(cls, message: Message) -> Record:
-        """Return the record of a message that was made in this process.
+        """Return the record of a message created in this process.
 
         Raises
         ------
@@ -40,12 +40,12 @@ class Record(NamedTuple):
 
     @classmethod
     def heard(cls, topic: Topic, data: bytes) -> Record:
-        """Return the record of bytes from the wire or a bag, whatever padding holds; its own are canonical.
+        """Return the record, in canonical form, of bytes from the wire or a bag.
 
         Raises
         ------
         MalformedMessageError
-            If they are no message of the topic.
+            If they are not a message of the topic.
         """
         message = decode(topic.message, data)
         parts = (topic, agent_id_of(message), message, canonical(topic.message, data), None, None)
@@ -53,12 +53,12 @@ class Record(NamedTuple):
 
     @classmethod
     def read(cls, topic: Topic, time: int, payload: bytes, published: int | None = None) -> Record:
-        """Return the record of bytes from a bag, which stay as they are, to be judged.
+        """Return the record of bytes from a bag, unchanged, so that they can be checked.
 
         Raises
         ------
         MalformedMessageError
-            If they are no message of the topic.
+            If they are not a message of the topic.
         """
         message = decode(topic.message, payload)
         return _new(cls, (topic, agent_id_of(message), message, payload, time, published))  # type: ignore[no-any-return]

@@ -1,7 +1,7 @@
-"""Parts of the system that are looked up by name: built-in ones, then those that installed packages bring.
+"""Parts of the system that are looked up by name: first built-in parts, then plug-ins from installed packages.
 
-A package brings a part by an entry point. Nothing is read of the installed packages until somebody asks for a name that
-is not built in, so a run with built-in parts alone does not pay for it.
+A package provides a part as an entry point. Installed packages are searched only for names that are not built in, so a
+run with built-in parts has no overhead.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _REMEDY = "repair the package, or uninstall it"
 
 
 class PluginError(InputError):
-    """What an installed package brings cannot be used."""
+    """A plug-in of an installed package cannot be used."""
 
     def __init__(self, problem: str, remedy: str) -> None:
         self.problem = " ".join(problem.split())
@@ -40,10 +40,10 @@ MadeT = TypeVar("MadeT")
 
 @dataclass(frozen=True, slots=True)
 class Part(Generic[ContextT, MadeT]):
-    """What a registry holds; one such object is all that a package brings.
+    """An entry of a registry; a package provides one such object.
 
-    From its settings follow the scenario's schema and the parameters of nodes. `make` makes the thing itself from all
-    settings, checked, and from what it may know of the system. The description says in a few words what it is.
+    The scenario's schema and the parameters of nodes follow from its settings. `make` creates the part from all
+    settings, checked, and a context, which is what it may know about the system. The description is a short phrase.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Part(Generic[ContextT, MadeT]):
 class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
     """Parts of one sort by name.
 
-    Looking up loads one package at most; iterating gives all names without loading any. The built-in parts are also in
+    A look-up loads at most one package; iteration yields all names without loading any. The built-in parts are also in
     the mapping `built_in`.
 
     Parameters
     ----------
     noun : str
-        What errors call such a part.
+        Name for such a part in errors.
     group : str
-        Group of the entry points by which packages bring parts.
+        Entry point group of the packages' parts.
     shape : type
-        What the object behind an entry point must be.
+        Required type of the object behind an entry point.
     built_in : tuple of Part
         The built-in parts, which no package can replace.
     duties : tuple of str
-        Methods that what a part makes must have.
+        Methods that objects made by a part must have.
     """
 
     def __init__(
@@ -94,9 +94,9 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         Raises
         ------
         KeyError
-            If there is none of this name.
+            If there is no part with this name.
         PluginError
-            If the package that brings it is unfit; the text names the package and what is wrong.
+            If the package that provides it is unusable; the text names the package and the problem.
         """
         if name in self.built_in:
             return self.built_in[name]
@@ -115,12 +115,12 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         return sum(1 for _ in self)
 
     def find(self, name: str) -> Part[ContextT, MadeT]:
-        """Look up a part that a user has named.
+        """Look up a part by a name from the user.
 
         Raises
         ------
         InputError
-            If there is none of this name, or the package that brings it is unfit.
+            If there is no part with this name, or the package that provides it is unusable.
         """
         try:
             return self[name]
@@ -128,12 +128,12 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
             raise InputError(f"no {self._noun} {name!r}; there are {', '.join(sorted(self))}") from None
 
     def make(self, name: str, settings: Settings, context: ContextT) -> MadeT:
-        """Make what a part stands for; settings that are left out have their defaults.
+        """Create the object of a part; omitted settings have their defaults.
 
         Raises
         ------
         InputError
-            If the name is unknown, a setting is refused, or what is made is not what it should be.
+            If the name is unknown, a setting is invalid, or the object lacks a required method.
         """
         part = self.find(name)
         made = part.make(resolve(part.settings, settings, owner=f"{self._noun} {name!r}"), context)
@@ -144,25 +144,25 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         return made
 
     def package(self, name: str) -> tuple[str, str] | None:
-        """Return name and version of the package that brings a part; None for a built-in one."""
+        """Return name and version of the package that provides a part; None for a built-in part."""
         self.find(name)
         return self._packages.get(name)
 
     def forget(self) -> None:
-        """Forget the parts that packages have brought: each is loaded again when it is next asked for."""
+        """Forget the parts from packages: each is loaded again on its next look-up."""
         self._loaded.clear()
         self._packages.clear()
 
     def _brought(self) -> dict[str, list[EntryPoint]]:
         """Return the entry points of all installed packages by name."""
-        from importlib.metadata import entry_points  # noqa: PLC0415 - built-in parts do without
+        from importlib.metadata import entry_points  # noqa: PLC0415 - built-in parts do not need it
 
         found: dict[str, list[EntryPoint]] = {}
         for point in entry_points(group=self._group):
             if point.name in self.built_in:
                 raise PluginError(
-                    f"{_origin(point)} brings a {self._noun} {point.name!r}, a name which is built in",
-                    "give it another name, or uninstall the package",
+                    f"{_origin(point)} provides a {self._noun} {point.name!r}, which is a built-in name",
+                    "rename it, or uninstall the package",
                 )
             found.setdefault(point.name, []).append(point)
         return found
@@ -171,11 +171,11 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         point, *others = points
         if others:
             origins = " and ".join(sorted(_origin(each) for each in points))
-            raise PluginError(f"{self._noun} {name!r} is brought by {origins}", "uninstall all but one")
+            raise PluginError(f"{self._noun} {name!r} is provided by {origins}", "uninstall all but one")
         what = f"{self._noun} {name!r} ({point.value} of {_origin(point)})"
         try:
             part = point.load()
-        except Exception as error:  # whatever a foreign module raises, the user must learn which package it is
+        except Exception as error:  # a foreign module may raise anything; the error must name its package
             raise PluginError(f"{what} cannot be loaded: {type(error).__name__}: {error}", _REMEDY) from error
         if not isinstance(part, self._shape):
             found = f"is an object of type {type(part).__name__}, not a {self._shape.__name__}"
@@ -192,9 +192,9 @@ def _origin(point: EntryPoint) -> str:
 
 
 def problem_of(name: str, part: Any) -> str:
-    """Say what is wrong with the content of a part of the right type; empty if nothing is."""
+    """Return what is wrong with the content of a part of the right type; empty if nothing is."""
     if part.name != name or not _NAME.fullmatch(name):
-        return f"is named {part.name!r}; entry point and object need the same name of small letters, digits and _"
+        return f"is named {part.name!r}; entry point and object need the same name of lower-case letters, digits and _"
     if not callable(part.make):
         return "has no function make"
     settings = part.settings
@@ -204,12 +204,12 @@ def problem_of(name: str, part: Any) -> str:
     for setting in settings:
         parents = {setting.name[: found.start()] for found in re.finditer(r"\.", setting.name)}
         if not _PATH.fullmatch(setting.name) or setting.name in taken or parents & (known | {"type"}):
-            return f"has a setting {setting.name!r}, a name which is malformed or taken"
+            return f"has a setting {setting.name!r}, whose name is malformed or already taken"
         taken.add(setting.name)
         if not isinstance(setting.default, (bool, int, float, str, tuple)):
             return f"has a setting {setting.name!r} whose default is a {type(setting.default).__name__}"
         try:
             setting.check(setting.default)
         except InputError as error:
-            return f"has a default that its own bounds exclude: {error}"
+            return f"has a default outside its own bounds: {error}"
     return ""

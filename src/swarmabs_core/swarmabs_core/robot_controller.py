@@ -1,6 +1,6 @@
-"""What one robot decides: from its state and the broadcasts to a command that its drive can carry out.
+"""The decision of one robot: its state and the broadcasts in, a command within the limits of its drive out.
 
-Which broadcasts it acts on is decided elsewhere: those of the step in lockstep, the newest in real time.
+The caller selects the broadcasts: those of the step in lockstep, the newest in real time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BRAKING_TIME = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a robot's drive can do; null means no limit."""
+    """Limits of a robot's drive; null means no limit."""
 
     velocity: float = setting(inf, "largest speed of a robot, m/s", above=0.0, unset=0.0)
     force: float = setting(inf, "largest force of a double integrator, N", above=0.0, unset=0.0)
@@ -37,14 +37,14 @@ NOT_FINITE = "the law gives no finite command"
 STOPPED = "stop commanded"
 RESET = "reset commanded"
 COMMAND_LIMITED = "command limited"
-"""What a robot says when it does not follow the broadcasts, or limits a command."""
+"""`SwarmEvent.detail` where a robot does not follow the broadcasts, or limits a command."""
 
 
 class Decision(NamedTuple):
-    """What a robot does with the broadcasts of a step.
+    """What a robot does in a step.
 
-    The command (m/s or N) is the one that the law wants, within the limits, or, if there is a problem, what brakes the
-    robot.
+    The command (m/s or N) is that of the law, within the limits, or, if there is a problem, one that brakes the robot.
+    `wanted` is the law's command without limits.
     """
 
     command: float
@@ -53,23 +53,23 @@ class Decision(NamedTuple):
 
 
 class RobotController:
-    """The law of one robot, its limits and its brake. It keeps no state.
+    """The law of one robot, its limits and its brake. It is stateless.
 
-    The length of the plane (m) is what the spread of the swarm is judged against.
+    The second moments of the swarm are compared with the length of the plane (m).
 
     Attributes
     ----------
     follow : callable
         Position (m), velocity (m/s) and the three broadcasts in, the command of the law (m/s or N) out.
     ideal : SingleIntegratorDrive or DoubleIntegratorDrive
-        The motion that the law expects.
+        The motion that the law assumes.
     mass, braking_time : float
-        kg; time constant of the brake, s.
+        Mass, kg, and time constant of the brake, s.
 
     Raises
     ------
     InputError
-        If there is no such law, or it refuses its settings.
+        If there is no such law, or its settings are invalid.
     """
 
     def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits, plane_length: float) -> None:
@@ -82,7 +82,7 @@ class RobotController:
         self._length = plane_length
 
     def decide(self, position: float, velocity: float, heard: Broadcast) -> Decision:
-        """Return what the robot does at a position (m) with a velocity (m/s)."""
+        """Return the robot's decision at a position (m) with a velocity (m/s)."""
         if is_degenerate(heard.auxiliary.s0, heard.auxiliary.s3, self._length):
             return Decision(self.brake(velocity), 0.0, HELD)
         wanted = self.follow(position, velocity, heard.abstract, heard.auxiliary, heard.desired)
@@ -97,7 +97,7 @@ class RobotController:
         return -copysign(self.braking_force(velocity), velocity)
 
     def braking_force(self, velocity: float) -> float:
-        """Return the size (N) of the force with which a double integrator brakes from a velocity (m/s)."""
+        """Return the magnitude (N) of the force with which a double integrator brakes from a velocity (m/s)."""
         return min(self.mass * abs(velocity) / self.braking_time, self._limits.force)
 
     def limit(self, velocity: float, command: float) -> float:
@@ -108,4 +108,4 @@ class RobotController:
         if limits.velocity < inf:
             coast, gain = ideal.decay * velocity, ideal.force_to_velocity
             command = min(max(command, (-limits.velocity - coast) / gain), (limits.velocity - coast) / gain)
-        return min(max(command, -limits.force), limits.force)  # last: a drive cannot give more
+        return min(max(command, -limits.force), limits.force)  # last, because no drive can exceed it

@@ -1,4 +1,4 @@
-"""What sensors make of the truth: noise and finite resolution, the same in every run and every process."""
+"""Sensor models: noise and finite resolution, reproducible in every run and every process."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _STANDARD = NormalDist()
 
 
 def standard_normal(text: str) -> float:
-    """Return a draw from the normal distribution of mean 0 and variance 1 that depends on a text alone.
+    """Return a draw from the normal distribution with mean 0 and variance 1 that depends only on a string.
 
-    The first 52 of the 64 bits of the text's BLAKE2b hash are the number n; the draw is the quantile at
-    ``(n + 1/2) / 2**52``, which is never 0 or 1.
+    With n, the first 52 of the 64 bits of the string's BLAKE2b hash, the draw is the quantile at ``(n + 1/2) / 2**52``,
+    which is never 0 or 1.
     """
     digest = blake2b(text.encode(), digest_size=8).digest()
     return _STANDARD.inv_cdf(((int.from_bytes(digest, "big") >> 12) + 0.5) * 2.0**-52)
@@ -26,10 +26,10 @@ def standard_normal(text: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A sensor of a position or an angle, and of its rate; without arguments a perfect one.
+    """A sensor of a position or an angle and of its rate; without arguments it is perfect.
 
-    Noise is white and Gaussian, given by its standard deviations in the units of the value and of its rate. Then both
-    are rounded to a resolution; 0 is arbitrarily fine.
+    White Gaussian noise is added, given by standard deviations in the units of value and rate. Then both are rounded to
+    a resolution, where 0 means no rounding.
     """
 
     noise: Pair = (0.0, 0.0)
@@ -37,22 +37,22 @@ class Sensor:
 
     @property
     def perfect(self) -> bool:
-        """Whether the sensor tells the truth."""
+        """Whether the sensor adds neither noise nor rounding."""
         return not (any(self.noise) or any(self.resolution))
 
     def measure(self, value: float, rate: float, draw: str) -> Pair:
-        """Return what the sensor says; the noise is drawn from the texts ``draw:value`` and ``draw:rate``."""
+        """Return the measured value and rate, with noise drawn from the strings ``draw:value`` and ``draw:rate``."""
         return self._one(0, value, f"{draw}:value"), self._one(1, rate, f"{draw}:rate")
 
     def _one(self, index: int, true: float, text: str) -> float:
         sigma, step = self.noise[index], self.resolution[index]
         measured = true + sigma * standard_normal(text) if sigma else true
-        # The remainder of IEEE 754 is exact, and that of the nearest multiple, ties to the even one.
+        # The IEEE 754 remainder is exact and refers to the nearest multiple, ties to even.
         return measured - remainder(measured, step) if step else measured
 
 
 def measured_plane(sensor: Sensor, angle: float, angular_velocity: float, seed: int, step: int) -> Pair:
-    """Return what a sensor says of the plane's angle (rad) and angular velocity (rad/s) at a step."""
+    """Return a sensor's measurement of the plane's angle (rad) and angular velocity (rad/s) at a step."""
     if sensor.perfect:
         return angle, angular_velocity
     return sensor.measure(angle, angular_velocity, f"{seed}:{step}:plane")
@@ -60,7 +60,7 @@ def measured_plane(sensor: Sensor, angle: float, angular_velocity: float, seed: 
 
 @dataclass(frozen=True, slots=True)
 class PlaneSensor(Sensor):
-    """What is published of the plane's angle and angular velocity: rounded, after noise is added."""
+    """Measurement of the plane's angle and angular velocity: noise is added, then the sum is rounded."""
 
     noise: Pair = setting(
         (0.0, 0.0),
@@ -78,7 +78,7 @@ class PlaneSensor(Sensor):
 
 @dataclass(frozen=True, slots=True)
 class RobotSensor(Sensor):
-    """A robot's measurement of its position and velocity: noise is added, then the sum is rounded."""
+    """Measurement of a robot's position and velocity: noise is added, then the sum is rounded."""
 
     noise: Pair = setting(
         (0.0, 0.0),

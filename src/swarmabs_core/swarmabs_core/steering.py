@@ -1,7 +1,6 @@
-"""What is set for a whole run at a step: an offset of the reference, a torque that disturbs the plane.
+"""Step changes for a whole run: an offset of the reference, and a torque that disturbs the plane.
 
-Both are constant from one step to another. They come from a scenario, or, in a run that is steered, from outside; where
-they come from changes nothing in what follows from them.
+Both are piecewise constant. They come from the scenario or, in a steered run, from outside; their effect is the same.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Steering, SwarmEvent
 
 STEERER = "steering"
-"""Name of the node that orders what is changed from outside."""
+"""Name of the node that publishes changes from outside."""
 REFERENCE = "reference"
 """`SwarmEvent.detail` where the offset (rad) of the plane's reference changes."""
 DISTURBANCE = "disturbance"
@@ -28,11 +27,11 @@ DISTURBANCE = "disturbance"
 
 
 ENDS = {Action.KILL: ChangeKind.KILL, Action.FREEZE: ChangeKind.FREEZE, Action.REMOVE: ChangeKind.REMOVE}
-"""The actions that end a robot, and as what each is planned."""
+"""The actions that end a robot, and the kind of change that each one causes."""
 
 
 def change_of(order: Steering) -> Change | None:
-    """Return the change of the membership that is ordered from outside; None if it is something else."""
+    """Return the membership change that an order requests; None if it requests something else."""
     if order.action == Action.ADD:
         return Change(order.step, order.agent_id, ChangeKind.JOIN)
     kind = ENDS.get(Action(order.action))
@@ -40,7 +39,7 @@ def change_of(order: Steering) -> Change | None:
 
 
 class StepChange(NamedTuple):
-    """A number that holds from a step on."""
+    """A value that takes effect at a step."""
 
     step: int
     value: float
@@ -68,7 +67,7 @@ class StepChange(NamedTuple):
 
 
 class StepSchedule:
-    """A number that changes at steps, at each at most once, and is 0 before the first."""
+    """A piecewise constant value: 0 until the first change, at most one change per step."""
 
     def __init__(self, changes: Iterable[StepChange] = ()) -> None:
         self._value = dict(changes)
@@ -78,24 +77,24 @@ class StepSchedule:
         return bool(self._steps)
 
     def at(self, step: int) -> float:
-        """Return what holds in a step."""
+        """Return the value in a step."""
         place = bisect_right(self._steps, step)
         return self._value[self._steps[place - 1]] if place else 0.0
 
     def changing(self, step: int) -> float | None:
-        """Return what holds from a step on, if it is set there."""
+        """Return the value that is set at a step, None if there is no change."""
         return self._value.get(step)
 
     def set(self, step: int, value: float) -> None:
-        """Let a value hold from a step on."""
+        """Set the value that takes effect at a step."""
         self._value[step] = value
         self._steps = sorted(self._value)
 
 
 class OffsetReference:
-    """The angle wanted: what a law wants by itself at a time (s) and the offset of the step, both in rad.
+    """The desired angle: the reference of a law at a time (s) plus the offset of that step, both in rad.
 
-    The step of a time follows from the control period (ns).
+    The control period (ns) determines the step of a time.
     """
 
     def __init__(self, reference: Callable[[float], float], offsets: StepSchedule, period_ns: int) -> None:
@@ -104,17 +103,17 @@ class OffsetReference:
         self._period_ns = period_ns
 
     def __call__(self, time: float) -> float:
-        """Return the angle wanted at a time (s) that is that of a step, rad."""
+        """Return the desired angle (rad) at the time (s) of a step."""
         wanted = self._reference(time)
         if not self._offsets or not isfinite(time):
             return wanted
         return wanted + self._offsets.at(round(time * 1e9 / self._period_ns))
 
     def shift(self, step: int, offset: float) -> None:
-        """Let an offset (rad) hold from a step on."""
+        """Set the offset (rad) that takes effect at a step."""
         self._offsets.set(step, offset)
 
     def hear(self, event: SwarmEvent) -> None:
-        """Let an offset hold that an event announces; other events change nothing."""
+        """Apply the offset that an event announces; other events are ignored."""
         if event.kind == EventKind.STEERING and event.detail == REFERENCE:
             self.shift(event.step, event.value)

@@ -1,7 +1,7 @@
-"""Sums over robots that do not depend on the order of their terms, of numbers and of arrays alike.
+"""Sums over robots, given as numbers or as arrays, that do not depend on the order of their terms.
 
-A formula gives the terms of one robot by arithmetic alone. Handed columns of arrays instead of one robot's numbers, it
-gives the same bits for all of them at once.
+A formula computes the terms of one robot by arithmetic only. Applied to columns of arrays instead of the numbers of one
+robot, it computes the same bits for all robots at once.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Columns: TypeAlias = "tuple[NDArray[np.float64], ...]"
-"""Robots as arrays, one for each of their numbers."""
+"""Robots as arrays, one for each of their quantities."""
 Terms: TypeAlias = Callable[..., tuple[Any, ...]]
-"""The numbers of a robot in, its terms of several sums out; without any numbers, those of no robot."""
+"""The numbers of a robot in, its terms in several sums out; without numbers, zero terms."""
 Sums: TypeAlias = Callable[[Iterable[Any], Terms], list[float]]
-"""Robots and their terms in, the sums out: `robot_sums`, or `column_sums` where the robots are columns."""
+"""Robots and their terms in, the sums out: `robot_sums`, or `column_sums` for robots as columns."""
 
 
 def exact_sum(terms: Iterable[float]) -> float:
-    """Return the correctly rounded sum; NaN where there is none, as of infinite or overflowing terms."""
+    """Return the correctly rounded sum; NaN if it does not exist, as with infinite or overflowing terms."""
     try:
         return fsum(terms)
-    except (OverflowError, ValueError):  # of terms near the largest double, and of +inf with -inf
+    except (OverflowError, ValueError):  # terms near the largest double, or +inf with -inf
         return nan
 
 
 def term_columns(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[Sequence[float]]:
-    """Return for each sum the terms of all robots."""
+    """Return the terms of all robots, for each sum."""
     return zip(*(list(starmap(terms, robots)) or [terms()]), strict=True)
 
 
 def robot_sums(robots: Iterable[Iterable[float]], terms: Terms) -> list[float]:
-    """Return the sums over robots that are tuples of numbers."""
+    """Return the sums over robots given as tuples of numbers."""
     return [exact_sum(column) for column in term_columns(robots, terms)]
 
 
 def column_sums(robots: Iterable[Any], terms: Terms) -> list[float]:
-    """Return the sums over robots whose numbers are columns, each an array of numpy."""
+    """Return the sums over robots given as columns, which are numpy arrays."""
     return [exact_sum(column.tolist()) for column in terms(*robots)]

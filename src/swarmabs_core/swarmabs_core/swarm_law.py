@@ -1,6 +1,6 @@
-r"""What a robot commands itself (eq. nodeControlLaw, nodeControlLaw_double).
+r"""Control laws of the robots (eq. nodeControlLaw, nodeControlLaw_double).
 
-It knows its own state and the broadcasts alone.
+A robot knows only its own state and the broadcasts.
 
 With :math:`e = a_d - a` and :math:`r_i` the i-th row of the pseudo-inverse of the abstraction's Jacobian
 
@@ -14,11 +14,11 @@ integrator the force
     u_i = m_i r_i (K_p e + (K_d - C_a) \dot e - [0, 2Q] + \ddot a_d)
         + (c_i + k_{sd}) r_i \dot a_d - k_{sd} v_i
 
-The paper's pseudo-inverse lacks the 1/g, its C_a the division by S3, and its :math:`\dot\Phi \dot p_i` stands
-for the sum over the swarm, which is [0, 2Q]; this module computes the corrected forms.
+In the paper, the pseudo-inverse lacks the 1/g, C_a lacks the division by S3, and :math:`\dot\Phi \dot p_i` replaces the
+sum over the swarm, which is [0, 2Q]; this module computes the corrected forms.
 
-Installed packages can bring other laws. A law is chosen once for the whole swarm. Each robot binds it to its own
-constants when it is made; from then on it is a function of its state and of the broadcasts of one step.
+Installed packages can provide other laws. One law is selected for the whole swarm. Each robot binds it to its own
+constants on creation; from then on the law is a function of the robot's state and the broadcasts of one step.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ def pinv_row(mass: float, position: float, sums: AuxiliaryState, gravity: float)
 
 
 def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, float, float]:
-    """Return C_a, by which damping acts on the rate of the abstract state (in eq. nodeControlLaw_double, corrected).
+    """Return C_a, the effect of damping on the rate of the abstract state (in eq. nodeControlLaw_double, corrected).
 
-    It is Phi diag((c_i + k_sd)/m_i) Phi+, the diagonal being that of the double integrators, row by row: 1/s on the
-    diagonal, (N m)/(kg m^2 s) above and kg m^2/(N m s) below it. Gravity is in m/s^2; S3 must not vanish.
+    It is Phi diag((c_i + k_sd)/m_i) Phi+ over the double integrators, row by row: 1/s on the diagonal, (N m)/(kg m^2 s)
+    above and kg m^2/(N m s) below it. Gravity is in m/s^2; S3 must not vanish.
     """
     s0, s1, s2, s3 = sums.s0, sums.s1, sums.s2, sums.s3
     d0, d1, d2 = sums.d0, sums.d1, sums.d2
@@ -67,7 +67,7 @@ def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, 
 
 @dataclass(frozen=True, slots=True)
 class SwarmGains:
-    """Gains of the robots' control laws, one for the torque and one for the inertia."""
+    """Gains of the robots' control laws; pairs are for torque and inertia."""
 
     k: Pair = setting((10.0, 10.0), "K of single integrators, 1/s", above=0.0, length=2)
     kp: Pair = setting((10.0, 10.0), "Kp of double integrators, 1/s^2", above=0.0, length=2)
@@ -86,8 +86,8 @@ def single_integrator_command(
 ) -> float:
     """Return the velocity command (m/s) of a single integrator (eq. nodeControlLaw); S3 must not vanish.
 
-    Mass (kg) and position (m) are those of the robot, gravity is in m/s^2; the broadcasts are those of one step. Of the
-    gains only `k` is used.
+    Mass (kg) and position (m) are those of the robot, gravity is in m/s^2; the broadcasts are those of one step. Only
+    `k` of the gains is used.
     """
     r0, r1 = pinv_row(mass, position, sums, gravity)
     k0, k1 = gains.k
@@ -112,11 +112,11 @@ def double_integrator_command(
     Parameters
     ----------
     mass, damping, position, velocity : float
-        Of the robot, kg, N s/m, m and m/s.
+        Of the robot, in kg, N s/m, m and m/s.
     gains : SwarmGains
-        All but `k` are used.
+        All except `k` are used.
     gravity : float
-        m/s^2.
+        Acceleration of gravity, m/s^2.
     abstract, sums, desired : AbstractState, AuxiliaryState, DesiredAbstractState
         The broadcasts of one step.
     """
@@ -134,23 +134,23 @@ def double_integrator_command(
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """What a law may know of its robot, besides position and velocity."""
+    """What a law may know about its robot, in addition to position and velocity."""
 
-    kind: Kind  # how it is driven: a single integrator is commanded a velocity, a double integrator a force
+    kind: Kind  # the command of a single integrator is a velocity, that of a double integrator a force
     mass: float  # kg
-    damping: float  # N s/m; 0 of a single integrator
-    gains: SwarmGains  # the swarm's; the sums D that are broadcast contain their ksd
+    damping: float  # N s/m; 0 for a single integrator
+    gains: SwarmGains  # of the swarm; the broadcast sums D contain their ksd
     gravity: float  # m/s^2
     period: float  # control period for which a command is held, s
 
 
 class SwarmLaw(Part[Robot, Command]):
-    """A swarm law, which makes the function of one robot; `name` is the value of ``swarm.law.type`` in a scenario."""
+    """A swarm law, which creates the function of one robot; `name` is the value of ``swarm.law.type`` in a scenario."""
 
 
-def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - its gains are the swarm's
+def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - it uses the gains of the swarm
     mass, damping, gains, gravity = robot.mass, robot.damping, robot.gains, robot.gravity
-    if robot.kind is Kind.SINGLE_INTEGRATOR:  # whose velocity is the command of the step before
+    if robot.kind is Kind.SINGLE_INTEGRATOR:  # its velocity is the command of the previous step
         return lambda position, _, abstract, sums, desired: single_integrator_command(
             mass, position, gains, gravity, abstract, sums, desired
         )
@@ -159,6 +159,6 @@ def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - 
     )
 
 
-PAPER = SwarmLaw("paper", (), _make_paper, "the paper's laws, each robot by its kind")
+PAPER = SwarmLaw("paper", (), _make_paper, "the paper's laws, by the kind of each robot")
 
 LAWS = Registry("swarm law", "swarmabs.swarm_laws", SwarmLaw, (PAPER,), ("__call__",))

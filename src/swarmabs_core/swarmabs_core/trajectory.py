@@ -2,9 +2,9 @@ r"""Reference trajectories of the plane's angle, with the derivatives that ARISE
 
 The smooth curve through the rows of a table is a quintic spline at rest at both ends: the interpolant with continuous
 derivatives up to the fourth that minimises :math:`\int (y''')^2`, with first and second derivative 0 at both ends. Two
-rows give the quintic step. Unknown are first and second derivative at the inner knots; that third and fourth derivative
-do not jump there is a symmetric, positive definite, block tridiagonal system, which Gaussian elimination solves without
-pivoting, by arithmetic alone: the same bits on every machine.
+rows give the quintic step. The unknowns are the first and second derivatives at the inner knots. Continuity of the
+third and fourth derivatives there is a symmetric, positive definite, block tridiagonal system, which Gaussian
+elimination without pivoting solves by basic arithmetic only: the same bits on every machine.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Pair = tuple[float, float]
 Coefficients = tuple[float, float, float, float, float, float]
 
 SHORTEST = 1e-3
-"""Shortest time between two rows, s: its fifth power divides."""
+"""Shortest time between two rows, s: the coefficients are divided by its fifth power."""
 
 
 class Trajectory(Protocol):
-    """Reference of the plane's angle."""
+    """Reference trajectory of the plane's angle."""
 
     def derivatives(self, time: float) -> Derivatives:
         """Return th_d and its first four derivatives (rad, rad/s, ... rad/s^4) at a time in s."""
@@ -89,7 +89,7 @@ class QuinticStep:
     duration: float = setting(5.0, "duration of the step, s", above=0.0)
 
     def derivatives(self, time: float) -> Derivatives:
-        """Return th_d and its first four derivatives at a time in s; third and fourth jump at both ends."""
+        """Return th_d and its first four derivatives at a time in s; the third and fourth jump at both ends."""
         s = (time - self.start_time) / self.duration
         if not 0.0 <= s < 1.0:
             return self.start_angle if s < 0.0 else self.end_angle, 0.0, 0.0, 0.0, 0.0
@@ -105,19 +105,24 @@ class QuinticStep:
 
 
 class QuinticSpline:
-    """The curve y(t) through rows (t, y); before the first and after the last it stays where they are.
+    """The curve y(t) through rows (t, y); it is constant before the first and after the last.
 
-    Two rows or more with finite numbers, whose times increase by at least `SHORTEST` s; others are an `InputError`.
+    There must be at least two rows of finite numbers, with times that increase by at least `SHORTEST` s; otherwise an
+    `InputError` is raised.
     """
 
     def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
         if len(times) != len(values) or len(times) < 2:
-            raise InputError(f"{len(times)} times and {len(values)} values make no curve; give two rows or more")
+            raise InputError(
+                f"{len(times)} times and {len(values)} values do not define a curve; give equally many, at least two"
+            )
         for earlier, later in pairwise(times):
             if not later - earlier >= SHORTEST:
-                raise InputError(f"time {later!r} s follows {earlier!r} s; let the times increase by {SHORTEST} s")
+                raise InputError(
+                    f"time {later!r} s follows {earlier!r} s; times must increase by at least {SHORTEST} s"
+                )
         if not all(isfinite(number) for number in (*times, *values)):
-            raise InputError("a number that is not finite; give finite times and values")
+            raise InputError("a time or a value is not finite; give finite numbers")
         self._times = tuple(times)
         slopes = _slopes(times, values)
         self._pieces = [
@@ -143,7 +148,7 @@ class QuinticSpline:
 
 
 class _Matrix(NamedTuple):
-    """A matrix of two rows and two columns, row by row."""
+    """A 2x2 matrix, row by row."""
 
     a: float
     b: float
@@ -167,7 +172,7 @@ class _Matrix(NamedTuple):
 
 
 def _piece(h: float, start: tuple[float, float, float], end: tuple[float, float, float]) -> Coefficients:
-    """Return the quintic over an interval of length h with value and two derivatives given at both ends."""
+    """Return the quintic over an interval of length h from value and first two derivatives at both ends."""
     y0, v0, a0 = start
     rise = end[0] - y0 - h * (v0 + 0.5 * h * a0)
     slope = h * (end[1] - v0 - h * a0)
@@ -184,7 +189,7 @@ def _piece(h: float, start: tuple[float, float, float], end: tuple[float, float,
 
 
 def _slopes(times: Sequence[float], values: Sequence[float]) -> list[Pair]:
-    """Return first and second derivative at every knot: block elimination, then substitution backwards."""
+    """Return the first and second derivatives at every knot by block elimination and back substitution."""
     inner = range(1, len(times) - 1)
     eliminated: list[tuple[_Matrix, Pair]] = []
     previous, known = _Matrix(0.0, 0.0, 0.0, 0.0), (0.0, 0.0)
@@ -214,7 +219,7 @@ def _slopes(times: Sequence[float], values: Sequence[float]) -> list[Pair]:
 
 
 def _coupling(k: float) -> _Matrix:
-    """Return how the derivatives at the end of an interval of length 1/k enter the equations of its beginning."""
+    """Return the coefficients of the derivatives at the end of an interval of length 1/k in its first equations."""
     return _Matrix(168.0 * k * k * k, -24.0 * k * k, 24.0 * k * k, -3.0 * k)
 
 
@@ -231,16 +236,16 @@ TRAJECTORY = (
     Parameter("trajectory.times", (0.0, 1.0), "times of the rows of csv, increasing, s", minimum=0.0),
     Parameter("trajectory.angles", (0.0, 0.0), "angles of the rows of csv, rad", minimum=-1.5, maximum=1.5),
 )
-"""What a controller that follows a trajectory adds to its settings; a scenario then has ``controller.trajectory``."""
+"""Settings of a controller that follows a trajectory; they appear in a scenario as ``controller.trajectory``."""
 
 
 def make_trajectory(settings: Settings) -> Trajectory:
-    """Make the trajectory that the settings of a controller with `TRAJECTORY` describe.
+    """Create the trajectory described by the settings of a controller with `TRAJECTORY`.
 
     Raises
     ------
     InputError
-        If the rows of a csv trajectory make no curve.
+        If the rows of a csv trajectory do not define a curve.
     """
     for each in _DECLARED:
         if settings["trajectory.type"] == each.type:

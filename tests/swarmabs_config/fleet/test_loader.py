@@ -118,9 +118,9 @@ FIELDS = [
     (SINGLE, PLUGIN + "{a: {}}}", "robots.0.drive.settings"),
     ("name: one", "name: one\nset: {'a b': 1}", "set.a b: 'a b' is not a dotted path"),
     (SINGLE, TOPICS + "gravity: imu}", "robots.0.drive: gravity does not act on a single integrator; remove"),
-    (SINGLE, TOPICS + "command: joint}", "robots.0.drive.joint.name: there is none; give the name of the joint"),
+    (SINGLE, TOPICS + "command: joint}", "robots.0.drive.joint.name: it is empty; give the name of the joint"),
     (SINGLE, TOPICS + "joint: {scale: 0.0}}", "robots.0.drive.joint.scale: 0 is not allowed; give m or m/rad"),
-    (SINGLE, TOPICS + "reversed: true}", "robots.0.drive.reversed: the orientation in an odometry says which way"),
+    (SINGLE, TOPICS + "reversed: true}", "robots.0.drive.reversed: the orientation in the odometry"),
     (DOUBLE, TOPICS + "max_jmp: 1}", "robots.1.drive.max_jmp: unknown key 'max_jmp'; did you mean 'max_jump'?"),
     (DOUBLE, TOPICS + "age_limit: 0}", "robots.1.drive.age_limit: 0 is out of range; give a number > 0"),
 ]

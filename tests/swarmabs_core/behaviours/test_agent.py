@@ -109,7 +109,7 @@ def test_acts_on_the_complete_set_of_a_step_in_any_order() -> None:
             ConflictError, match=f"{msg.TOPIC_OF[type(order[0])].name}: two different messages of step 0"
         ):
             node.handle(order[0]._replace(stamp=1))
-        with pytest.raises(UnexpectedMessageError, match="agent 3: a PlaneState was delivered"):
+        with pytest.raises(UnexpectedMessageError, match="agent 3: received PlaneState"):
             node.handle(msg.PlaneState(0, 0, 0.0, 0.0))
         assert list(node.handle(order[2])) == expected
         assert node.missing()[0] == 1

@@ -95,7 +95,7 @@ def test_every_step_is_answered_once_and_what_no_correct_peer_sends_is_refused()
     node, _ = controller([0.1] * 3, window=1)
     with pytest.raises(StepAheadError, match="plane/state: step 0 expected, 1 received"):
         node.handle(plane(1))
-    with pytest.raises(UnexpectedMessageError, match="parent controller: a AgentState was delivered"):
+    with pytest.raises(UnexpectedMessageError, match="parent controller: received AgentState"):
         node.handle(agent_state(1))
     node.handle(plane(0))
     assert node.handle(plane(1)) == ()

@@ -124,7 +124,7 @@ def test_an_end_that_the_observer_tells_holds_unless_the_plane_has_moved_on() ->
     dead = msg.SwarmEvent(PERIOD_NS, 1, 3, msg.EventKind.DEAD, 0.3, "silent")
     node = plane()
     feed(node, robots(0) + robots(1))
-    with pytest.raises(RunError, match=r"robot 3 is said to be out from step 1 on \(silent\), and the plane has moved"):
+    with pytest.raises(RunError, match=r"robot 3 is reported to be out from step 1 on \(silent\), but the plane has"):
         node.handle(dead)
     node = plane()
     feed(node, robots(0))

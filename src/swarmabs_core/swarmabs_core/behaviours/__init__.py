@@ -1,4 +1,4 @@
-"""What the nodes do, as pure state machines: messages in, messages out; no ROS, no clock, no I/O."""
+"""The behaviour of the nodes as pure state machines: messages in, messages out; no ROS, no clock, no I/O."""
 
 from swarmabs_core.behaviours.agent import Agent, AgentConfig, AgentGroup, LifeSpan
 from swarmabs_core.behaviours.base import Behaviour

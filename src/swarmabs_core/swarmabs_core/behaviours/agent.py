@@ -53,12 +53,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LifeSpan:
-    """When a robot takes part: its first step, and how and with which step it ends, if planned."""
+    """The steps in which a robot takes part, and its planned end, if any."""
 
     first_step: int = setting(0, "step at which the robot joins", minimum=0)
     end: ChangeKind | None = setting(
         None,
-        "how the robot ends by plan",
+        "planned end of the robot",
         choices=("none", *(kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN)),
         unset="none",
         make=ChangeKind,
@@ -69,9 +69,9 @@ class LifeSpan:
 
 @dataclass(frozen=True, slots=True)
 class RobotConfig:
-    """What a robot is and knows, whatever makes its steps."""
+    """Configuration of a robot in lockstep and in real time."""
 
-    agent_id: int = setting(1, "number of the robot, 1 to 65535", minimum=1, maximum=65535)
+    agent_id: int = setting(1, "id of the robot, 1 to 65535", minimum=1, maximum=65535)
     kind: Kind = setting(
         Kind.SINGLE_INTEGRATOR,
         "dynamics of the robot",
@@ -80,33 +80,33 @@ class RobotConfig:
         say=lambda kind: kind.name.lower(),
     )
     mass: float = setting(0.5, "mass, kg", above=0.0)
-    damping: float = setting(0.0, "viscous damping c of its motion, N s/m; 0 is legal", minimum=0.0)
+    damping: float = setting(0.0, "viscous damping c of its motion, N s/m; may be 0", minimum=0.0)
     position: float = setting(0.0, "initial position on the plane, 0 at the axis, m")
     velocity: float = setting(0.0, "initial velocity, m/s")
     gravity: float = same(Plane, "gravity")
     plane_length: float = same(Plane, "length")
     gains: SwarmGains = part(SwarmGains)
     limits: Limits = part(Limits)
-    law: str = choice(LAWS.find, LAWS.built_in, PAPER.name, "law of the swarm")
+    law: str = choice(LAWS.find, LAWS.built_in, PAPER.name, "control law of the robots")
     law_settings: Settings = field(default_factory=dict, hash=False)
 
     def refuse_contradictions(self) -> None:
-        """Refuse what a robot of its kind does not have; a body that something else moves may have it all the same.
+        """Reject settings that do not apply to the robot's kind, unless an external drive moves its body.
 
         Raises
         ------
         InputError
-            If a single integrator has a damping or a velocity.
+            If a single integrator has damping or an initial velocity.
         """
         if self.kind is Kind.SINGLE_INTEGRATOR:
             for name, value in (("damping", self.damping), ("velocity", self.velocity)):
                 if value:
-                    raise InputError(f"parameter {name}: a single integrator has none; leave it out")
+                    raise InputError(f"parameter {name}: not applicable to a single integrator; omit it")
 
 
 @dataclass(frozen=True, slots=True)
 class AgentConfig(RobotConfig):
-    """Configuration of a robot."""
+    """Configuration of a robot in lockstep."""
 
     period_ns: int = same(Run, "period_ns")
     life: LifeSpan = part(LifeSpan, name="")
@@ -121,26 +121,26 @@ class AgentConfig(RobotConfig):
 
 
 class Agent:
-    """One robot of the swarm. It never learns of any other.
+    """One robot of the swarm. It has no knowledge of other robots.
 
     Parameters
     ----------
     drive : Drive, optional
-        What moves the robot, if it is not the ideal drive of its kind.
+        Drive of the robot; the default is the ideal drive of its kind.
     packed : bool
-        Whether it hears the three broadcasts of a step as one message, which wakes it less often.
+        Whether it receives the three broadcasts of a step as one message, which wakes it less often.
     steered : bool
-        Whether the run is steered; then a robot without a planned time to join waits for the order that adds it.
+        Whether the run is steered; if so, a robot without a planned join waits for the order that adds it.
 
     Attributes
     ----------
     needs : tuple of Topic
-        The topics to which the robot listens.
+        The topics to which the robot subscribes.
 
     Raises
     ------
     InputError
-        If there is no such law, or it refuses its settings.
+        If there is no such law, or its settings are invalid.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class Agent:
         length = config.plane_length
         self._controller = RobotController(robot, config.law, config.law_settings, config.limits, length)
         self._drive = drive or self._controller.ideal
-        # The message that comes last is waited for first: then the others are there already.
+        # The message expected last is awaited first; the others have usually arrived by then.
         apart = (DESIRED_ABSTRACT_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
         self._topics: tuple[Topic, ...] = (BROADCAST,) if packed else apart
         if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR:
@@ -168,21 +168,23 @@ class Agent:
         self._command = 0.0
         self._sensor = None if config.sensor.perfect else config.sensor
         self._lag = Lag.of(config.kind, config.actuator_lag, period, config.mass, config.damping)
-        self._actual = 0.0  # what a drive that lags makes of the command so far
+        self._actual = 0.0  # output of a drive with lag
         self._broadcast_step = NEVER
         self._status = Status.ACTIVE
         self._limited = False
 
     def _begin(self, first_step: int) -> None:
         self._joined = first_step == 0
-        self._step = first_step if self._joined else first_step - 1  # a newcomer waits for the step before its first
+        self._step = (
+            first_step if self._joined else first_step - 1
+        )  # a robot that joins waits for the step before its first
 
     def start(self) -> Messages:
         """Publish the initial state, unless the robot joins later."""
         return self._transmission.published((self._state(),)) if self._joined else ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a broadcast; with the last one of the step answer the robot's next state."""
+        """Take a broadcast; return the robot's next state when the broadcasts of the step are complete."""
         topic = TOPIC_OF[type(message)]
         if topic not in self.needs:
             raise UnexpectedMessageError(f"agent {self._config.agent_id}", message)
@@ -195,7 +197,7 @@ class Agent:
         return answers
 
     def _steer(self, order: Steering) -> None:
-        """Join if this robot is added."""
+        """Join if the order adds this robot."""
         if self._absent and order.action == Action.ADD and order.agent_id == self._config.agent_id:
             self._absent = False
             self._config = replace(self._config, life=LifeSpan(order.step))
@@ -208,7 +210,7 @@ class Agent:
         return self._transmission.published(self._advance()) if len(self._heard) == len(self._topics) else ()
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for the one broadcast that is expected last among those missing; for orders if it is not there yet."""
+        """Wait for the missing broadcast that is expected last, or for orders while the robot is absent."""
         if self._absent:
             return (STEERING,)
         if self._ended:
@@ -216,7 +218,7 @@ class Agent:
         return next(((topic,) for topic in self._topics if topic not in self._heard), ())
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and the topics not yet heard; none as long as the robot is not there."""
+        """Return the current step and the missing topics; none while the robot is absent."""
         if self._absent:
             return UNPLANNED, ()
         return self._step, tuple(topic.name for topic in self._topics if topic not in self._heard)
@@ -239,7 +241,7 @@ class Agent:
         )
 
     def _advance(self) -> Messages:
-        """Compute the command of the step, move for a period and publish the state at its end."""
+        """Compute the command of the step, move for a period and return the state at its end."""
         config, heard = self._config, self._heard
         if self._step == config.last_step or (self._joined and self._step == config.life.end_step):
             self._ended = True
@@ -266,7 +268,7 @@ class Agent:
         return Broadcast(desired.stamp, self._step, abstract, sums, desired)
 
     def _move(self, plane: Message | None) -> None:
-        """Move for a period under the command, and the weight if the robot feels it."""
+        """Move for a period under the command and, if configured, gravity."""
         force = self._command
         if plane is not None:
             force += self._weight(plane)
@@ -278,20 +280,20 @@ class Agent:
             self._actual = self._command + self._lag.decay * gap
 
     def _sensed(self) -> tuple[float, float]:
-        """Return position (m) and velocity (m/s) as the robot measures them."""
+        """Return the position (m) and velocity (m/s) that the robot measures."""
         if self._sensor is None:
             return self._position, self._velocity
         draw = f"{self._config.seed}:{self._step}:{self._config.agent_id}"
         return self._sensor.measure(self._position, self._velocity, draw)
 
     def _weight(self, plane: Message) -> float:
-        """Return the force of gravity and rotation along the plane, N, held over the period."""
+        """Return the force of gravity and rotation along the plane (N), held over the period."""
         assert isinstance(plane, PlaneState)  # noqa: S101 - kept by topic
         config, w = self._config, plane.angular_velocity
         return config.mass * (self._position * w * w - config.gravity * sin(plane.angle))
 
     def _decide(self) -> Messages:
-        """Update command, the step of the broadcasts that it rests on, and status; return the events."""
+        """Update command, broadcast step and status; return the events."""
         heard = self._reception.newest
         if heard is None:
             self._command, self._broadcast_step = 0.0, NEVER
@@ -320,20 +322,20 @@ class Agent:
         return (self._event(kind, 0.0, detail),)
 
     def _event(self, kind: EventKind, value: float, detail: str) -> SwarmEvent:
-        """Return an event that holds from the state on that is about to be published."""
+        """Return an event that holds from the next published state on."""
         step = self._step + 1
         return SwarmEvent(step * self._config.period_ns, step, self._config.agent_id, kind, value, detail)
 
 
 class AgentGroup:
-    """Robots in one process, for swarms larger than a machine has room for processes.
+    """Several robots in one process, for swarms with too many robots for one process each.
 
-    They share subscriptions and nothing else: each is its own state machine and hears the broadcasts alone.
+    They share only their subscriptions: each is a separate state machine that receives nothing but the broadcasts.
 
     Attributes
     ----------
     needs : tuple of Topic
-        The topics to which the robots listen.
+        The topics to which the robots subscribe.
     """
 
     def __init__(self, configs: Sequence[AgentConfig], *, packed: bool = False, steered: bool = False) -> None:
@@ -342,18 +344,18 @@ class AgentGroup:
         self._listeners = {topic: [a for a in self._agents if topic in a.needs] for topic in self.needs}
 
     def start(self) -> Messages:
-        """Publish the initial states of the robots that are there from the beginning."""
+        """Publish the initial states of the robots that take part from the start."""
         return tuple(message for agent in self._agents for message in agent.start())
 
     def handle(self, message: Message) -> Messages:
-        """Hand a broadcast to every robot; with the last one of the step answer their next states."""
+        """Pass a broadcast to every robot; return their next states when the broadcasts of the step are complete."""
         listeners = self._listeners[TOPIC_OF[type(message)]]
         return tuple(answer for agent in listeners for answer in agent.handle(message))
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for whatever a robot waits for; empty when all have finished."""
+        """Wait for all topics that any robot waits for; empty when all have finished."""
         return tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.awaits()))
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the first step that a robot waits in, and what is missing for it."""
+        """Return the earliest step in which a robot waits, and what it waits for."""
         return min((agent.missing() for agent in self._agents if agent.awaits()), default=self._agents[0].missing())

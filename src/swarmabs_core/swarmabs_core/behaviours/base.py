@@ -1,4 +1,4 @@
-"""What the nodes' behaviours have in common: settings of the run, errors, gathering of the robots' states."""
+"""Common parts of the nodes' behaviours: settings of the run, errors, gathering of the robots' states."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What nodes must know of the run in which they take part; each declares of it what it needs."""
+    """Settings of a run that nodes share; each node declares those that it needs."""
 
     period_ns: int = setting(10_000_000, "control period, ns", minimum=1)
-    last_step: int | None = setting(None, "step with which the run ends", unset=-1)
+    last_step: int | None = setting(None, "last step of the run", unset=-1)
     members: tuple[int, ...] = setting((1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
     schedule: tuple[Change, ...] = setting(
         (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'", make=Change.parse
     )
-    seed: int = setting(1, "seed of the losses and the noise drawn during the run", minimum=0, below=2**63)
+    seed: int = setting(1, "seed of random faults and noise during the run", minimum=0, below=2**63)
     actuator_lag: float = setting(
-        0.0, "time constant with which velocity or force follows the command, s; 0: at once", minimum=0.0
+        0.0, "time constant with which velocity or force follows the command, s; 0: no lag", minimum=0.0
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Lockstep:
-    """What happens when a robot does not answer."""
+    """Reaction to a robot that does not answer."""
 
     on_stall: str = setting(
         "fail",
-        "fail: the run fails; drop: the robot is taken out as if it had been killed",
+        "fail: the run fails; drop: the robot is dropped as if it had been killed",
         choices=("fail", "drop"),
     )
-    stall_timeout: float = setting(5.0, "wall time without an answer that is a stall, s", above=0.0)
+    stall_timeout: float = setting(5.0, "wall time without an answer after which a robot has stalled, s", above=0.0)
 
 
 class Behaviour(Protocol):
-    """A node as a state machine. Its driver publishes its answers, in that order."""
+    """A node as a state machine. Its driver publishes the returned messages in order."""
 
     def start(self) -> Messages:
-        """Return what is to be published before anything was received."""
+        """Return the messages to publish before anything is received."""
         ...
 
     def handle(self, message: Message) -> Messages:
-        """Take a message; a repeated or outdated one changes nothing.
+        """Take a message and return the messages to publish; a repeated or outdated message changes nothing.
 
         Raises
         ------
@@ -62,16 +62,16 @@ class Behaviour(Protocol):
         ...
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Return the topics on which a message is awaited now; empty if this node has finished."""
+        """Return the topics on which messages are currently awaited; empty if this node has finished."""
         ...
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the step that is waited for and what is missing for it, for people."""
+        """Return the awaited step and, in readable form, what is missing for it."""
         ...
 
 
 class StepAheadError(ProtocolError):
-    """A message of a step that cannot have begun yet."""
+    """A message of a step that cannot have started yet."""
 
     def __init__(self, source: str, *, got: int, expected: int) -> None:
         super().__init__(f"{source}: step {expected} expected, {got} received; is a second swarm in this namespace?")
@@ -85,24 +85,24 @@ class UnknownAgentError(ProtocolError):
 
 
 class ConflictError(ProtocolError):
-    """Two different messages where there can be one only."""
+    """Two different messages where there can be only one."""
 
     def __init__(self, source: str, step: int) -> None:
         super().__init__(f"{source}: two different messages of step {step}; is a second swarm in this namespace?")
 
 
 class NegativeTimeError(ProtocolError):
-    """A message from before the beginning of the run."""
+    """A message from before the start of the run."""
 
     def __init__(self, source: str, step: int, stamp: int) -> None:
-        super().__init__(f"{source}: the message of step {step} has a time stamp of {stamp} ns; no run begins before 0")
+        super().__init__(f"{source}: the message of step {step} has a time stamp of {stamp} ns; no run starts before 0")
 
 
 class UnexpectedMessageError(ProtocolError):
-    """A message on a topic to which this node does not listen."""
+    """A message on a topic to which this node does not subscribe."""
 
     def __init__(self, node: str, message: Message) -> None:
-        super().__init__(f"{node}: a {type(message).__name__} was delivered, which this node does not use")
+        super().__init__(f"{node}: received {type(message).__name__}, which this node does not use")
 
 
 def refuse_conflict(known: Message, message: Message, source: str) -> None:
@@ -111,19 +111,19 @@ def refuse_conflict(known: Message, message: Message, source: str) -> None:
     Raises
     ------
     ConflictError
-        If it differs. Bytes decide, since a repeated NaN is the same although it equals nothing.
+        If it differs. Bytes are compared, because NaN does not equal itself.
     """
     if known is not message and known != message and encode(known) != encode(message):
         raise ConflictError(source, message.step)
 
 
 def is_new(message: Message, known: Message | None, expected: int, source: str) -> bool:
-    """Tell whether a message is the first of the step that is expected; an earlier or a repeated one is not.
+    """Return whether a message is the first one of the expected step; an earlier or repeated one is not.
 
     Raises
     ------
     StepAheadError, ConflictError
-        If its step cannot have begun yet, or it differs from the one that is known.
+        If its step cannot have started yet, or it differs from the known one.
     """
     if message.step > expected:
         raise StepAheadError(source, got=message.step, expected=expected)
@@ -135,9 +135,9 @@ def is_new(message: Message, known: Message | None, expected: int, source: str) 
 
 
 class Gathering:
-    """Collects the robots' states of one step until every member's is there.
+    """Collects the robots' states of one step until those of all members have arrived.
 
-    The membership says whose state is waited for; it learns of robots that say that they leave.
+    The membership determines whose states are awaited; it is updated when a robot announces that it leaves.
     """
 
     def __init__(self, membership: Membership) -> None:
@@ -147,16 +147,16 @@ class Gathering:
 
     @property
     def step(self) -> int:
-        """The step that is gathered."""
+        """The step being gathered."""
         return self._step
 
     def add(self, state: AgentState) -> None:
-        """Take a state; late and repeated ones change nothing.
+        """Take a state; a late or repeated one changes nothing.
 
         Raises
         ------
         UnknownAgentError, StepAheadError, ConflictError
-            If the robot is not a member, its step cannot have begun yet, or another state of it is there.
+            If the robot is not a member, its step cannot have started yet, or a different state of it is known.
         """
         agent_id, step = state.agent_id, state.step
         if not self._membership.publishes(agent_id, step):
@@ -170,7 +170,7 @@ class Gathering:
             self._membership.end(agent_id, step, stays=False, reason="left")
 
     def complete(self) -> bool:
-        """Tell whether every member's state is there."""
+        """Return whether the states of all members have arrived."""
         members = self._membership.publishing(self._step)
         states = self._states
         return len(states) >= len(members) and all(agent_id in states for agent_id in members)
@@ -180,7 +180,7 @@ class Gathering:
         return tuple(i for i in self._membership.publishing(self._step) if i not in self._states)
 
     def take(self) -> list[AgentState]:
-        """Return the states of the complete step by ascending id, and turn to the next step."""
+        """Return the states of the complete step by ascending id, and advance to the next step."""
         states = [self._states[i] for i in self._membership.publishing(self._step)]
         self._step += 1
         self._states = {}

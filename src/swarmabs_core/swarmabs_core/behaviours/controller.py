@@ -45,12 +45,12 @@ class ControllerConfig:
     period_ns: int = same(Run, "period_ns")
     manifold: Manifold = part(Manifold)
     recording_window: int = setting(
-        0, "how many steps the run may be ahead of the recorder; 0: not recorded", minimum=0
+        0, "number of steps that the run may be ahead of the recorder; 0: not recorded", minimum=0
     )
     last_step: int | None = same(Run, "last_step")
     offsets: tuple[StepChange, ...] = setting(
         (),
-        "what is added to the law's reference, rad, each 'STEP VALUE' from a step on: '500 0.1'",
+        "offsets of the law's reference, rad, each 'STEP VALUE' from a step on, such as '500 0.1'",
         make=StepChange.parse,
     )
     law: ParentLaw = part(ParentLaw, name="")
@@ -62,7 +62,7 @@ class Controller:
     Parameters
     ----------
     packed : bool
-        Whether it hears the observer's broadcasts, too, and sends the three of a step as one message besides.
+        Whether it also receives the observer's broadcasts and publishes the three of a step as one message.
     """
 
     def __init__(self, config: ControllerConfig, law: ParentController, *, packed: bool = False) -> None:
@@ -76,13 +76,13 @@ class Controller:
         self._written = -1
 
     def start(self) -> Messages:
-        """Publish nothing: the plane begins."""
+        """Publish nothing: the plane starts."""
         return ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a plane state or the recorder's progress; answer the desired abstract state of the step.
+        """Take a plane state or the recorder's progress; return the desired abstract state of the step.
 
-        Where broadcasts are packed, take the observer's, and answer with the last of the three the packed one, too.
+        With packed broadcasts, also take those of the observer, and return the packed one once all three are known.
         """
         if isinstance(message, PlaneState):
             if is_new(message, self._plane, self._step, PLANE_STATE.name):
@@ -100,13 +100,13 @@ class Controller:
         return (*answer, *self._pack())
 
     def steer(self, order: Steering) -> None:
-        """Take over an offset of the reference that is ordered from outside."""
+        """Apply an ordered offset of the reference."""
         if order.action == Action.REFERENCE:
             self._offsets.set(order.step, order.value)
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, then, if the recorder is too far behind, for the recorder."""
-        if self._answered:  # what the observer has broadcast meanwhile
+        if self._answered:  # the broadcasts of the observer for the same step
             return (ABSTRACT_STATE,) if ABSTRACT_STATE not in self._parts else (AUXILIARY_STATE,)
         last = self._config.last_step
         if last is not None and self._step > last:
@@ -114,14 +114,14 @@ class Controller:
         return (PLANE_STATE,) if self._plane is None else (RECORDING_PROGRESS,)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and who is waited for."""
+        """Return the current step and the awaited node."""
         if self._answered:
             return self._packing_step, ("abstraction_observer",)
         return self._step, ("plane_sim",) if self._plane is None else ("recorder",)
 
     @property
     def _answered(self) -> bool:
-        """Whether the answer of a step waits to be packed with the observer's broadcasts."""
+        """Whether the desired state of a step waits to be packed with the observer's broadcasts."""
         return DESIRED_ABSTRACT_STATE in self._parts
 
     @property

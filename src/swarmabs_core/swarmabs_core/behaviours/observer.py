@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ObserverConfig:
-    """Configuration of the observer, and what it knows of the plane if it watches it."""
+    """Configuration of the observer, including the properties of the plane that its torque estimate requires."""
 
     members: tuple[int, ...] = same(Run, "members")
     period_ns: int = same(Run, "period_ns")
@@ -53,15 +53,14 @@ class ObserverConfig:
 
     @property
     def watches_plane(self) -> bool:
-        """Whether the plane's motion says where the torque comes from."""
+        """Whether the torque is estimated from the plane's motion."""
         return self.type == ParentResponse.type
 
 
 class Observer:
-    """Sums the swarm up, once every member of a step was heard. It alone decides who is a member.
+    """Sums up the swarm once the states of all members of a step have arrived. It alone decides on membership.
 
-    If the torque is to be taken from the plane's response, inertia, sums and membership are those of the robots all the
-    same.
+    With the disturbance-observer estimate of the torque, inertia, sums and membership still come from the robots.
     """
 
     def __init__(self, config: ObserverConfig) -> None:
@@ -77,13 +76,13 @@ class Observer:
         self._standing: dict[int, Weight] = {}
 
     def start(self) -> Messages:
-        """Publish nothing: the robots begin."""
+        """Publish nothing: the robots start."""
         return ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a robot's state; with the last one of a step answer events, abstract and auxiliary state.
+        """Take a robot's state; return events, abstract and auxiliary state when a step is complete.
 
-        With a model of the plane its state is waited for, too.
+        If the torque is estimated from the plane's motion, the plane's state is awaited, too.
         """
         if isinstance(message, AgentState):
             self._gathering.add(message)
@@ -95,35 +94,35 @@ class Observer:
         return self._proceed()
 
     def steer(self, order: Steering) -> None:
-        """Take over a change of the membership that is ordered from outside."""
+        """Apply an ordered change of the membership."""
         if (change := change_of(order)) is not None:
             self._membership.plan(change)
 
     def drop(self, agents: Iterable[int], reason: str) -> Messages:
-        """Declare robots dead from the current step on: they are taken to stand where they last were."""
+        """Declare robots dead from the current step on: they are assumed at rest at their last positions."""
         for agent_id in agents:
             self._membership.end(agent_id, self._gathering.step - 1, stays=True, reason=reason)
         return self._proceed()
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for robots' states, and for the plane's if it is watched."""
+        """Wait for the states of robots, and for that of the plane if its motion is used."""
         if self._finished():
             return ()
         return (AGENT_STATE,) if self._estimator is None else (AGENT_STATE, PLANE_STATE)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step, and the robots not yet heard, or else the plane."""
+        """Return the current step, and the missing robots, or else the plane."""
         robots = tuple(f"agent {i}" for i in self._gathering.missing())
         return self._gathering.step, robots or (() if self._estimator is None else ("plane_sim",))
 
     def missing_agents(self) -> tuple[int, ...]:
-        """Return the ids of the robots not yet heard in the current step."""
+        """Return the ids of the robots whose states of the current step are missing."""
         return self._gathering.missing()
 
     def silent_agents(self) -> tuple[int, ...]:
-        """Return the ids of the robots not yet heard in a step in which others were heard.
+        """Return the ids of the robots whose states are missing in a step in which others have arrived.
 
-        None if nobody was: then it is not the robots who are waited for, but somebody for whom they all wait.
+        If no state has arrived, return no ids: then all robots wait for another node.
         """
         missing = self._gathering.missing()
         heard = len(missing) < len(self._membership.publishing(self._gathering.step))
@@ -134,7 +133,7 @@ class Observer:
         return last is not None and self._gathering.step > last
 
     def _proceed(self) -> Messages:
-        """Say at once who is no member any more, since the plane may wait for it; sum up when all is there."""
+        """Announce membership changes at once, because the plane may wait for them; sum up once all has arrived."""
         if self._finished() or not self._gathering.complete():
             return ()
         events: Messages = ()
@@ -151,7 +150,7 @@ class Observer:
         stamp = step * config.period_ns
         states = self._gathering.take()
         if not self._finished() and not self._membership.publishing(self._gathering.step):
-            raise RunError(f"step {self._gathering.step}: no robot is left that takes part in the run")
+            raise RunError(f"step {self._gathering.step}: no robot is left in the run")
         weights = [Weight(s.mass, s.position, s.velocity) for s in states]
         weights.extend(self._standing.values())
         followers = [s for s in states if s.status == Status.ACTIVE]
@@ -164,7 +163,7 @@ class Observer:
         return abstract, sums
 
     def _announce(self) -> Messages:
-        """Return the changes of the membership that hold from the current step on."""
+        """Return events for the membership changes that take effect at the current step."""
         step = self._gathering.step
         stamp = step * self._config.period_ns
         events = []

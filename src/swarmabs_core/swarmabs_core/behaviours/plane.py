@@ -31,7 +31,7 @@ from swarmabs_core.sensing import measured_plane
 from swarmabs_core.steering import DISTURBANCE, StepChange, StepSchedule, change_of
 
 CURVED_FROM = 0.25
-"""Lag, in control periods, from which on a single integrator's path is better told by a cubic than by a line."""
+"""Lag, in control periods, above which a cubic describes a single integrator's path better than a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +46,17 @@ class PlaneConfig:
     seed: int = same(Run, "seed")
     actuator_lag: float = same(Run, "actuator_lag")
     lies: tuple[Falsification, ...] = setting(
-        (), "injected lies of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Falsification.parse
+        (), "falsified states of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Falsification.parse
     )
     torques: tuple[StepChange, ...] = setting(
         (),
-        "constant torque, N m, that disturbs the plane, each 'STEP VALUE' from a step on: '500 0.1'",
+        "constant torques that disturb the plane, N m, each 'STEP VALUE' from a step on, such as '500 0.1'",
         make=StepChange.parse,
     )
 
 
 class _Load(NamedTuple):
-    """A robot on the plane at the last step."""
+    """A robot on the plane in the last step."""
 
     kind: int
     mass: float
@@ -65,7 +65,7 @@ class _Load(NamedTuple):
 
 
 class Plane:
-    """Integrates the plane over a period, once the robots' states at its end are known."""
+    """Integrates the plane over a period once the robots' states at its end are known."""
 
     def __init__(self, config: PlaneConfig) -> None:
         self._config = config
@@ -82,11 +82,11 @@ class Plane:
         self._outside: set[int] = set()
 
     def start(self) -> Messages:
-        """Publish nothing: the robots begin."""
+        """Publish nothing: the robots start."""
         return ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a robot's state or an event; with the last state of a step answer the plane's state."""
+        """Take a robot's state or an event; return the plane's state when a step is complete."""
         if isinstance(message, AgentState):
             self._gathering.add(message)
         elif isinstance(message, SwarmEvent):
@@ -96,12 +96,12 @@ class Plane:
         return self._finish() if self._gathering.complete() and not self._finished() else ()
 
     def _take_over(self, event: SwarmEvent) -> None:
-        """Take over a change of the membership that the observer has announced.
+        """Apply a membership change that the observer announced.
 
         Raises
         ------
         StepAheadError, RunError
-            If it is to hold from a step on that cannot have begun yet, or to which the plane has moved with its state.
+            If it takes effect at a step that cannot have started yet, or that the plane has already computed with it.
         """
         membership, robot, step, now = self._membership, event.agent_id, event.step, self._gathering.step
         was_in = membership.publishes(robot, step)
@@ -112,24 +112,24 @@ class Plane:
             raise StepAheadError(f"end of robot {robot}", got=step, expected=now)
         if step < now:
             raise RunError(
-                f"robot {robot} is said to be out from step {step} on ({event.detail}), and the plane has moved with "
-                "its state of that step: it ended when the plane had heard it and the observer had not, or a second "
-                "swarm is in this namespace; run again"
+                f"robot {robot} is reported to be out from step {step} on ({event.detail}), but the plane has already "
+                "moved with its state of that step: either its last state reached the plane and not the observer, or a "
+                "second swarm is in this namespace; run again"
             )
 
     def steer(self, order: Steering) -> None:
-        """Take over a torque, or a change of the membership, that is ordered from outside."""
+        """Apply an ordered torque or membership change."""
         if order.action == Action.DISTURBANCE:
             self._torques.set(order.step, order.value)
         elif (change := change_of(order)) is not None:
             self._membership.plan(change)
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for robots' states, and for news of robots that will send none."""
+        """Wait for states of robots, and for events about robots that will not send one."""
         return () if self._finished() else (AGENT_STATE, EVENTS)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and the robots not yet heard."""
+        """Return the current step and the robots whose states are missing."""
         return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
 
     def _finished(self) -> bool:
@@ -159,7 +159,7 @@ class Plane:
         return (*events, *self._limits(states, stamp), PlaneState(stamp, step, *measured))
 
     def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
-        """Say that the plane has hit an end stop."""
+        """Return the event of an impact on an end stop."""
         angle = copysign(self._config.plane.end_stop, rate)
         detail = f"end stop hit at {time:.6g} s with {rate:.4g} rad/s"
         return SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, angle, detail)
@@ -180,7 +180,7 @@ class Plane:
         return paths
 
     def _keep(self, states: list[AgentState]) -> None:
-        """Note who is on the plane now: those heard, and those who stand for good."""
+        """Store the robots on the plane: those with a state, and those at rest after their end."""
         still = {
             agent_id: load
             for agent_id, load in self._loads.items()
@@ -190,7 +190,7 @@ class Plane:
         self._loads = {s.agent_id: _Load(s.kind, s.mass, s.position, s.velocity) for s in states} | still
 
     def _limits(self, states: list[AgentState], stamp: int) -> list[SwarmEvent]:
-        """Say which robots have just crossed the end of the plane (eq. swarmStateConstraint)."""
+        """Return events for the robots that have just crossed an end of the plane (eq. swarmStateConstraint)."""
         half = 0.5 * self._config.plane.length
         events = []
         for state in states:

@@ -1,4 +1,4 @@
-"""What reaches a robot of the broadcasts, and what others hear of it, with the faults that are injected."""
+"""The broadcasts that reach a robot and the messages that it publishes, under injected faults."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from swarmabs_core.messages import AgentState, Broadcast, EventKind, Message, Me
 
 
 class Reception:
-    """Complete sets of broadcasts on their way to a robot, and the newest that has arrived.
+    """Complete sets of broadcasts in transit to a robot, and the newest that has arrived.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class Reception:
         self.newest: Broadcast | None = None
 
     def send(self, step: int, broadcasts: Broadcast) -> bool:
-        """Send the set of the current step; tell whether the robot hears in this step at all."""
+        """Send the set of the current step; return whether the robot receives anything in this step."""
         come = [broadcasts]
         if self._faults is not None:
             acting, draw = self._faults.acting(step), self._faults.draw(step)
@@ -42,7 +42,7 @@ class Reception:
 
     @property
     def stopped(self) -> bool:
-        """Whether a set that has arrived asks for a stop, and no later one for its end."""
+        """Whether a set that has arrived commands a stop, and no later one a reset."""
         return self._stop_at > self._reset_at
 
 
@@ -54,7 +54,7 @@ class Transmission:
         self._begun = False
 
     def published(self, answers: Messages) -> Messages:
-        """Return what is published instead of the robot's answers."""
+        """Return the messages that are published instead of the robot's own."""
         faults = self._faults
         if faults is None:
             return answers
@@ -71,7 +71,7 @@ class Transmission:
         return tuple(m._replace(stamp=m.stamp + sum(f.clock_offset() for f in faults.acting(m.step))) for m in said)
 
     def _announced(self, faults: RobotFaults, state: AgentState) -> list[SwarmEvent]:
-        """Return the events of the faults that begin or end with a state; with the first, of all that act."""
+        """Return events for the faults that start or end with a state; with the first state, for all that act."""
         found = faults.announced(state.step, first=not self._begun)
         self._begun = True
         kind = EventKind.FAULT_INJECTED

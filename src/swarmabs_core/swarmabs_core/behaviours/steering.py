@@ -1,6 +1,6 @@
-"""Steering of a run: what orders for each step what is changed from it on, and the nodes that obey.
+"""Steering of a run: the steering controller, which publishes one order per step, and the nodes that apply it.
 
-None of them goes into a step before it knows what is ordered for it.
+No node concerned starts a step before it knows the order for it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ OVER = "the run is over"
 
 
 class Request(NamedTuple):
-    """What somebody wants: an action, the robot that it concerns (0: none), and its value."""
+    """A request from outside: an action, the robot that it concerns (0: none), and its value."""
 
     action: Action
     agent_id: int = 0
@@ -42,7 +42,7 @@ class Request(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What became of a request: the first step at which it holds, or why it was refused."""
+    """The result of a request: the first step at which it holds, or the reason for its rejection."""
 
     number: int
     request: Request
@@ -52,10 +52,10 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SteeringConfig:
-    """Configuration of what steers a run, with all that is scheduled.
+    """Configuration of the steering controller, with all scheduled changes.
 
-    The control period is in ns, offsets of the reference are in rad, torques on the plane in N m. The largest ones are
-    bounds of what may be asked for, 0 for an offset if the law knows none.
+    The control period is in ns, offsets of the reference are in rad, torques on the plane in N m. `largest_offset` and
+    `largest_torque` bound the values of requests; the offset is 0 if the law does not support one.
     """
 
     members: tuple[int, ...]
@@ -69,9 +69,9 @@ class SteeringConfig:
 
 
 class SteeringController:
-    """Orders one step ahead of the plane: with the plane's state of a step comes the order of the next.
+    """Publishes orders one step ahead of the plane: it answers the plane's state of a step with the next step's order.
 
-    So every request gets the earliest step that no node has begun, and each step has one order at most.
+    Every request thus gets the earliest step that no node has started, and each step has at most one order.
     """
 
     def __init__(self, config: SteeringConfig) -> None:
@@ -90,7 +90,7 @@ class SteeringController:
 
     @property
     def step(self) -> int:
-        """The last step for which an order was given."""
+        """The last step with a published order."""
         return self._step
 
     @property
@@ -104,18 +104,18 @@ class SteeringController:
         return tuple(i for i in self._config.members if self._membership.span(i).first == UNPLANNED)
 
     def setting(self, action: Action) -> float:
-        """Return what is set in that step: the offset (rad) of `REFERENCE`, the torque (N m) of `DISTURBANCE`."""
+        """Return the value set in that step: the offset (rad) for `REFERENCE`, the torque (N m) for `DISTURBANCE`."""
         return self._settings[action].at(self._step)
 
     def ask(self, request: Request) -> int:
-        """Take a request; return its number, under which `decisions` tells what has become of it.
+        """Take a request; return its number, under which `decisions` reports the result.
 
-        Raises `InputError` if the request is refused at once.
+        Raises `InputError` if the request is rejected at once.
         """
         if self._over:
             raise InputError(OVER)
         if len(self._waiting) >= MOST_WAITING:
-            raise InputError(f"{MOST_WAITING} requests wait for their step already; ask again later")
+            raise InputError(f"{MOST_WAITING} requests are already waiting; try again later")
         problem = self._problem(request, self._step + 1)
         if problem:
             raise InputError(problem)
@@ -124,16 +124,16 @@ class SteeringController:
         return self._number
 
     def decisions(self) -> list[Decision]:
-        """Return what has become of requests since this was asked for the last time."""
+        """Return the results of requests since the last call."""
         found, self._decisions = self._decisions, []
         return found
 
     def start(self) -> Messages:
-        """Order nothing for the first step."""
+        """Publish an empty order for the first step."""
         return (self._order(0, Request(Action.NONE)),)
 
     def handle(self, message: Message) -> Messages:
-        """Take a state of the plane or an event; answer the order of the next step."""
+        """Take a state of the plane or an event; return the order of the next step."""
         if isinstance(message, SwarmEvent):
             self._membership.apply(message.kind, message.agent_id, message.step, message.detail)
             return ()
@@ -152,11 +152,11 @@ class SteeringController:
         return (self._decide(),)
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for the plane, and for news of robots that are out."""
+        """Wait for the plane, and for events about robots that have ended."""
         return () if self._over else (EVENTS, PLANE_STATE)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and who is waited for."""
+        """Return the current step and the awaited node."""
         return self._step, ("plane_sim",)
 
     def _decide(self) -> Steering:
@@ -179,34 +179,34 @@ class SteeringController:
         return Steering(self._step * self._config.period_ns, self._step, number, *request)
 
     def _must_wait(self, request: Request) -> bool:
-        """Tell whether a request has to wait for the next step: where the scenario sets the same, and after a join."""
+        """Return whether a request must wait: directly after a join, or if the scenario sets its value in this step."""
         if request.action in ENDS:
             return 0 < self._membership.span(request.agent_id).first == self._step - 1
         return request.action in self._settings and self._settings[request.action].changing(self._step) is not None
 
     def _problem(self, request: Request, step: int) -> str:
-        """Say why a request cannot hold from a step on; empty if it can."""
+        """Return why a request cannot take effect at a step; empty if it can."""
         if step > self._last:
             return OVER
         if request.action in (Action.REFERENCE, Action.DISTURBANCE):
             return self._problem_of_value(request)
         agent_id = request.agent_id
         if agent_id not in self._membership:
-            return f"there is no robot {agent_id}; there are {_listed(self._config.members)}"
+            return f"there is no robot {agent_id}; the robots are {_listed(self._config.members)}"
         if request.action == Action.ADD:
             if agent_id in self.absent:
                 return ""
             absent = self.absent
-            others = f"those that can be added are {_listed(absent)}" if absent else "there is none that can be added"
-            return f"robot {agent_id} is there by the scenario, or was added before; {others}"
+            others = f"the robots that can be added are {_listed(absent)}" if absent else "no robot can be added"
+            return f"robot {agent_id} is scheduled by the scenario, or was added before; {others}"
         there = self._membership.publishing(step)
         if agent_id not in there or self._membership.span(agent_id).first >= step:
-            return f"robot {agent_id} does not take part at step {step}; those that do are {_listed(there)}"
-        # Robots may end later by plan, and leave this one alone.
+            return f"robot {agent_id} does not take part in step {step}; those that do are {_listed(there)}"
+        # Others may have planned ends, which would leave no robot.
         steps = {step, *(change.step + 1 for change in self._config.schedule if step <= change.step < self._last)}
         alone = [at for at in sorted(steps) if self._membership.publishing(at) == (agent_id,)]
         if alone:
-            return f"at step {alone[0]} robot {agent_id} is the last that takes part, and without any there is no run"
+            return f"robot {agent_id} is the last one at step {alone[0]}, and a run needs at least one robot"
         return ""
 
     def _problem_of_value(self, request: Request) -> str:
@@ -217,7 +217,7 @@ class SteeringController:
             else (config.largest_torque, "N m", "a disturbance")
         )
         if not largest:
-            return "the parent controller's law knows no offset of its reference (it has no method offset_torque)"
+            return "the parent controller's law does not support an offset (it has no method offset_torque)"
         if not isfinite(request.value) or abs(request.value) > largest:
             return f"{request.value!r} {unit} is out of range; {what} is at most {largest:g} {unit} in magnitude"
         return ""
@@ -228,20 +228,20 @@ def _listed(ids: tuple[int, ...]) -> str:
 
 
 class Steerable(Behaviour, Protocol):
-    """A behaviour that takes orders."""
+    """A behaviour that applies orders."""
 
     def steer(self, order: Steering) -> None:
-        """Take over what is ordered for a step that has not begun; what does not concern this node is ignored."""
+        """Apply an order for a step that has not started; orders that do not concern this node are ignored."""
         ...
 
 
 class Orders:
-    """Orders as they arrive; they are known up to a step when that of every step before is known, too.
+    """Received orders, put in sequence: an order becomes known when those of all earlier steps are known.
 
     Attributes
     ----------
     known : int
-        The last step of which the order is known, and those of all steps before; -1 for none.
+        The last step up to which all orders are known; -1 for none.
     """
 
     def __init__(self) -> None:
@@ -250,12 +250,12 @@ class Orders:
         self._early: dict[int, Steering] = {}
 
     def add(self, order: Steering) -> list[Steering]:
-        """Take an order; return those that are known with it.
+        """Take an order; return the orders that become known.
 
         Raises
         ------
-        ConflictError, StepAheadError
-            If it differs from the order that is known, or is of a step that cannot be the next.
+        ConflictError
+            If it differs from a received order of the same step.
         """
         if order.step <= self.known:
             if self._latest is not None and order.step == self.known:
@@ -271,15 +271,15 @@ class Orders:
 
 
 class Steered:
-    """A node whose steps begin with what is ordered for them.
+    """A node that starts each step with the order for it.
 
-    What comes of a step before its order is kept until then. So it does not depend on the order of arrival from which
-    step on something holds: it is the step that the order names, in every node.
+    Messages of a step that arrive before its order are held back. A change therefore takes effect at the step that the
+    order names, in every node and regardless of the sequence of arrival.
 
     Parameters
     ----------
     behaviour : Steerable
-        The node.
+        The behaviour of the node.
     """
 
     def __init__(self, behaviour: Steerable) -> None:
@@ -297,7 +297,7 @@ class Steered:
         return self._behaviour.start()
 
     def handle(self, message: Message) -> Messages:
-        """Take an order, or hand a message to the node."""
+        """Take an order, or pass a message to the node."""
         if isinstance(message, Steering):
             return self._obey(message)
         if message.step <= self._orders.known or isinstance(message, (SwarmEvent, RecordingProgress)):
@@ -309,7 +309,7 @@ class Steered:
 
     def _obey(self, order: Steering) -> Messages:
         answers: Messages = ()
-        if order.step > self._orders.known + 2:  # what orders is a step ahead at most, also where one was lost
+        if order.step > self._orders.known + 2:  # orders are at most one step ahead, even if one was lost
             raise StepAheadError(STEERING.name, got=order.step, expected=self._orders.known + 1)
         for known in self._orders.add(order):
             self._behaviour.steer(known)
@@ -319,7 +319,7 @@ class Steered:
         return answers
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for the order of the step, then for what the node waits for."""
+        """Wait for the order of the step, then for what the node awaits."""
         topics = self._behaviour.awaits()
         return topics if not topics or self.open else (STEERING,)
 

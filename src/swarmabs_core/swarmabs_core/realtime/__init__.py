@@ -1,1 +1,1 @@
-"""The swarm in real time: the same law and sums, with a clock instead of waiting; pure state machines."""
+"""The swarm in real time as pure state machines: the same law and sums, driven by a clock instead of by messages."""

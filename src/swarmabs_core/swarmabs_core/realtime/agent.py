@@ -1,4 +1,4 @@
-"""A robot in real time: it moves only on data it can vouch for, and stops by itself when there is none."""
+"""A robot in real time: it acts only on validated, fresh data, and stops by itself if there is none."""
 
 from __future__ import annotations
 
@@ -24,37 +24,35 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Broadcast, Message, Messages
     from swarmabs_core.realtime.drives import Drive, Measurement
 
-FAREWELLS = 10
-"""Periods for which a robot that leaves says so."""
+LEAVING_PERIODS = 10
+"""Number of periods for which a leaving robot publishes its last status."""
 LANE_LIMITED = "command limited by the end of the lane"
-"""What a robot says when its lane limits a command."""
+"""`SwarmEvent.detail` where the lane limits a robot's command."""
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimeAgentConfig(RobotConfig):
-    """Configuration of a robot."""
+    """Configuration of a robot in real time."""
 
     schedule: Schedule = part(Schedule, name="")
     swarm_mass: float = same(Bounds, "swarm_mass")
     deceleration: float = setting(
         inf,
-        "how hard the base of a single integrator brakes, at once without a limit, m/s^2",
+        "braking deceleration of a single integrator's base, m/s^2",
         name="limits.deceleration",
         above=0.0,
         unset=0.0,
     )
     lane_margin: float = same(Realtime, "lane_margin")
     broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
-    measurement_age_limit: float = setting(
-        0.1, "age of the robot's motion measurement above which it stops, s", above=0.0
-    )
+    measurement_age_limit: float = setting(0.1, "age of its motion measurement above which a robot stops, s", above=0.0)
     clock_tolerance: float = same(Realtime, "clock_tolerance")
-    drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "what moves the robot")
+    drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "drive of the robot")
     drive_settings: Settings = field(default_factory=dict, hash=False)
 
     @property
     def bounds(self) -> Bounds:
-        """What is known of the swarm and its plane beforehand."""
+        """Known properties of the swarm and its plane, against which messages are validated."""
         return Bounds(self.gravity, self.plane_length, self.swarm_mass, self.schedule.period)
 
     @property
@@ -64,12 +62,12 @@ class RealtimeAgentConfig(RobotConfig):
 
 
 class RealtimeLaw:
-    """Law, limits and lane of one robot, without any memory: the same input gives the same bits, here and in a check.
+    """Law, limits and lane of one robot. It is stateless: verification recomputes the same bits from the same input.
 
     Raises
     ------
     InputError
-        If there is no such law, or it refuses its settings.
+        If there is no such law, or its settings are invalid.
     """
 
     def __init__(self, config: RealtimeAgentConfig) -> None:
@@ -79,7 +77,7 @@ class RealtimeLaw:
         self._envelope = LaneEnvelope(self.controller, period, config.lane_limit, config.deceleration)
 
     def decide(self, position: float, velocity: float, heard: Broadcast) -> tuple[Decision, str]:
-        """Return what a robot does at a position (m) with a velocity (m/s), and what limits it, if anything does."""
+        """Return the decision at a position (m) with a velocity (m/s), and which limit applied, if any."""
         decision = self.controller.decide(position, velocity, heard)
         if decision.problem:
             return decision, ""
@@ -88,14 +86,14 @@ class RealtimeLaw:
         return decision._replace(command=kept), limited if kept != decision.wanted else ""
 
     def brake(self, velocity: float) -> float:
-        """Return the command of a robot that stops from a velocity (m/s)."""
+        """Return the command that stops the robot from a velocity (m/s)."""
         return self.controller.brake(velocity)
 
 
 class RealtimeAgent:
-    """One robot of the swarm. It never learns of any other.
+    """One robot of the swarm. It has no knowledge of other robots.
 
-    Raises `InputError` if there is no law of the configured name, or it refuses its settings.
+    Raises `InputError` if there is no law with the configured name, or its settings are invalid.
     """
 
     def __init__(self, config: RealtimeAgentConfig, drive: Drive) -> None:
@@ -109,10 +107,10 @@ class RealtimeAgent:
         self._command = 0.0
         self._broadcast_step = NEVER
         self._status = Status.SAFE_STOP
-        self._problem = "has not begun yet"
+        self._problem = "not started yet"
         self._held = False
         self._limited = ""
-        self._farewells: int | None = None
+        self._leaving: int | None = None
 
     def tuned(self, config: RealtimeAgentConfig) -> Callable[[], None]:
         """Return what has the robot use the law and the gains of a configuration, between two steps.
@@ -127,52 +125,52 @@ class RealtimeAgent:
         return install
 
     def hear(self, message: Message, now: int) -> Messages:
-        """Take a broadcast; what cannot be vouched for is refused."""
+        """Take a broadcast, which is rejected if it is not valid."""
         problem = self._inbox.add(message, now)
         return self._refusals.add(problem, self._config.schedule.step(now), now) if problem else ()
 
     def tick(self, now: int) -> Messages:
-        """Measure, publish the state, decide what to do for the next period and let the drive do it."""
+        """Measure, return the state, decide on the command for the next period and write it to the drive."""
         before = self._counter.last
         step = self._counter.next(now)
         if step is None:
-            # What is held would be held for as long as the clock needs to come back.
+            # Otherwise the command would be held until the clock catches up.
             set_back = before is not None and self._counter.last is None
             return self._doubt(now) if set_back else ()
         measured = self._drive.read(now)
         if measured is not None and isfinite(measured.position) and isfinite(measured.velocity):
             self._measurement = measured
-        if self._farewells is not None:
-            return self._say_farewell(step)
+        if self._leaving is not None:
+            return self._repeat_last_state(step)
         fresh = self._fresh(now)
         states = self._publish(step, fresh=fresh)
         return (*states, *self._decide(now, fresh=fresh))
 
     def leave(self, now: int) -> Messages:
-        """Stop, and say for some periods that the robot's weight leaves the plane."""
-        if self._farewells is not None:
+        """Stop, and announce for some periods that the robot's weight leaves the plane."""
+        if self._leaving is not None:
             return ()
         self._rest()
-        self._farewells = FAREWELLS
+        self._leaving = LEAVING_PERIODS
         return (self._event(now, EventKind.LEFT, 0.0, "asked to leave"),)
 
     def join(self, now: int) -> Messages:
         """Take part again after `leave`."""
-        if self._farewells is None:
+        if self._leaving is None:
             return ()
-        self._farewells = None
+        self._leaving = None
         return (self._event(now, EventKind.JOINED, 0.0, "asked to join"),)
 
     def halt(self) -> None:
-        """Leave the body safe, since no tick will follow for now."""
+        """Bring the body to a safe state, because ticks are suspended."""
         self._rest()
 
     def health(self, now: int) -> Health:
-        """Return whether the robot follows the broadcasts, and if not, why."""
+        """Return whether the robot follows the broadcasts, or the reason if it does not."""
         newest, m = self._inbox.newest, self._measurement
         age = None if newest is None else self._config.schedule.step(now) - newest.step
         values = (
-            ("status", "LEFT" if self._farewells is not None else self._status.name),
+            ("status", "LEFT" if self._leaving is not None else self._status.name),
             ("broadcast age, steps", "none" if age is None else str(age)),
             ("position, m", "none" if m is None else f"{m.position:.4f}"),
             ("velocity, m/s", "none" if m is None else f"{m.velocity:.4f}"),
@@ -180,7 +178,7 @@ class RealtimeAgent:
             *self._refusals.values(),
             *(self._drive.report() if isinstance(self._drive, Reporting) else ()),
         )
-        if self._farewells is not None:
+        if self._leaving is not None:
             return Health(Level.OK, "has left", values)
         if self._status is not Status.ACTIVE:
             return Health(Level.ERROR, f"safe stop: {self._problem}", values)
@@ -193,11 +191,11 @@ class RealtimeAgent:
         return m is not None and abs(now - m.stamp) <= self._config.measurement_age_limit * 1e9
 
     def _publish(self, step: int, *, fresh: bool) -> Messages:
-        """Return the state with the command held until now; a robot that cannot see is not one to count on."""
+        """Return the state with the command held until now; without fresh measurements its status is SAFE_STOP."""
         m, config = self._measurement, self._config
         if m is None:
             return ()
-        status = Status.LEFT if self._farewells is not None else self._status if fresh else Status.SAFE_STOP
+        status = Status.LEFT if self._leaving is not None else self._status if fresh else Status.SAFE_STOP
         return (
             AgentState(
                 m.stamp,
@@ -229,12 +227,12 @@ class RealtimeAgent:
         return (*events, *self._note_limits(now, decision.wanted, limited))
 
     def _doubt(self, now: int) -> Messages:
-        """Stop, and forget what was heard, since its age can no longer be told."""
+        """Stop and discard what was received, because its age is unknown after the clock was set back."""
         self._inbox.forget(now)
         return self._stop(now, "the clock was set back")
 
     def _stop(self, now: int, problem: str) -> Messages:
-        """Come to rest, and say why when the robot begins to."""
+        """Brake to rest; return an event when braking starts or its reason changes."""
         m = self._measurement
         self._act(self._law.brake(m.velocity) if m is not None and self._fresh(now) else 0.0, NEVER, now)
         before, self._status, self._held, self._limited = self._status, Status.SAFE_STOP, False, ""
@@ -244,7 +242,7 @@ class RealtimeAgent:
         return (self._event(now, EventKind.SAFE_STOP, 0.0, problem),)
 
     def _hold(self, now: int, command: float) -> Messages:
-        """Keep still but take part: where all have stopped there is no spread until robots say that they follow."""
+        """Keep still with status ACTIVE: S3 vanishes until enough robots that had stopped report it again."""
         self._act(command, NEVER, now)
         before, self._limited = self._held, ""
         events = self._active(now, followed=False)
@@ -269,10 +267,10 @@ class RealtimeAgent:
             return (self._event(now, EventKind.LIMIT_HIT, wanted, limited),)
         return ()
 
-    def _say_farewell(self, step: int) -> Messages:
-        if not self._farewells:
+    def _repeat_last_state(self, step: int) -> Messages:
+        if not self._leaving:
             return ()
-        self._farewells -= 1
+        self._leaving -= 1
         return self._publish(step, fresh=True)
 
     def _rest(self) -> None:
@@ -282,6 +280,6 @@ class RealtimeAgent:
         self._problem = "deactivated"
 
     def _event(self, now: int, kind: EventKind, value: float, detail: str) -> SwarmEvent:
-        """Return an event that holds from the next state on."""
+        """Return an event that holds from the next published state on."""
         step = max(0, self._config.schedule.step(now) + 1)
         return SwarmEvent(now, step, self._config.agent_id, kind, value, detail)

@@ -1,4 +1,4 @@
-"""What every node has in common where the clock makes the steps."""
+"""Common parts of all nodes in real time, where the clock determines the steps."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from swarmabs_core.messages import Message, Messages
 from swarmabs_core.parameters import SettingError
 
 FEWEST = 2
-"""Robots without which a swarm has no spread."""
+"""Smallest number of robots in a swarm: with fewer, S3 vanishes."""
 
 
 class Level(IntEnum):
-    """How serious a state of health is, with the numbers of ``diagnostic_msgs/DiagnosticStatus``."""
+    """Severity of a health status, with the numbers of ``diagnostic_msgs/DiagnosticStatus``."""
 
     OK = 0
     WARN = 1
@@ -24,7 +24,7 @@ class Level(IntEnum):
 
 
 class Health(NamedTuple):
-    """How a node is: level, one line for people, and figures as (name, text)."""
+    """Health of a node: level, one readable line, and values as (name, text)."""
 
     level: Level
     text: str
@@ -32,75 +32,73 @@ class Health(NamedTuple):
 
 
 class RealtimeBehaviour(Protocol):
-    """A node as a state machine. Its driver publishes its answers, in that order.
+    """A node as a state machine. Its driver publishes the returned messages in order.
 
-    `now` is the time of the swarm's clock, in ns since 1970; it is an argument so that a test is its own clock.
+    `now` is the time of the swarm's clock, in ns since 1970; it is an argument so that tests can simulate the clock.
     """
 
     def hear(self, message: Message, now: int) -> Messages:
-        """Take a message that has arrived; none, however wrong, raises an error."""
+        """Take a message that has arrived; invalid messages never raise an error."""
         ...
 
     def tick(self, now: int) -> Messages:
-        """Do what is done once per period."""
+        """Do the work of one period."""
         ...
 
     def halt(self) -> None:
-        """Leave everything safe, since no tick will follow for now; more than once does no harm."""
+        """Enter a safe state, because ticks are suspended; repeated calls have no effect."""
         ...
 
     def health(self, now: int) -> Health:
-        """Return how the node is."""
+        """Return the health of the node."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Realtime:
-    """What holds where the clock and not the last message makes the steps: on robots, and with `run --realtime`."""
+    """Settings for runs in real time, where the clock determines the steps: on robots, and with `run --realtime`."""
 
     broadcast_age_limit: float = setting(
-        0.1, "age of the newest complete broadcasts from which on a robot stops, s", above=0.0
+        0.1, "age of the newest complete broadcasts above which a robot stops, s", above=0.0
     )
     state_age_limit: float = setting(
-        0.1, "age of a robot's state from which on it is taken to stand still, s", above=0.0
+        0.1, "age of a robot's state above which the robot is assumed to be at rest, s", above=0.0
     )
     plane_age_limit: float = setting(
-        0.1, "age of the plane's state from which on the parent controller asks for nothing, s", above=0.0
+        0.1, "age of the plane's state above which the parent controller publishes nothing, s", above=0.0
     )
     clock_tolerance: float = setting(
-        0.02, "how far a message may come from the future by the receiver's clock, s", minimum=0.0
+        0.02, "how far in the future a message may be by the receiver's clock, s", minimum=0.0
     )
-    lane_margin: float = setting(
-        0.02, "distance from the plane's ends at which a robot must have come to rest, m", minimum=0.0
-    )
+    lane_margin: float = setting(0.02, "distance that a robot keeps from the ends of the plane, m", minimum=0.0)
     start: str = setting(
         "wait",
-        "wait: all robots must have been heard before the swarm moves; quorum: as many as `quorum` says; proceed: two",
+        "robots that must be heard before the swarm moves: wait: all; quorum: the number `quorum`; proceed: two",
         choices=("wait", "quorum", "proceed"),
     )
     quorum: int | None = setting(
-        None, "robots that must have been heard with start: quorum", minimum=FEWEST, maximum=65535, unset=0
+        None, "number of robots that must be heard with start: quorum", minimum=FEWEST, maximum=65535, unset=0
     )
 
     def __post_init__(self) -> None:
-        """Refuse a quorum without its number, and a number without a quorum."""
+        """Reject start: quorum without a number, and a number without start: quorum."""
         if self.start == "quorum" and self.quorum is None:
-            problem = "start is 'quorum' and there is no number 'quorum'"
-            raise SettingError("", problem, "say how many robots must be there")
+            problem = "start is 'quorum', but 'quorum' has no value"
+            raise SettingError("", problem, "set 'quorum' to the number of robots that must be heard")
         if self.start != "quorum" and self.quorum is not None:
-            problem = f"'quorum' has no meaning with start: {self.start}"
+            problem = f"'quorum' has no effect with start: {self.start}"
             raise SettingError("", problem, "remove it, or use start: quorum")
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """How time becomes steps: step k is the k-th period since an epoch that all nodes know.
+    """The mapping of time to steps: step k is the k-th period since an epoch that all nodes know.
 
-    A node that starts late or restarts knows the step from its clock alone, so no other node has to restart with it.
+    A node that starts late or restarts derives the step from its clock, so no other node has to restart.
     """
 
     period_ns: int = same(Run, "period_ns")
-    epoch_ns: int = setting(0, "time at which step 0 begins, ns since 1970", minimum=0)
+    epoch_ns: int = setting(0, "time at which step 0 starts, ns since 1970", minimum=0)
 
     @property
     def period(self) -> float:
@@ -108,29 +106,29 @@ class Schedule:
         return self.period_ns / 1e9
 
     def step(self, now: int) -> int:
-        """Return the step of a time; negative before the epoch."""
+        """Return the step at a time (ns); negative before the epoch."""
         return (now - self.epoch_ns) // self.period_ns
 
     def begin(self, step: int, phase: float = 0.0) -> int:
-        """Return the time (ns) at which a step begins, or at which this share of it is over."""
+        """Return the time (ns) at which a step starts, or at which this fraction of it has passed."""
         return self.epoch_ns + step * self.period_ns + round(phase * self.period_ns)
 
     def ahead(self, tolerance: float) -> int:
-        """Return by how many steps a message may be from the future, if the clocks agree within a tolerance (s)."""
+        """Return how many steps ahead a message may be if the clocks agree within a tolerance (s)."""
         return -(-round(tolerance * 1e9) // self.period_ns)
 
     def steps(self, seconds: float) -> int:
-        """Return how many whole periods a span of time (s) has, one at least."""
+        """Return the number of whole periods in a time span (s), at least one."""
         return max(1, round(seconds * 1e9) // self.period_ns)
 
 
 class StepCounter:
-    """Makes each step once, whatever the clock does.
+    """Yields each step once, regardless of clock changes.
 
     Attributes
     ----------
     last : int or None
-        The last step made, None before the first and after the clock was set back.
+        The last step yielded, None before the first and after the clock was set back.
     """
 
     def __init__(self, schedule: Schedule) -> None:
@@ -138,10 +136,10 @@ class StepCounter:
         self.last: int | None = None
 
     def next(self, now: int) -> int | None:
-        """Return the step of a time (ns) if it is to be made now, else None.
+        """Return the step at a time (ns) if it is due now, else None.
 
-        A clock that was set back a little is waited for. If it is more than `MOST_BACK`, counting begins anew: then
-        `last` is None, and whatever was kept of later steps is worthless.
+        If the clock was set back by at most `MOST_BACK` steps, the counter waits for it. Otherwise it restarts: `last`
+        becomes None, and data stored for later steps is void.
         """
         step = self._schedule.step(now)
         if self.last is not None and step <= self.last:
@@ -155,9 +153,9 @@ class StepCounter:
 
 
 MOST_BACK = 2
-"""Steps by which a clock may be set back and is waited for."""
+"""Largest number of steps by which a clock may be set back without a restart of the count."""
 AGENT_PHASE = 0.0
 PLANE_PHASE = OBSERVER_PHASE = 0.5
 CONTROLLER_PHASE = 0.75
-"""Shares of a period after which the nodes tick: robots first, then who gathers their states. The parent controller
-answers each state of the plane at once and ticks only to watch over it."""
+"""Fractions of a period after which the nodes tick: robots first, then the nodes that gather their states. The parent
+controller answers each state of the plane at once; its tick only monitors the plane."""

@@ -1,4 +1,4 @@
-"""What a robot believes of what it hears: the newest complete set of broadcasts of one step, or why there is none."""
+"""Validation of the broadcasts that a robot receives: the newest complete set of one step, or why there is none."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.validation import Bounds
 
 MOST_GUARD = 0.5
-"""Time by which a RESET must at most be newer than the last STOP, s: half of that for which RESET is said."""
+"""Upper limit of the guard time between the last STOP and an effective RESET, s: half of the duration of RESET."""
 MOST_CHANGES = 2
-"""Steps within the age limit in which a parent controller may change its mode; more often, there are two of them."""
+"""Steps within the age limit in which one parent controller may change its mode; more indicate a second one."""
 _LONG_AGO = -(2**62)
 
 
 class ModeLatch:
-    """Whether the swarm is stopped: what STOP closes and RESET opens.
+    """Whether the swarm is stopped: STOP sets the latch, RESET releases it.
 
-    It is the same for the same messages, in whatever order and however often they arrive: only the newest step of each
-    counts. A RESET wins only if it is more than `guard` steps newer than the newest STOP: whoever says RESET from as
-    far in the future as is allowed does not overrule one who goes on to say STOP. A controller whose operator resets
-    says no STOP any more, and RESET for long enough to come beyond the guard.
+    Order and repetition of messages do not matter: only the newest step of each mode counts. A RESET is effective only
+    if it is more than `guard` steps newer than the newest STOP, so that a forged RESET from the allowed future cannot
+    override a controller that keeps publishing STOP. After a reset by the operator, a controller no longer publishes
+    STOP, and publishes RESET for longer than the guard.
 
     Attributes
     ----------
@@ -50,27 +50,27 @@ class ModeLatch:
 
     @property
     def stopped(self) -> bool:
-        """Whether STOP was heard and no RESET that opens it."""
+        """Whether a STOP was received and no effective RESET."""
         return self._stop_step is not None and self.reset_step - self._stop_step <= self._guard
 
     def stop(self, step: int) -> None:
-        """Take a STOP of a step."""
+        """Record a STOP of a step."""
         self._stop_step = step if self._stop_step is None else max(self._stop_step, step)
 
     def reset(self, step: int) -> None:
-        """Take a RESET of a step, which must have been found good."""
+        """Record a validated RESET of a step."""
         self.reset_step = max(self.reset_step, step)
 
     def forget(self, step: int) -> None:
-        """Forget the steps since they were counted by another clock; who is stopped, is so as of now."""
+        """Discard steps of the old clock; if the latch is set, it is set as of `step`."""
         self._stop_step = step if self.stopped else None
         self.reset_step = _LONG_AGO
 
 
 class BroadcastInbox:
-    """Takes broadcasts in any order and keeps the newest complete set of those that can be vouched for.
+    """Takes broadcasts in any order and keeps the newest complete set of valid ones.
 
-    From the age limit (s) on a broadcast is outdated, and by the tolerance (s) it may be from the future.
+    Above the age limit (s) a broadcast is outdated; it may be in the future by at most the tolerance (s).
 
     Attributes
     ----------
@@ -89,11 +89,11 @@ class BroadcastInbox:
 
     @property
     def stopped(self) -> bool:
-        """Whether STOP was heard, and since then no RESET that opens the latch."""
+        """Whether a STOP was received, and since then no effective RESET."""
         return self._latch.stopped
 
     def add(self, message: Message, now: int) -> str:
-        """Take a message; return why it is refused, empty if it is not. An older or repeated one changes nothing."""
+        """Take a message; return why it is rejected, empty if it is valid. An older or repeated one changes nothing."""
         topic = TOPIC_OF[type(message)]
         if topic not in BROADCASTS:
             return "not a broadcast"
@@ -101,7 +101,7 @@ class BroadcastInbox:
         if self._heard.from_future(message, step):
             return f"{topic.name}: from the future; the clocks differ, or it is of another swarm"
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP:
-            self._latch.stop(message.step)  # whatever else may be wrong with it
+            self._latch.stop(message.step)  # even if it is otherwise invalid
         if message.step < step - self._age:
             return f"{topic.name}: outdated"
         problem = self._bounds.problem(message) or self._contradiction(topic, message, step)
@@ -113,18 +113,18 @@ class BroadcastInbox:
         return ""
 
     def forget(self, now: int) -> None:
-        """Forget all but whether the swarm was stopped, since the clock was set."""
+        """Discard everything but the latch, because the clock was set."""
         self._heard.forget()
         self._latch.forget(self._schedule.step(now))
         self.newest = None
 
     def _contradiction(self, topic: Topic, message: Message, step: int) -> str:
-        """Keep a message; notice if another one claims to be the one of its step, or if there are two controllers."""
+        """Store a message; return a contradiction with another of the same step, or a sign of a second controller."""
         mode = 0
         if isinstance(message, DesiredAbstractState):
-            mode = message.mode  # the parent controller may change its mind within a step
+            mode = message.mode  # the parent controller may change its mode within a step
             if mode != Mode.RUN:
-                message = message._replace(stamp=0)  # and says it once more when it is asked twice
+                message = message._replace(stamp=0)  # a repeated service call publishes the mode again
         place = topic, mode
         if self._heard.add(place, message, step):
             return "two different ones of a step; a second swarm, or an intruder"
@@ -134,7 +134,7 @@ class BroadcastInbox:
         return ""
 
     def _changes(self) -> int:
-        """Return in how many steps there was more than one mode."""
+        """Return the number of steps with more than one mode."""
         return sum(map(_has_changed, self._heard.steps()))
 
     def _complete(self, step: int) -> None:
@@ -149,7 +149,7 @@ class BroadcastInbox:
             self.newest = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type]  # by topic
 
     def problem(self, now: int) -> str:
-        """Return why the newest set must not be followed, empty if it may be."""
+        """Return why the newest set must not be followed; empty if it may be."""
         step = self._schedule.step(now)
         if self.stopped:
             return "stop commanded"
@@ -165,5 +165,5 @@ class BroadcastInbox:
 
 
 def _has_changed(places: Iterable[tuple[Topic, int]]) -> bool:
-    """Tell whether there was more than one mode among what was heard of a step."""
+    """Return whether the messages of a step contain more than one mode."""
     return sum(topic is DESIRED_ABSTRACT_STATE for topic, _ in places) > 1

@@ -1,4 +1,4 @@
-"""The parent controller in real time: it answers each state of the plane, and it is who says STOP."""
+"""The parent controller in real time: it answers each state of the plane, and publishes STOP and RESET."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""
 MOST_STEPS = 100
-"""Missed steps that law and filter catch up with; after more, they restart."""
+"""Largest number of missed steps that law and filter make up for; after more, they restart."""
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimeControllerConfig:
-    """Configuration of the parent controller's node."""
+    """Configuration of the parent controller in real time."""
 
     schedule: Schedule = part(Schedule, name="")
     manifold: Manifold = part(Manifold)
@@ -49,7 +49,7 @@ class RealtimeControllerConfig:
     plane_length: float = same(Plane, "length")
     start_mode: Mode = setting(
         Mode.RUN,
-        "run: the swarm moves as soon as it is there; stop: it waits for a reset",
+        "run: the swarm moves as soon as it is ready; stop: it waits for a reset",
         choices=("run", "stop"),
         make=lambda name: Mode[name.upper()],
         say=lambda mode: mode.name.lower(),
@@ -59,16 +59,16 @@ class RealtimeControllerConfig:
 
     @property
     def bounds(self) -> Bounds:
-        """What is known of the swarm and its plane beforehand."""
+        """Known properties of the swarm and its plane, against which messages are validated."""
         return Bounds(self.gravity, self.plane_length)
 
 
 class RealtimeController:
     """Answers the plane's state of a step with the desired abstract state of that step.
 
-    It begins when the observer publishes the swarm's abstract state, and then its reference begins, too. Without a
-    fresh state of the plane it publishes nothing, and the robots stop by themselves. `make_law` makes the control law,
-    anew after each reset.
+    The controller and its reference start when the observer publishes the swarm's abstract state. Without a fresh state
+    of the plane it publishes nothing, and the robots stop by themselves. `make_law` creates the control law at the
+    start and after each reset.
     """
 
     def __init__(self, config: RealtimeControllerConfig, make_law: Callable[[], ParentController]) -> None:
@@ -78,16 +78,16 @@ class RealtimeController:
         self._heard: Heard[None] = Heard(self._age, config.schedule.ahead(config.clock_tolerance))
         self._refusals = Refusals()
         self._mode = config.start_mode
-        self._why = "waits for a reset" if config.start_mode is Mode.STOP else ""
+        self._why = "waiting for a reset" if config.start_mode is Mode.STOP else ""
         self._reset_until = 0
         self._swarm_heard = False
         self._plane: PlaneState | None = None
         self._asked: DesiredAbstractState | None = None
         self._last_published = -1
         self._blind = False
-        self._begin_anew()
+        self._restart()
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self._generator = DesiredStateGenerator(
             self._config.schedule.period_ns, self._config.manifold, self._make_law()
         )
@@ -100,12 +100,12 @@ class RealtimeController:
 
         def install() -> None:
             self._make_law = make_law
-            self._begin_anew()
+            self._restart()
 
         return install
 
     def hear(self, message: Message, now: int) -> Messages:
-        """Take a state of the plane or of the swarm; answer the desired abstract state of the step."""
+        """Take a state of the plane or of the swarm; return the desired abstract state of the step."""
         if isinstance(message, AbstractState):
             self._swarm_heard = True
             return ()
@@ -120,7 +120,7 @@ class RealtimeController:
         return self._answer(message, now)
 
     def tick(self, now: int) -> Messages:
-        """Repeat STOP and RESET whether or not the plane is heard, and notice when it is not."""
+        """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
         events = self._end_reset(now)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
@@ -135,24 +135,24 @@ class RealtimeController:
         return events
 
     def stop(self, now: int) -> Messages:
-        """Stop the swarm until `reset`; the message goes out at once."""
+        """Stop the swarm until `reset`; the message is published at once."""
         if self._mode is Mode.STOP:
             return (self._keep_still(now, self._config.schedule.step(now)),)
         return self._change(Mode.STOP, now, "stop commanded")
 
     def reset(self, now: int) -> Messages:
-        """Let the swarm go on after `stop`, or after a stop before this node began: law and reference begin anew."""
+        """Resume after `stop`, also after a stop before this node started; law and reference restart."""
         self._reset_until = now + round(RESET_SECONDS * 1e9)
-        self._begin_anew()
+        self._restart()
         return self._change(Mode.RESET, now, "reset commanded")
 
     def halt(self) -> None:
-        """Forget the plane; what is published last stays what the robots judge by its age."""
+        """Discard the plane's state; the robots then stop when the last desired state is outdated."""
         self._plane = None
-        self._begin_anew()
+        self._restart()
 
     def health(self, now: int) -> Health:
-        """Return what is asked of the swarm."""
+        """Return the mode and the desired abstract state."""
         asked, plane = self._asked, self._plane
         values = (
             ("mode", self._mode.name),
@@ -167,8 +167,8 @@ class RealtimeController:
         if doubt:
             return Health(Level.ERROR, doubt, values)
         if not self._swarm_heard:
-            return Health(Level.WARN, "waits for the observer", values)
-        return Health(Level.OK, "runs", values)
+            return Health(Level.WARN, "waiting for the observer", values)
+        return Health(Level.OK, "running", values)
 
     def _problem(self, message: Message, step: int) -> str:
         if not isinstance(message, PlaneState):
@@ -185,7 +185,7 @@ class RealtimeController:
         return ""
 
     def _doubt(self, step: int) -> str:
-        """Return why nothing is asked for by what is known of the plane; empty if it may be."""
+        """Return why the plane's state permits no desired state; empty if it permits one."""
         if self._heard.doubts(None, step):
             return "the states of the plane contradict each other"
         if self._plane is None or step - self._plane.step > self._age:
@@ -198,7 +198,7 @@ class RealtimeController:
         if not self._swarm_heard or self._doubt(self._config.schedule.step(now)):
             return ()
         if self._first_step is not None and not 0 < plane.step - self._law_step <= MOST_STEPS:
-            self._begin_anew()
+            self._restart()
         since = NEVER if self._first_step is None else self._law_step
         if self._first_step is None:
             self._first_step, self._law_step = plane.step, plane.step - 1
@@ -206,7 +206,7 @@ class RealtimeController:
         events: list[Message] = []
         period = self._config.schedule.period_ns
         try:
-            while self._law_step < plane.step:  # a step that was missed has had the plane as it is now
+            while self._law_step < plane.step:  # missed steps use the current state of the plane
                 self._law_step += 1
                 time = (self._law_step - self._first_step) * period
                 news, desired = self._generator.advance(time, plane)
@@ -217,7 +217,7 @@ class RealtimeController:
         return (*events, provenance, self._asked)
 
     def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
-        """Return the wish that robots keep still, of a step."""
+        """Return the desired state of a step that stops all robots."""
         self._last_published = max(self._last_published, step)
         asked = self._asked
         torque, inertia = (0.0, self._config.manifold.offset) if asked is None else (asked.torque, asked.inertia)

@@ -1,4 +1,4 @@
-"""Where packages that bring a drive have imported it from; new ones import from `swarmabs_core.realtime.drives`."""
+"""Former import path for packages that provide a drive; new packages import from `swarmabs_core.realtime.drives`."""
 
 from swarmabs_core.realtime.drives import DRIVES, SIMULATED, TOPIC, Body, DriveType
 

@@ -1,6 +1,6 @@
-"""The boundary between a robot's law and its body, as a hardware interface: read, write, stop.
+"""The hardware interface between a robot's law and its body: read, write, stop.
 
-Drives are chosen by name: the built-in ones, and those that installed packages bring for a vendor's robots.
+Drives are selected by name: built-in ones, and those that installed packages provide for a vendor's robots.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MOST_STEPS = 1000
-"""Periods that a simulated robot catches up after a pause; beyond, it has stood still."""
+"""Largest number of periods that a simulated robot makes up for after a pause; in further ones it was at rest."""
 
 
 class Measurement(NamedTuple):
@@ -34,52 +34,54 @@ class Measurement(NamedTuple):
 
 
 class Drive(Protocol):
-    """What moves a robot and knows where it is."""
+    """Interface to what moves a robot and measures its motion."""
 
     def read(self, now: int) -> Measurement | None:
-        """Return the newest measurement, None if there has been none yet; `now` in ns since 1970."""
+        """Return the newest measurement, None if there is none yet; `now` in ns since 1970."""
         ...
 
     def write(self, command: float, now: int) -> None:
-        """Take over the command, m/s of a single integrator, N of a double integrator; it is within the limits."""
+        """Apply a command within the limits, m/s for a single integrator, N for a double integrator."""
         ...
 
     def stop(self) -> None:
-        """Leave the body safe, at rest and without drive; more than once does no harm."""
+        """Bring the body to a safe state, at rest and unpowered; repeated calls have no effect."""
         ...
 
 
 @runtime_checkable
 class Reporting(Protocol):
-    """A drive that has more to say of its health than that there is no measurement."""
+    """A drive that adds values to the health of its robot."""
 
     def report(self) -> tuple[tuple[str, str], ...]:
-        """Return figures as (name, text), such as what was refused."""
+        """Return values as (name, text), such as the number of rejected readings."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What a drive may know of its robot."""
+    """What a drive may know about its robot."""
 
     agent_id: int
     kind: Kind  # the command of a single integrator is a velocity, that of a double integrator a force
     schedule: Schedule  # control period and epoch
     mass: float  # kg
-    damping: float = 0.0  # N s/m; 0 of a single integrator
+    damping: float = 0.0  # N s/m; 0 for a single integrator
     gravity: float = 9.81  # m/s^2
     limits: Limits = field(default_factory=Limits)
-    position: float = 0.0  # where a simulated body begins, m
+    position: float = 0.0  # initial position of a simulated body, m
     velocity: float = 0.0  # m/s
-    connect: Callable[[TopicSettings, Body], Drive] | None = None  # makes a drive behind topics, where there is a node
+    connect: Callable[[TopicSettings, Body], Drive] | None = (
+        None  # creates a drive connected by topics, if there is a node
+    )
 
 
 class DriveType(Part[Body, Drive]):
-    """A drive; `name` is the value of ``drive.type`` of a robot's node."""
+    """A drive; `name` is the value of the parameter ``drive.type`` of a robot's node."""
 
 
 class SimulatedDrive:
-    """A body that moves exactly as the law expects."""
+    """A body that moves exactly as the law assumes."""
 
     def __init__(self, body: Body) -> None:
         self._model = ideal_drive(body.kind, body.schedule.period, body.mass, body.damping)
@@ -89,7 +91,7 @@ class SimulatedDrive:
         self._step: int | None = None
 
     def read(self, now: int) -> Measurement:
-        """Move as many periods as have passed under the command held, and tell where that leads."""
+        """Simulate the periods that have passed under the held command, and return the resulting motion."""
         step = self._schedule.step(now)
         if self._step is not None:
             for _ in range(min(max(0, step - self._step), MOST_STEPS)):
@@ -97,7 +99,7 @@ class SimulatedDrive:
         self._step = step if self._step is None else max(step, self._step)
         return Measurement(now, self._position, self._velocity)
 
-    def write(self, command: float, now: int) -> None:  # noqa: ARG002 - it is held from the last reading on
+    def write(self, command: float, now: int) -> None:  # noqa: ARG002 - it applies from the last reading on
         """Hold the command until the next one."""
         self._command = command
 
@@ -112,11 +114,11 @@ SIMULATED = DriveType("simulated", (), lambda _, body: SimulatedDrive(body))
 def _topic(settings: Settings, body: Body) -> Drive:
     made = made_of(TopicSettings, settings)
     if body.connect is None:
-        raise InputError("drive topic: there is no ROS node here to which it could be connected")
+        raise InputError("drive topic: needs a ROS node to connect to; select another drive")
     return body.connect(made, body)
 
 
 TOPIC = DriveType(TopicSettings.type, parameters_of(TopicSettings), _topic)
-"""A base behind ROS topics."""
+"""A base that is connected by ROS topics."""
 
 DRIVES = Registry("drive", "swarmabs.drives", DriveType, (SIMULATED, TOPIC), ("read", "write", "stop"))

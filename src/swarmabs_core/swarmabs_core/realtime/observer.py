@@ -1,4 +1,4 @@
-"""The abstraction observer in real time: it sums up what it has heard lately, and says who counts."""
+"""The abstraction observer in real time: it sums up recent states of the robots and decides their roles."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, MutableMapping
 
 CARRIED_AWAY = "carried away"
-"""What an operator says of a robot that is no longer on the plane and cannot say so itself."""
+"""`SwarmEvent.detail` with which an operator reports that a silent robot was removed from the plane."""
 
 
 class Role(Enum):
-    """How a robot enters the sums."""
+    """The role of a robot in the sums."""
 
     UNHEARD = "not heard yet"
     ACTIVE = "active"
@@ -47,7 +47,7 @@ class Role(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RealtimeObserverConfig:
-    """Configuration of the observer."""
+    """Configuration of the observer in real time."""
 
     members: tuple[int, ...] = same(Run, "members")
     schedule: Schedule = part(Schedule, name="")
@@ -61,33 +61,33 @@ class RealtimeObserverConfig:
     clock_tolerance: float = same(Realtime, "clock_tolerance")
 
     def __post_init__(self) -> None:
-        """Refuse a quorum that these robots cannot have."""
+        """Reject a quorum that these robots cannot reach."""
         robots, quorum = len(self.members), self.quorum or 0
         if self.start == "quorum" and not FEWEST <= quorum <= robots:
             raise SettingError("quorum", f"{quorum} of {robots} robots", f"give a number from {FEWEST} to {robots}")
 
     @property
     def needed(self) -> int:
-        """Robots that must have been heard before anything is published."""
+        """Number of robots that must be heard before anything is published."""
         if self.start == "quorum":
             return self.quorum or FEWEST
         return len(self.members) if self.start == "wait" else FEWEST
 
     @property
     def bounds(self) -> Bounds:
-        """What is known of the swarm and its plane beforehand."""
+        """Known properties of the swarm and its plane, against which messages are validated."""
         return Bounds(self.gravity, self.plane_length, self.swarm_mass, self.schedule.period)
 
 
 class RealtimeSums:
-    """Roles and sums, without any memory: the same states give the same bits, here and in a check."""
+    """Roles and sums. It is stateless: verification recomputes the same bits from the same states."""
 
     def __init__(self, config: RealtimeObserverConfig) -> None:
         self._config = config
         self._age = config.schedule.steps(config.state_age_limit)
 
     def role(self, state: AgentState | None, step: int) -> Role:
-        """Return how a robot, of which this state is the newest, enters the sums of a step."""
+        """Return the role in the sums of a step of a robot whose newest state is given."""
         if state is None:
             return Role.UNHEARD
         if state.status == Status.LEFT:
@@ -99,9 +99,9 @@ class RealtimeSums:
     def sum_up(
         self, states: Mapping[int, AgentState], standing: Collection[int], step: int, now: int
     ) -> tuple[AbstractState, AuxiliaryState]:
-        """Return what the swarm is to the plane and to its robots, of a step made at a time (ns).
+        """Return the abstract and auxiliary state of a step at a time (ns).
 
-        There are the newest states by robot; those that are standing are silent, and taken to stand where they were.
+        `states` are the newest states by robot. Robots in `standing` are silent and assumed at rest in their positions.
         """
         weights, followers = [], []
         for _, state in sorted(states.items()):
@@ -115,16 +115,16 @@ class RealtimeSums:
 
 
 class RealtimeObserver:
-    """Publishes abstract and auxiliary state once per period, whoever is silent.
+    """Publishes abstract and auxiliary state once per period, even if robots are silent.
 
-    A robot that is heard and follows counts in all sums. The weight of one that has stopped, or is silent, stays in the
-    abstract state: it stands on the plane. One that has left is gone. Nobody has to be restarted for another to return.
+    An active robot counts in all sums. The weight of a stopped or silent robot remains in the abstract state, because
+    it is still on the plane; a robot that has left does not count. A robot can return without a restart of other nodes.
 
     Parameters
     ----------
     memory : mutable mapping, optional
-        Last states of the robots that are silent, by id. Whoever wants a node that begins anew to know of weights of
-        which nobody speaks any more keeps them for it.
+        Last states of silent robots, by id. If it is persistent, a restarted node knows of weights on the plane that
+        are no longer reported.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class RealtimeObserver:
         self._heard = HeardStates(self._age, config.schedule.ahead(config.clock_tolerance))
         self.roles = dict.fromkeys(sorted(config.members), Role.UNHEARD)
         self._states = {i: _long_ago(state) for i, state in self._memory.items() if i in self.roles}
-        # The steps that the states were of, also of those that are taken to be from long ago.
+        # The actual steps of the states, including those whose step was set to 0.
         self._steps = {i: state.step for i, state in self._memory.items()}
         self._remembered = frozenset(self._steps) & frozenset(self.roles)
         self._refusals = Refusals()
@@ -158,7 +158,7 @@ class RealtimeObserver:
         return install
 
     def hear(self, message: Message, now: int) -> Messages:
-        """Take a robot's state, if it is a member's, newer than the one known, and can be true; or a robot's event."""
+        """Take an event, or a state of a member if it is valid and newer than the known one."""
         step = self._config.schedule.step(now)
         if isinstance(message, SwarmEvent):
             self._learn(message, step)
@@ -174,7 +174,7 @@ class RealtimeObserver:
         return ()
 
     def tick(self, now: int) -> Messages:
-        """Say whose role has changed, and sum up."""
+        """Return events for changed roles, and the sums."""
         step = self._counter.next(now)
         if step is None:
             if self._counter.last is None and self._started:
@@ -188,19 +188,19 @@ class RealtimeObserver:
         return (*events, self._provenance(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
 
     def halt(self) -> None:
-        """Take all robots to stand where they were heard last, until they are heard again."""
+        """Assume that all robots rest in their last known positions until they are heard again."""
         self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
         self._heard.forget()
 
-    def health(self, now: int) -> Health:  # noqa: ARG002 - roles are of the last tick
-        """Return how many robots there are in each role."""
+    def health(self, now: int) -> Health:  # noqa: ARG002 - roles are those of the last tick
+        """Return the number of robots in each role."""
         count = {role: sum(r is role for r in self.roles.values()) for role in Role}
         ids = {role: [i for i, r in self.roles.items() if r is role][:20] for role in Role}
         values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
         values = (*values, *self._refusals.values())
         if not self._started:
             heard = self._known()
-            return Health(Level.WARN, f"waits for robots: {heard} heard, {self._needed} needed", values)
+            return Health(Level.WARN, f"waiting for robots: {heard} heard, {self._needed} needed", values)
         if not count[Role.ACTIVE]:
             return Health(Level.ERROR, "no robot follows", values)
         missing = count[Role.STOPPED] + count[Role.SILENT]
@@ -215,7 +215,7 @@ class RealtimeObserver:
         return self._heard.problem(message, step, self._bounds.problem(message) or self._overweight(message))
 
     def _overweight(self, state: AgentState) -> str:
-        """Return that there is not so much mass left beside that of the other robots on the plane."""
+        """Return a problem if the robot's mass and those of the others on the plane exceed the mass of the swarm."""
         known = self._states.get(state.agent_id)
         if known is not None and (known.mass, known.status) == (state.mass, state.status):
             return ""
@@ -225,7 +225,7 @@ class RealtimeObserver:
         return ""
 
     def _learn(self, event: SwarmEvent, step: int) -> None:
-        """Learn that a robot has followed before, which late comers are told too, or that one was carried away."""
+        """Note an event that shows that the swarm is already moving, or that a silent robot was removed."""
         if event.agent_id not in self.roles:
             return
         if event.kind == EventKind.RECOVERED and self._under_way_since is None:
@@ -235,14 +235,14 @@ class RealtimeObserver:
             self._states[event.agent_id] = self._states[event.agent_id]._replace(status=Status.LEFT)
 
     def _provenance(self, standing: Collection[int], step: int, now: int) -> Basis:
-        """Return of which steps the states are that are summed up, and who is taken to stand."""
+        """Return the provenance of the sums: the steps of the states, and the robots assumed at rest."""
         ids = tuple(i for i, state in sorted(self._states.items()) if state.status != Status.LEFT)
         steps = tuple(self._steps[agent_id] for agent_id in ids)
         marks = tuple(int(agent_id in standing) for agent_id in ids)
         return Basis(now, step, NEVER, NEVER, Source.OBSERVER, steps, ids, marks)
 
     def _may_start(self, step: int) -> bool:
-        """Tell whether enough robots are there, or the swarm is under way already and only this node has begun anew."""
+        """Return whether enough robots are known, or only this node has restarted while the swarm is moving."""
         if self._known() >= self._needed:
             return True
         if self._under_way_since is None:
@@ -252,9 +252,10 @@ class RealtimeObserver:
         return step - self._under_way_since > self._age and len(self._states) >= FEWEST
 
     def _known(self) -> int:
-        """Return of how many robots it is known where they are: heard of late, or silent since before this node began.
+        """Return how many robots have a known position: recently heard, or silent since before this node started.
 
-        As of the last tick. A state that was outdated when it came says nothing of a swarm that is about to move.
+        The count is that of the last tick. A state that was outdated on arrival does not count, because the robot may
+        be elsewhere when the swarm starts.
         """
         absent = (Role.UNHEARD, Role.SILENT)
         return sum(role not in absent or i in self._remembered for i, role in self.roles.items())
@@ -269,7 +270,7 @@ class RealtimeObserver:
             self._memorise(agent_id, role)
             there, was_there = (r in (Role.ACTIVE, Role.STOPPED) for r in (role, before))
             if there and was_there:
-                continue  # the robot says so itself
+                continue  # the robot reports this change itself
             kind = {Role.SILENT: EventKind.DEAD, Role.LEFT: EventKind.LEFT}.get(role, EventKind.JOINED)
             position = self._states[agent_id].position
             events.append(SwarmEvent(now, step, agent_id, kind, position, "" if there else role.value))
@@ -283,5 +284,5 @@ class RealtimeObserver:
 
 
 def _long_ago(state: AgentState) -> AgentState:
-    """Return a state that any newer one replaces."""
+    """Return the state with step 0, so that any newer state replaces it."""
     return state._replace(step=0)

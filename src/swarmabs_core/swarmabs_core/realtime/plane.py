@@ -1,4 +1,4 @@
-"""The simulated plane in real time: for demonstrations and tests; on hardware a sensor's driver takes its place."""
+"""The simulated plane in real time, for demonstrations and tests; on hardware a sensor driver replaces it."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MOST_STEPS = 1000
-"""Periods that the plane catches up after a pause of its process; beyond, it has been held."""
+"""Largest number of periods that the plane makes up for after a pause of its process; in further ones it was held."""
 DOUBT = 0.1
-"""Time for which states of a robot are compared, and none is taken over after two that contradict each other, s."""
+"""Time, s, for which states of a robot are compared, and for which contradictory states block new ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimePlaneConfig:
-    """Configuration of the simulated plane; the time of its disturbance begins when it is let go."""
+    """Configuration of the simulated plane in real time; the time of its disturbance starts with its release."""
 
     members: tuple[int, ...] = same(Run, "members")
     schedule: Schedule = part(Schedule, name="")
@@ -56,22 +56,22 @@ class RealtimePlaneConfig:
 
     @property
     def bounds(self) -> Bounds:
-        """What is known of the swarm and its plane beforehand."""
+        """Known properties of the swarm and its plane, against which messages are validated."""
         return Bounds(self.plane.gravity, self.plane.length, period=self.schedule.period)
 
     @property
     def end_stop(self) -> float:
-        """Angle of the end stops on both sides, rad; a plane without any rests where a run in lockstep ends."""
+        """Angle of the end stops on both sides, rad; by default the angle at which a run in lockstep fails."""
         return min(self.plane.end_stop, STEEPEST)
 
 
 class PlaneMotion:
-    """How the plane moves under the robots, without any memory: the same input gives the same bits, also in a check.
+    """Motion of the plane under the robots. Verification recomputes the same bits from the same input.
 
     Attributes
     ----------
     impact : float or None
-        Angular velocity (rad/s) with which the plane has run into an end stop, if it has not rested there before.
+        Angular velocity (rad/s) of the last impact on an end stop, unless the plane rested there before.
     """
 
     def __init__(self, config: RealtimePlaneConfig) -> None:
@@ -95,12 +95,12 @@ class PlaneMotion:
         state : tuple of float
             Angle and angular velocity now.
         before, newest : mapping of int to AgentState
-            The robots on the plane by id: as they were known now, and as they are known then. One that was not known
-            has been where it is then.
+            The robots on the plane by id: their known states at the start and at the end. A robot without a known
+            state at the start is assumed to have been in its position at the end.
         passed : int
-            Periods to go on; beyond `MOST_STEPS` the plane has been held.
+            Number of periods; in those beyond `MOST_STEPS` the plane was held.
         since_release : int
-            Periods since the plane was let go.
+            Number of periods since the plane was released.
         """
         config, (angle, rate) = self._config, state
         passed = min(passed, MOST_STEPS)
@@ -114,11 +114,11 @@ class PlaneMotion:
         return angle, rate
 
     def measured(self, angle: float, angular_velocity: float, step: int) -> tuple[float, float]:
-        """Return what the sensor tells of angle (rad) and angular velocity (rad/s) at a step."""
+        """Return the sensor's measurement of angle (rad) and angular velocity (rad/s) at a step."""
         return measured_plane(self._config.plane.sensor, angle, angular_velocity, self._config.seed, step)
 
     def _path(self, start: AgentState, end: AgentState, index: int, passed: int) -> RobotPath:
-        """Return a robot's path over one of the periods that have passed since it was last looked at."""
+        """Return a robot's path over one of the periods that have passed since the last tick."""
         if start.position == end.position:
             return standing(end.mass, end.position)
         if passed == 1 and end.kind == Kind.DOUBLE_INTEGRATOR:
@@ -129,10 +129,10 @@ class PlaneMotion:
 
 
 class RealtimePlane:
-    """Integrates the plane up to each tick, with the robots where they were heard last.
+    """Integrates the plane up to each tick, with the robots at their last reported positions.
 
-    It is held at its initial angle until a robot follows the broadcasts for the first time: nobody lets a plane go
-    before the swarm is there to hold it.
+    The plane is held at its initial angle until a robot follows the broadcasts for the first time, that is, until the
+    swarm can balance it.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class RealtimePlane:
         return ()
 
     def tick(self, now: int) -> Messages:
-        """Move the plane up to this step and tell its state."""
+        """Move the plane up to this step and return its state."""
         step = self._counter.next(now)
         if step is None:
             if self._counter.last is None:
@@ -191,12 +191,12 @@ class RealtimePlane:
         return (*events, self._provenance(step, now, since), state)
 
     def halt(self) -> None:
-        """Hold the plane where it is."""
+        """Hold the plane at its current angle."""
         self._released = self._last_step = None
         self._angular_velocity = self._config.plane.angular_velocity
 
-    def health(self, now: int) -> Health:  # noqa: ARG002 - a simulation knows no age
-        """Return where the plane is."""
+    def health(self, now: int) -> Health:  # noqa: ARG002 - a simulation is never outdated
+        """Return the motion of the plane."""
         values = (
             ("angle, rad", f"{self._angle:.4f}"),
             ("angular velocity, rad/s", f"{self._angular_velocity:.4f}"),
@@ -206,15 +206,15 @@ class RealtimePlane:
         if self._released is None:
             return Health(Level.WARN, "held until a robot follows the broadcasts", values)
         if abs(self._angle) >= self._config.end_stop:
-            return Health(Level.ERROR, "rests at its end stop", values)
-        return Health(Level.OK, "moves", values)
+            return Health(Level.ERROR, "at rest on its end stop", values)
+        return Health(Level.OK, "moving", values)
 
     def _robots(self) -> dict[int, AgentState]:
-        """Return the newest states of those who are on the plane."""
+        """Return the newest states of the robots on the plane."""
         return {i: state for i, state in self._newest.items() if state.status != Status.LEFT}
 
     def _provenance(self, step: int, now: int, since: int | None) -> Basis:
-        """Return from where the plane has moved, and under which states of the robots."""
+        """Return the provenance of the plane's state: the step from which it moved, and the states of the robots."""
         states = sorted(self._before.items())
         return Basis(
             now,

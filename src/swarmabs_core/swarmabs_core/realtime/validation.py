@@ -1,7 +1,7 @@
-"""Which messages a node in real time believes: numbers that are possible, none from the future, no contradictions.
+"""Validation of messages in real time: plausible numbers, no messages from the future, no contradictions.
 
-In lockstep a node gathers all messages of a step (`swarmabs_core.behaviours.base.Gathering`). Here it takes the newest,
-so it has to notice by itself when two senders claim one place.
+In lockstep a node gathers all messages of a step (`swarmabs_core.behaviours.base.Gathering`). In real time it uses the
+newest ones, so it must detect conflicting senders.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
 Place = TypeVar("Place")
-"""What tells messages of a step apart that do not exclude each other; hashable."""
+"""Hashable key of a message within its step; two different messages in one place contradict each other."""
 
 QUIET_NS = 10_000_000_000
-"""Time between two reports of the same reason, ns: an intruder must not flood the events."""
+"""Time between two reports of the same reason, ns, so that an intruder cannot flood the events."""
 MOST_REASONS = 100
-"""Reasons that are told apart; of more, only the number is kept."""
+"""Number of reasons that are reported separately; messages rejected for other reasons are only counted."""
 SLACK = 1.05
-"""By how much a bound may be exceeded: a measured position is never exact."""
+"""Factor by which a bound may be exceeded, because measured positions are not exact."""
 _ROUNDING = 1e-6
 LEAST_DAMPING_TIME = 1e-3
 """Shortest time constant of a robot's own damping that is credible, in periods."""
@@ -47,7 +47,7 @@ FASTEST_TURN = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What is known beforehand of a swarm and its plane: gravity (m/s^2), length of the plane (m), mass of the swarm.
+    """Known properties of a swarm and its plane: gravity (m/s^2), length of the plane (m) and mass of the swarm.
 
     The period (s) is the shortest time in which a robot may cross the plane.
     """
@@ -55,7 +55,7 @@ class Bounds:
     gravity: float
     plane_length: float
     swarm_mass: float = setting(
-        inf, "mass of all robots that ever take part, kg, which bounds what is believed", above=0.0, unset=0.0
+        inf, "mass of all robots that ever take part, kg: the bound for plausible messages", above=0.0, unset=0.0
     )
     period: float = 0.001
 
@@ -70,7 +70,7 @@ class Bounds:
         return self.plane_length / self.period * SLACK
 
     def exceeds(self, mass: float) -> bool:
-        """Tell whether a mass (kg) is more than that of the whole swarm."""
+        """Return whether a mass (kg) exceeds that of the whole swarm."""
         return mass > self.swarm_mass * (1.0 + _ROUNDING)
 
     def problem(self, message: Message) -> str:
@@ -138,11 +138,11 @@ class Bounds:
 
 
 class Heard(Generic[Place]):
-    """The first message of each step and place, for as long as another one may come there, and where two differed.
+    """The first message of each step and place, and the places with contradictory messages.
 
-    Nodes believe the newest message. What is from the future is the newest until its step has come, so it is not enough
-    to compare with the newest: whoever is always ahead would never be compared with those whom he has overtaken.
-    Messages are kept of so many steps older (`age`) and newer (`ahead`) than now.
+    Nodes use the newest message. A comparison with the newest alone is not sufficient: a sender that is always ahead
+    would never be compared with the senders that it has overtaken. Messages are therefore kept for the steps from `age`
+    before to `ahead` after the current one.
     """
 
     def __init__(self, age: int, ahead: int) -> None:
@@ -152,13 +152,13 @@ class Heard(Generic[Place]):
         self._contradicted: dict[Place, int] = {}
 
     def from_future(self, message: Message, step: int) -> bool:
-        """Tell whether a message is newer than clocks that agree allow in a step."""
+        """Return whether a message is newer than the clock tolerance allows in a step."""
         return message.step > step + self._ahead
 
     def add(self, place: Place, message: Message, step: int) -> bool:
-        """Keep a message that is the first in its place; tell whether it differs from the first.
+        """Keep a message if it is the first in its place; return whether it differs from the first.
 
-        One of a step that is not kept differs from nothing; `step` is the one that it is now.
+        Messages of steps that are not kept are not compared; `step` is the current one.
         """
         if not step - self._age <= message.step <= step + self._ahead:
             return False
@@ -171,37 +171,37 @@ class Heard(Generic[Place]):
         return differs
 
     def doubt(self, place: Place, step: int) -> None:
-        """Believe nothing of a place from a step on, until the messages of that step are outdated."""
+        """Distrust a place from a step on, until the messages of that step are outdated."""
         self._contradicted[place] = step
 
     def doubts(self, place: Place, step: int) -> bool:
-        """Tell whether nothing of a place is to be believed: two differed, and nobody knows who was first."""
+        """Return whether a place is distrusted: two messages differed, and it is unknown which one is genuine."""
         since = self._contradicted.get(place)
         return since is not None and step - since <= self._age
 
     def doubts_any(self, step: int) -> bool:
-        """Tell whether nothing of some place is to be believed."""
+        """Return whether any place is distrusted."""
         return any(self.doubts(place, step) for place in self._contradicted)
 
     def of(self, step: int) -> Mapping[Place, Message]:
-        """Return what was heard of a step, by its place, in the order in which it came."""
+        """Return the messages of a step by place, in the order of arrival."""
         return self._steps.get(step, {})
 
     def steps(self) -> Collection[Mapping[Place, Message]]:
-        """Return what was heard of each step that is kept."""
+        """Return the messages of each step that is kept."""
         return self._steps.values()
 
     def forget(self) -> None:
-        """Forget everything."""
+        """Discard everything."""
         self._steps.clear()
         self._contradicted.clear()
 
 
 class HeardStates(Heard[int]):
-    """The robots' states."""
+    """Received states of the robots."""
 
     def problem(self, state: AgentState, step: int, impossible: str) -> str:
-        """Return why a state is not believed, be it that it is impossible; empty if it is."""
+        """Return why a state is rejected, given why it is impossible, if it is; empty if it is valid."""
         problem = impossible
         if self.from_future(state, step):
             problem = "a state from the future; the clocks differ, or it is of another swarm"
@@ -212,14 +212,14 @@ class HeardStates(Heard[int]):
 
 
 class Refusals:
-    """Counts what a node, of a robot or of none (0), has refused.
+    """Counts the messages that a node, of a robot or of none (0), has rejected.
 
-    Each reason is reported once, and again when it has not occurred for a while.
+    Each reason is reported once, and again only after some time.
 
     Attributes
     ----------
     total : int
-        Messages refused so far.
+        Number of messages rejected so far.
     latest : str
         The latest reason.
     """
@@ -232,7 +232,7 @@ class Refusals:
         self.latest = ""
 
     def add(self, reason: str, step: int, now: int) -> Messages:
-        """Note a refusal and return the event, if it is to be reported; `reason` has few variants."""
+        """Count a rejection and return the event, if it is due for a report; `reason` has few variants."""
         self.total += 1
         self.latest = reason
         if reason not in self._reported and len(self._reported) >= MOST_REASONS:
@@ -246,5 +246,5 @@ class Refusals:
         return (SwarmEvent(now, max(0, step), self._agent_id, EventKind.REFUSED, float(count), reason),)
 
     def values(self) -> tuple[tuple[str, str], ...]:
-        """Return the figures of a state of health."""
+        """Return the values for a health status."""
         return ("refused", str(self.total)), ("last refusal", self.latest)

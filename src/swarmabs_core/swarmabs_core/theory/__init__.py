@@ -1,1 +1,1 @@
-"""What the paper's analysis says about a swarm before it moves (docs/explanation/equations.md, 7)."""
+"""The paper's analysis, evaluated for a swarm before it moves (docs/explanation/equations.md, 7)."""

@@ -1,7 +1,7 @@
-r"""The theorems of a plane under the ARISE controller: ARISE_SI_sys, ARISE_DI_sys and ARISE_noHomo_sys.
+r"""The theorems for a plane under the ARISE controller: ARISE_SI_sys, ARISE_DI_sys and ARISE_noHomo_sys.
 
-The proof needs :math:`|\tilde N| \le c_{max} |z_p|` with :math:`z_p = (e_1, e_2, r)`. For a reference at rest, where
-the friction is steepest with slope s, and constant inertia I,
+The proof requires :math:`|\tilde N| \le c_{max} |z_p|` with :math:`z_p = (e_1, e_2, r)`. For a reference at rest, where
+the slope s of the friction is largest, and constant inertia I,
 
 .. math::
 
@@ -9,9 +9,9 @@ the friction is steepest with slope s, and constant inertia I,
              + (1 - I (\alpha_1^2 + \alpha_1 \alpha_2 + \alpha_2^2) + s (\alpha_1 + \alpha_2)) e_2
              + \alpha_1^2 (I \alpha_1 - s) e_1
 
-to first order, so c_max is at least the length of this gradient, and its friction alone, in the direction of r, is s.
+to first order, so c_max is at least the norm of this gradient; friction alone contributes s in the direction of r.
 Completing the square gives :math:`k_s > c_{max}^2/(4 \eta_3)`; the theorem prints :math:`c_{max}/\eta_3`, its proof
-:math:`c_{max}/(4 \eta_3)`. Rates of the inertia only add to c_max, so these conditions are necessary.
+:math:`c_{max}/(4 \eta_3)`. Rates of the inertia can only increase c_max, so these conditions are necessary.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 SAMPLES = 20001
-"""Instants at which the reference is looked at."""
+"""Number of instants at which the reference is sampled."""
 
 
 class Reference(NamedTuple):
-    """Bounds along the reference, with the swarm that it would need; zeta bounds N_d, N m/s, or its rate, N m/s^2."""
+    """Bounds along the reference, with the swarm it requires; zeta bounds N_d (N m/s) or its rate (N m/s^2)."""
 
     angle: float  # largest |th_d|, rad
     rate: float  # largest |th_d'|, rad/s
     printed: float  # zeta as the theorem prints N_d
     printed_rate: float
-    corrected: float  # zeta as lemma NisBounded has it, with the disturbance
+    corrected: float  # zeta as in lemma NisBounded, with the disturbance
     corrected_rate: float
     initial: float  # N_d at the start, N m/s
 
@@ -58,7 +58,7 @@ def reference_bounds(setting: Setting, law: Arise) -> Reference:
     disturbance = np.array(setting.plane.disturbance.torques(times.tolist()))
     friction = np.array([setting.plane.friction.torque(rate) for rate in w.tolist()])
     inertia = np.full_like(times, setting.manifold.offset)
-    for _ in range(5):  # the torque depends weakly on the inertia that belongs to it
+    for _ in range(5):  # fixed-point iteration: the torque depends weakly on its inertia
         torque = -((setting.plane.inertia + inertia) * dw + friction + disturbance) / np.cos(angle)
         inertia = setting.manifold.curvature * torque**2 + setting.manifold.offset
 
@@ -66,7 +66,7 @@ def reference_bounds(setting: Setting, law: Arise) -> Reference:
         return np.asarray(np.gradient(values, times, edge_order=2))
 
     inertia_rate = rate(inertia)
-    # Y_d' lambda = J th_d''' + the friction's rate, which leaves the swarm's inertia.
+    # Y_d' lambda = J th_d''' + the rate of the friction; the terms of the swarm's inertia remain.
     printed = inertia * ddw + inertia_rate * dw
     corrected = inertia * ddw + 2.0 * inertia_rate * dw + rate(inertia_rate) * w + rate(disturbance)
 
@@ -85,9 +85,9 @@ def reference_bounds(setting: Setting, law: Arise) -> Reference:
 
 
 def error_gradient(inertia: float, slope: float, alpha1: float, alpha2: float) -> tuple[float, float, float]:
-    """Return the derivatives of N~ by e1, e2 and r for a reference at rest and constant inertia J + J_s, kg m^2.
+    """Return the derivatives of N~ by e1, e2 and r for a reference at rest and constant inertia J + J_s (kg m^2).
 
-    The slope is that of the friction, N m s/rad; the alphas are in 1/s.
+    `slope` is that of the friction (N m s/rad); the alphas are in 1/s.
     """
     both = alpha1 + alpha2
     return (
@@ -98,9 +98,9 @@ def error_gradient(inertia: float, slope: float, alpha1: float, alpha2: float) -
 
 
 def printed_bound(inertia: float, largest: float, slope: float, alpha1: float, alpha2: float) -> float:
-    """Return c_max = max{c1, c2, c3} of lemma NisBounded with all rates 0, a part of what the lemma prints.
+    """Return c_max = max{c1, c2, c3} of lemma NisBounded with all rates 0, a lower bound of the printed one.
 
-    `inertia` and `largest` are J and J_max, kg m^2; the others are as of `error_gradient`.
+    `inertia` and `largest` are J and J_max (kg m^2); the others are as in `error_gradient`.
     """
     total = inertia + largest
     return max(
@@ -112,7 +112,7 @@ def printed_bound(inertia: float, largest: float, slope: float, alpha1: float, a
 
 
 def check_arise(setting: Setting) -> ParentCheck | None:
-    """Evaluate the theorem; None if the parent controller is another one."""
+    """Evaluate the theorem; return None for other parent controllers."""
     law = setting.law
     if not isinstance(law, Arise):
         return None
@@ -131,7 +131,7 @@ def check_arise(setting: Setting) -> ParentCheck | None:
     needed = _over(slope * slope / 4.0, eta3)
     uncovered = (
         f"with ks = {g.ks:.6g} the ARISE theorem does not cover this run: the friction's slope at rest, "
-        f"{slope:.6g} N m s/rad, alone asks for ks > {needed:.6g}"
+        f"{slope:.6g} N m s/rad, alone requires ks > {needed:.6g}"
     )
     simple = (
         ("alpha1", Form("alpha1 > 1/2", g.alpha1, 0.5)),
@@ -151,8 +151,8 @@ def check_arise(setting: Setting) -> ParentCheck | None:
                 "zeta_rate_corrected": bounds.corrected_rate,
                 "alpha2": g.alpha2,
             },
-            "the theorem prints N_d without the disturbance and half of the inertia's rates; bounds sampled along the "
-            "reference",
+            "the theorem prints N_d without the disturbance and half of the inertia's rates; the bounds are sampled "
+            "along the reference",
         ),
         Condition(
             DECIDING,
@@ -166,7 +166,7 @@ def check_arise(setting: Setting) -> ParentCheck | None:
             Form("ks > c_max/eta3", g.ks, _over(lemma, eta3)),
             Form("ks > c_max^2/(4 eta3)", g.ks, _over(least * least / 4.0, eta3)),
             {"ks": g.ks, "c_max_printed": lemma, "c_max_corrected": least, "eta3": eta3, "gradient": gradient},
-            "c_max is at least the gradient of N~ at rest; rates of the inertia add to it",
+            "c_max is at least the gradient of N~ at rest; rates of the inertia increase it",
         ),
         *gain_conditions(setting),
         Condition(
@@ -174,10 +174,10 @@ def check_arise(setting: Setting) -> ParentCheck | None:
             Form("|(z0, y0)|^2 <= rho^2 eta1/eta2", square, printed, "<="),
             Form("|(z0, y0)|^2 <= rho^2 eta1/eta2, rho from min, not sum", square, corrected, "<="),
             {"state": state, "eta3": eta3, "c_max_printed": slope, "c_max_corrected": least},
-            "" if corrected > 0.0 else "S is empty, as ks is too small",
+            "" if corrected > 0.0 else "S is empty because ks is too small",
         ),
     )
-    # S is a ball: its function is the square of the norm.
+    # S is a ball, the level set of the squared norm.
     return ParentCheck(
         "ARISE",
         conditions,
@@ -204,12 +204,12 @@ def _over(value: float, eta3: float) -> float:
 
 
 def _initial_state(setting: Setting, law: Arise, bounds: Reference) -> tuple[float, ...]:
-    """Return e1, e2, r, the errors of the abstract state (with rates for double integrators), lambda~, sqrt P."""
+    """Return e1, e2, r, the errors of the abstract state (with rates for double integrators), lambda~ and sqrt P."""
     g, plane, f, swarm = law.gains, setting.plane, setting.plane.friction, setting.initial
     opposing = (
         cos(plane.angle) * swarm.torque
         + swarm.inertia_rate * plane.angular_velocity
-        + f.torque(plane.angular_velocity)  # and no disturbance, which begins at 0
+        + f.torque(plane.angular_velocity)  # without the disturbance, which is 0 at the start
     )
     angle, rate, acceleration, _, _ = law.trajectory.derivatives(0.0)
     e1, de1 = angle - plane.angle, rate - plane.angular_velocity
@@ -235,7 +235,7 @@ def _coefficients(setting: Setting, law: Arise) -> tuple[float, float]:
 
 
 def _printed_ball(setting: Setting, law: Arise, eta3: float, slope: float) -> float:
-    """Return the largest square of the norm in S as printed, with c_max the slope of the friction."""
+    """Return the largest squared norm in the printed S, with the slope of the friction as c_max."""
     g, k = law.gains, setting.gains.k
     if g.ks <= 0.0:
         return 0.0
@@ -246,7 +246,7 @@ def _printed_ball(setting: Setting, law: Arise, eta3: float, slope: float) -> fl
 
 
 def _corrected_ball(setting: Setting, law: Arise, decay: float, reference_rate: float) -> float:
-    """Return it with V_a weighted by kappa, such that rho_E^2 < 4 kappa a decay is used best."""
+    """Return the largest squared norm in S with V_a weighted by kappa, optimised under rho_E^2 < 4 kappa a decay."""
     if decay <= 0.0:
         return 0.0
     eta1, eta2 = _coefficients(setting, law)
@@ -261,7 +261,7 @@ def _corrected_ball(setting: Setting, law: Arise, decay: float, reference_rate: 
 
 
 def _slower_part(setting: Setting) -> tuple[float, float, float, float]:
-    """Return least and largest coefficient of V_a, decay of V_a and the gain of e_tau' in E, of the slower part."""
+    """Return the worst values over both parts: coefficients and decay of V_a, and the gain of e_tau' in E."""
     gains, epsilon = setting.gains, chosen_epsilon(setting.gains)
     parts = []
     if setting.has_single:

@@ -1,4 +1,4 @@
-"""What the paper's theorems say of a scenario before it runs."""
+"""Evaluation of the paper's theorems for a scenario before it runs."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _SWARMS: dict[SwarmKind, str] = {
     "DI": "double integrators",
     "noHomo": "both kinds of robots",
 }
-_DROPPED = "the proof takes the errors of both parts for independent and drops what damping does in the null space"
+_DROPPED = "the proof treats the errors of both parts as independent and omits the effect of damping in the null space"
 
 
 def check(setting: Setting) -> Report:
-    """Evaluate the paper's theorems, and what a run in sampled time needs beyond them; nothing is simulated."""
+    """Evaluate the paper's theorems and the further conditions for sampled time; nothing is simulated."""
     parent = check_feedback(setting) or check_arise(setting)
     found = constraints(setting, parent.torque if parent else setting.manifold.torque_max)
     return Report(
@@ -39,7 +39,7 @@ def check(setting: Setting) -> Report:
         (*_six(setting, parent), *_general(setting, found, parent)),
         Theorem(
             "sampled_time",
-            "what the paper leaves out: sampled time and the singularity S3 = 0",
+            "beyond the paper: sampled time and the singularity S3 = 0",
             (*inertia_swing(setting), *sampled_conditions(setting)),
         ),
         {name: plain(value) for name, value in (parent.attraction if parent else {}).items()},
@@ -49,7 +49,7 @@ def check(setting: Setting) -> Report:
 
 
 def _six(setting: Setting, parent: ParentCheck | None) -> Iterator[Theorem]:
-    """Yield the theorems of controllers and swarms in the paper's order."""
+    """Yield the theorems for controllers and swarms in the paper's order."""
     for kind, robots in _SWARMS.items():
         for name, law in (("LQR", "state feedback"), ("ARISE", "ARISE")):
             label, title = f"{name}_{kind}_sys", f"{law} with {robots}"
@@ -76,7 +76,7 @@ def _general(setting: Setting, found: Constraints, parent: ParentCheck | None) -
 
 
 def _notes(setting: Setting) -> Iterator[str]:
-    """Say what the theory leaves out of this scenario."""
+    """Yield notes on properties of the scenario that the theory does not consider."""
     robot = setting.robots[0]
     yield (
         "the theorems assume continuous time and no command filter; the limits of sampled time are those of the loops "
@@ -86,16 +86,16 @@ def _notes(setting: Setting) -> Iterator[str]:
     leaves = max(0.0, setting.sets.admissible_reach(manifold.curvature, manifold.offset))
     if leaves < torque_max:
         yield (
-            f"manifold: above |tau| = {leaves:.4g} N m, below torque_max = {torque_max!r}, some positions with the "
-            "desired torque and inertia are off the plane (the manifold leaves A_A); lower torque_max, or lengthen the "
-            "plane"
+            f"manifold: for |tau| above {leaves:.4g} N m, which is below torque_max = {torque_max!r}, some positions "
+            "with the desired torque and inertia are off the plane (the manifold leaves A_A); reduce torque_max, or "
+            "use a longer plane"
         )
     if robot.limits != Limits():
         yield "the theorems do not consider the limits of the drives"
     if robot.feels_gravity and setting.has_double:
-        yield "plane.robot_gravity: the theorems leave out gravity along the plane, which destabilises"
+        yield "plane.robot_gravity: the theorems do not consider gravity along the plane, which is destabilising"
     if setting.faulty:
         yield (
-            "the theorems do not consider faults, losses and joining or leaving robots; the check covers the initial "
+            "the theorems do not consider faults, losses, or robots that join or leave; the check covers the initial "
             "swarm and a delay"
         )

@@ -1,6 +1,6 @@
-r"""Which abstract states the robots can give without leaving the plane (def. absConstrained to partConstrained).
+r"""Abstract states that the robots can realise without leaving the plane (def. absConstrained to partConstrained).
 
-A state (tau, J) of a swarm stands for all positions with g sum m p = tau and sum m p^2 = J: its preimage. With
+The preimage of a state (tau, J) is the set of all positions with g sum m p = tau and sum m p^2 = J. With
 T = tau/g, M = sum m, h = L/2 and the box |p_i| <= h, three curves over T divide the abstract space:
 
 .. math::
@@ -8,13 +8,13 @@ T = tau/g, M = sum m, h = L/2 and the box |p_i| <= h, three curves over T divide
     J_{min} = T^2/M \qquad J_A = J_{min} + (h - |T|/M)^2 / (1/m_{min} - 1/M) \qquad
     J_{max} = \max \{ \sum m p^2 : |p_i| \le h, \sum m p = T \}
 
-Below J_min nothing gives the state. Up to J_A every preimage is in the box (A_A), up to J_max some are (A_P), above,
-and for |T| > M h, none is (A_U). A state on a curve, or off it by rounding, counts to the set below it.
+Below J_min the preimage is empty. Up to J_A the whole preimage is in the box (A_A), up to J_max a part of it (A_P), and
+above, or for |T| > M h, no part (A_U). A state on a curve, within rounding, belongs to the set below it.
 
-J_max is attained at a vertex of the box's slice: all robots at an end of the plane but at most one. It is thus the
-upper envelope of the edges of the box, each of which is a parabola in the abstract space, and asks for a signed sum of
-masses near a given one. That is exact for up to 21 different masses, and for any number of equal ones; beyond, a
-vertex near the best one and M h^2 bracket it.
+J_max is attained at a vertex of the box's slice, where at most one robot is not at an end of the plane. It is thus the
+upper envelope of the edges of the box, each of which is a parabola in the abstract space, and requires a signed sum of
+masses near a given value. The result is exact for up to 21 different masses, and for any number of equal ones;
+otherwise it is bracketed by a nearly optimal vertex and M h^2.
 """
 
 from __future__ import annotations
@@ -29,41 +29,41 @@ from math import copysign, fsum, inf, prod, sqrt
 from typing import NamedTuple
 
 _ROUNDING = 1e-12
-"""Relative to M h^2 or M: a state beyond a boundary by less counts as on it."""
+"""Tolerance relative to M h^2 or M: a state that is beyond a boundary by less counts as on it."""
 _MOST_SUMS = 1 << 15
-"""J_max is exact where at most so many sums of masses have to be looked up at a torque."""
+"""Largest number of sums of masses that are searched at a torque for an exact J_max."""
 _FREE = 14
-"""Robots whose signs are all tried where they are too many for exactness."""
+"""Number of robots whose signs are all tried if there are too many robots for an exact result."""
 _MOST_EDGES = 1 << 16
-"""Edges of the box that are looked at to follow a curve below their envelope."""
+"""Largest number of edges of the box that are searched to follow a curve below their envelope."""
 
 
 class StateClass(Enum):
-    """What the preimage of an abstract state has to do with the plane."""
+    """Location of an abstract state's preimage relative to the plane."""
 
     ADMISSIBLE = "A_A"
     """All positions in the preimage are on the plane."""
     PARTIAL = "A_P"
-    """Some are, some are not."""
+    """Some positions in the preimage are on the plane, others are not."""
     UNREACHABLE = "A_U"
-    """There are positions in the preimage, but none on the plane."""
+    """The preimage is not empty, but no position in it is on the plane."""
     EMPTY = "empty"
-    """No positions give this torque and inertia, on the plane or off it."""
+    """No positions have this torque and inertia, on the plane or off it."""
     UNDECIDED = "A_P or A_U"
-    """One of these two: the robots are too many for an exact answer, and the bracket of J_max holds the state."""
+    """One of these two: there are too many robots for an exact answer, and the state is in the bracket of J_max."""
 
 
 class Bracket(NamedTuple):
-    """Two bounds of a number; equal where it is known exactly."""
+    """Lower and upper bound of a number, equal if it is known exactly."""
 
     lower: float
     upper: float
 
 
 class Edge(NamedTuple):
-    """An edge of the box: one robot moves across the plane while all others stand at its ends.
+    """An edge of the box: one robot moves across the plane while all others are at its ends.
 
-    Over x from -1 to 1 it gives T = h (rest + mass x) and J = h^2 (M - mass (1 - x^2)).
+    For x from -1 to 1, T = h (rest + mass x) and J = h^2 (M - mass (1 - x^2)).
     """
 
     mass: float  # of the robot that moves, kg
@@ -71,14 +71,14 @@ class Edge(NamedTuple):
 
 
 class ManifoldReach(NamedTuple):
-    """Up to which |tau| (N m) a manifold J = curvature tau^2 + offset stays in which set, from tau = 0 on.
+    """The |tau| (N m) up to which a manifold J = curvature tau^2 + offset stays in each set, starting at tau = 0.
 
-    -inf where it is outside at tau = 0 already, inf where it never leaves.
+    It is -inf if the manifold is outside at tau = 0, inf if it never leaves the set.
     """
 
     admissible: float  # in A_A
     reachable: Bracket  # in A_A or A_P; exact for up to 13 different masses
-    nonempty: float  # where there are positions, on the plane or off it
+    nonempty: float  # where the preimage is not empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class ConstraintSets:
 
     @property
     def total(self) -> float:
-        """The mass of all robots, kg, of which there must be two or more: others are a ValueError."""
+        """The mass of all robots, kg; raises ValueError if there are fewer than two."""
         if len(self.masses) < 2:
             raise ValueError(f"the constraint sets need at least two robots, got {len(self.masses)}")
         return fsum(self.masses)
@@ -102,10 +102,10 @@ class ConstraintSets:
         return self.gravity * fsum(self.masses) * self.length / 2
 
     def largest_position(self, torque: float, inertia: float) -> float:
-        """Return the largest |p_i| (m) that any robot can have in the preimage of an abstract state.
+        """Return the largest |p_i| (m) of any robot in the preimage of an abstract state.
 
         With T = torque/g and M = sum m this is ``|T|/M + sqrt((Js - T^2/M) (1/m_min - 1/M))``, which is exact and
-        attained; it is infinite where the preimage is empty.
+        attained; it is infinite if the preimage is empty.
         """
         total = fsum(self.masses)
         moment = torque / self.gravity
@@ -115,14 +115,14 @@ class ConstraintSets:
         return abs(moment) / total + sqrt(free * max(0.0, 1 / min(self.masses) - 1 / total))
 
     def smallest_inertia(self, torque: float) -> float:
-        """Return J_min = T^2/M (kg m^2), below which no positions have this torque (N m): the domain's lower bound."""
+        """Return J_min = T^2/M (kg m^2), below which the preimage is empty at this torque (N m)."""
         moment = torque / self.gravity
         return moment * moment / fsum(self.masses)
 
     def largest_admissible_inertia(self, torque: float) -> float:
-        """Return J_A (kg m^2), the upper boundary of A_A, at a torque (N m); -inf where no such state lies in A_A.
+        """Return J_A (kg m^2), the upper boundary of A_A, at a torque (N m); -inf if A_A has no state with this torque.
 
-        There `largest_position` equals L/2.
+        At J_A, `largest_position` equals L/2.
         """
         total = self.total
         left = self.length / 2 - abs(torque) / (self.gravity * total)
@@ -131,10 +131,10 @@ class ConstraintSets:
         return self.smallest_inertia(torque) + max(left, 0.0) ** 2 / (1 / min(self.masses) - 1 / total)
 
     def largest_inertia(self, torque: float) -> Bracket:
-        """Return J_max (kg m^2), the largest inertia that robots on the plane have at a torque (N m).
+        """Return J_max (kg m^2), the largest inertia of robots on the plane at a torque (N m).
 
-        It is exact for up to 21 different masses, for any number of equal ones, and for torques so large that hardly a
-        robot can stand on the other side. Both bounds are -inf where no positions on the plane have this torque.
+        It is exact for up to 21 different masses, for any number of equal ones, and for torques so large that few
+        robots can be on the other side. Both bounds are -inf if no positions on the plane have this torque.
         """
         half, total = self.length / 2, self.total
         wanted = abs(torque) / (self.gravity * half)
@@ -145,8 +145,8 @@ class ConstraintSets:
         if len(set(members)) * min(_sums(part) for part in _halves(members)) <= _MOST_SUMS:
             exact, missing = True, _least_missing(wanted, tuple(members))
         else:
-            # If the torque is large enough, every robot that can be on the other side is among the lightest. Else
-            # robots of all masses are free, and the others stand such that these have little left to do.
+            # If the torque is large enough, every robot that can be on the other side is among the lightest. Otherwise
+            # robots of all masses are free, and the others are placed so that little torque is left for these.
             exact = total - wanted <= 2 * members[_FREE - 1]
             free = range(_FREE) if exact else range(0, len(members), len(members) // _FREE)[:_FREE]
             left = wanted
@@ -166,25 +166,25 @@ class ConstraintSets:
         if inertia <= self.largest_admissible_inertia(torque) + slack:
             return StateClass.ADMISSIBLE
         if inertia <= self._chain_inertia(torque):
-            return StateClass.PARTIAL  # as are nearly all states of robots on the plane, without a search
+            return StateClass.PARTIAL  # most states are decided here, without a search
         bound = self.largest_inertia(torque)
         if inertia <= bound.lower + slack:
             return StateClass.PARTIAL
         return StateClass.UNREACHABLE if inertia > bound.upper + slack else StateClass.UNDECIDED
 
     def admissible_reach(self, curvature: float, offset: float) -> float:
-        """Return `ManifoldReach.admissible` of a manifold alone, which is quick for any number of robots."""
+        """Return only `ManifoldReach.admissible` of a manifold, which is fast for any number of robots."""
         total, (rise, start, unit) = self.total, self._scaled(curvature, offset)
         shortage = 1 / total - rise
-        spread = 1 / min(self.masses) - 1 / total
-        # (1 - s/M)^2 - spread (start - shortage s^2) >= 0, on s <= M.
-        inside = _nonnegative(1 / total**2 + spread * shortage, -2 / total, 1 - spread * start, 0.0, total)
+        factor = 1 / min(self.masses) - 1 / total
+        # (1 - s/M)^2 - factor (start - shortage s^2) >= 0, on s <= M.
+        inside = _nonnegative(1 / total**2 + factor * shortage, -2 / total, 1 - factor * start, 0.0, total)
         return unit * min(_first_gap(inside, total), sqrt(start / shortage) if shortage > 0 else inf)
 
     def manifold_reach(self, curvature: float, offset: float) -> ManifoldReach:
-        """Return how far along a manifold J = curvature tau^2 + offset its states stay in A_A, and in A_A or A_P.
+        """Return how far the states along a manifold J = curvature tau^2 + offset stay in A_A, and in A_A or A_P.
 
-        The curvature (kg m^2/(N m)^2) is not negative, the offset (kg m^2) positive.
+        The curvature (kg m^2/(N m)^2) must not be negative, the offset (kg m^2) must be positive.
         """
         total, (rise, start, unit) = self.total, self._scaled(curvature, offset)
         shortage = 1 / total - rise
@@ -211,7 +211,7 @@ class ConstraintSets:
         return ManifoldReach(admissible, Bracket(unit * lower, unit * upper), unit * nonempty)
 
     def _scaled(self, curvature: float, offset: float) -> tuple[float, float, float]:
-        """Return a manifold over s = T/h, in kg, with inertias divided by h^2, and the torque (N m) of s = 1."""
+        """Return a manifold over s = T/h in kg, with inertias divided by h^2, and the torque (N m) at s = 1."""
         half = self.length / 2
         return curvature * self.gravity**2, offset / half**2, self.gravity * half
 
@@ -223,7 +223,7 @@ class ConstraintSets:
 
 
 def box_edges(masses: Sequence[float]) -> Iterator[Edge]:
-    """Yield all N 2^(N-1) edges of the box of positions; of robots with equal masses each different one once."""
+    """Yield all N 2^(N-1) edges of the box of positions, without duplicates for robots of equal mass."""
     groups = Counter(masses)
     for mass in groups:
         for rest in _signed_sums(groups - Counter((mass,))):
@@ -249,7 +249,7 @@ def _edge_count(masses: Sequence[float]) -> int:
 
 
 def _halves(masses: Sequence[float]) -> tuple[Counter[float], Counter[float]]:
-    """Split the robots such that both parts have about as many signed sums; equal masses stay together."""
+    """Split the robots so that both parts have about equally many signed sums; equal masses stay together."""
     halves: tuple[Counter[float], Counter[float]] = (Counter(), Counter())
     for mass, count in sorted(Counter(masses).items(), key=lambda group: (-group[1], group[0])):
         min(halves, key=_sums)[mass] = count
@@ -258,7 +258,7 @@ def _halves(masses: Sequence[float]) -> tuple[Counter[float], Counter[float]]:
 
 @lru_cache(maxsize=16)
 def _rests(masses: tuple[float, ...]) -> tuple[tuple[float, list[float], list[float]], ...]:
-    """Return for each different mass two lists; the sums of one of each are the signed sums of all others."""
+    """Return two lists for each different mass; sums of one item of each are the signed sums of all other masses."""
     parts = _halves(masses)
     lists = [_signed_sums(part) for part in parts]
     found = []
@@ -274,7 +274,7 @@ def _least_missing(wanted: float, masses: tuple[float, ...]) -> float:
     slack = _ROUNDING * fsum(masses)
     least = inf
     for mass, some, others in _rests(masses):
-        # The one that moves shall be near an end: the rest just above wanted - mass, or just below wanted + mass.
+        # The moving robot must be near an end: the rest is just above wanted - mass, or just below wanted + mass.
         low, high = wanted - mass - slack, wanted + mass + slack
         for rest in some:
             near = []
@@ -298,7 +298,7 @@ def _missing(wanted: float, edges: Iterable[Edge], slack: float) -> float:
 
 
 def _chain(masses: Iterable[float], total: float) -> Iterator[Edge]:
-    """Yield the edges from the corner where all are at the negative end to the opposite one, robot by robot."""
+    """Yield the edges from the corner with all robots at the negative end to the opposite corner, robot by robot."""
     moment = -total
     for mass in masses:
         yield Edge(mass, moment + mass)
@@ -306,7 +306,7 @@ def _chain(masses: Iterable[float], total: float) -> Iterator[Edge]:
 
 
 def _chains(masses: Sequence[float]) -> Iterator[Edge]:
-    """Yield the edges of chains in which the robots move in turn, each beginning with another one."""
+    """Yield the edges of chains in which the robots move in turn, each chain starting with a different robot."""
     total = fsum(masses)
     for first in range(max(1, min(len(masses), _MOST_EDGES // len(masses)))):
         yield from _chain([*masses[first:], *masses[:first]], total)
@@ -329,7 +329,7 @@ def _nonnegative(a: float, b: float, c: float, low: float, high: float) -> Itera
 
 
 def _first_gap(intervals: Iterable[tuple[float, float]], scale: float) -> float:
-    """Return the end of what the intervals cover without a gap from 0 on, -inf if they do not cover 0."""
+    """Return the point up to which the intervals cover the axis from 0 without a gap, -inf if they do not cover 0."""
     covered = -inf
     for start, end in sorted(intervals):
         if start > max(covered, 0.0) + _ROUNDING * scale:

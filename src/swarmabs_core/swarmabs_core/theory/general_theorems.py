@@ -1,19 +1,19 @@
 r"""The sets S and S_c of the two general theorems, GeneralStability and GeneralConstrainedStability.
 
-The latter takes the errors w_p of the parent system and w_a of the abstract state that keep within the constraints
-whatever their direction: D_pc and D_ac are the balls
+The latter uses the errors w_p of the parent system and w_a of the abstract state that satisfy the constraints in any
+direction: D_pc and D_ac are the balls
 
 .. math::
 
     |w_p| \le r_p = \theta_{max} - \max_t |\theta_d(t)| \qquad
     |w_a| \le r_a = \min_{a_d \in A_d} dist(a_d, complement\ of\ A_C)
 
-where the norm adds N m and kg m^2 as the paper does. S is a set V_p + V_a <= c of the unconstrained theorem. S_c is
+where the norm combines N m and kg m^2 as in the paper. S is a set V_p + V_a <= c of the unconstrained theorem. S_c is
 the largest such set inside S and both balls: V_p + V_a <= c_c, where c_c is the smallest value on the boundary of their
-intersection. Inside S_c the errors go to 0 and never touch a constraint.
+intersection. Inside S_c the errors converge to 0 without violating a constraint.
 
-Read by the letter, A_C lies within the states that exist, so r_a also counts the distance to the lower bound of the
-inertia, below which there is nothing the swarm could do wrong. Both distances are therefore given.
+Taken literally, A_C contains only states that exist, so r_a also includes the distance to the lower bound of the
+inertia, which the swarm cannot cross anyway. Both distances are therefore reported.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ GRID = 1000
 
 
 class Clearance(NamedTuple):
-    """Distances to the boundaries of A_A, in the norm that adds N m and kg m^2; negative beyond the boundary."""
+    """Distances to the boundaries of A_A, in the norm that combines N m and kg m^2; negative beyond the boundary."""
 
     lower: float  # to J_min = T^2/M, below which there are no positions
     upper: float  # to J_A, above which some positions are off the plane
 
     @property
     def radius(self) -> float:
-        """The largest radius of a ball inside A_A, the theorem's by the letter; negative if there is none."""
+        """The largest radius of a ball inside A_A, as the theorem literally defines it; negative if there is none."""
         return min(self)
 
 
 def clearance(sets: ConstraintSets, torque: float, inertia: float) -> Clearance:
-    """Return how far an abstract state (N m, kg m^2) is from the boundaries of A_A."""
-    # J_A is c2 |tau|^2 + c1 |tau| + c0 up to the torque at which all robots stand at one end.
+    """Return the distances of an abstract state (N m, kg m^2) from the boundaries of A_A."""
+    # J_A is c2 |tau|^2 + c1 |tau| + c0 up to the torque with all robots at one end.
     length, total = sets.length, sum(sets.masses)
     moment = sets.gravity * total
     across = 1 / (1 / min(sets.masses) - 1 / total)
@@ -65,9 +65,9 @@ def clearance(sets: ConstraintSets, torque: float, inertia: float) -> Clearance:
 
 
 def manifold_clearance(sets: ConstraintSets, curvature: float, offset: float, torque_max: float) -> Clearance:
-    """Return the smallest distances of a manifold J = curvature tau^2 + offset, |tau| <= torque_max, in A_A.
+    """Return the smallest distances of a manifold J = curvature tau^2 + offset, |tau| <= torque_max, within A_A.
 
-    The manifold is given in kg m^2/(N m)^2, kg m^2 and N m.
+    Its parameters are in kg m^2/(N m)^2, kg m^2 and N m.
     """
 
     def at(torque: float) -> Clearance:
@@ -87,18 +87,18 @@ def manifold_clearance(sets: ConstraintSets, curvature: float, offset: float, to
 def _distance(
     torque: float, inertia: float, coefficients: tuple[float, float, float], bounds: tuple[float, float]
 ) -> float:
-    """Return the distance to the parabola J = c2 tau^2 + c1 tau + c0, tau within bounds."""
+    """Return the distance to the parabola J = c2 tau^2 + c1 tau + c0 with tau within bounds."""
     c2, c1, c0 = coefficients
     below = c0 - inertia
-    # Where the squared distance is stationary; real parts of complex roots are further points of the curve only. If an
-    # end of the bounds is nearest, a stationary point lies beyond it.
+    # Stationary points of the squared distance; real parts of complex roots are merely further points of the curve. If
+    # an end of the bounds is nearest, a stationary point lies beyond it.
     stationary = np.roots([2 * c2 * c2, 3 * c1 * c2, 1 + c1 * c1 + 2 * c2 * below, c1 * below - torque]).real.tolist()
     feet = [min(max(foot, bounds[0]), bounds[1]) for foot in stationary]
     return min(hypot(foot - torque, (c2 * foot + c1) * foot + below) for foot in feet)
 
 
 class Ball(NamedTuple):
-    """An error ball |w| <= radius, and how fast the Lyapunov function grows in it: V >= growth |w|^2."""
+    """An error ball |w| <= radius, and the growth of the Lyapunov function in it: V >= growth |w|^2."""
 
     radius: float
     growth: float
@@ -107,9 +107,9 @@ class Ball(NamedTuple):
 def constrained_level(level: float, parent: Ball, abstract: Ball) -> float:
     """Return the level of S_c for the set S = {V_p + V_a <= level} and the balls D_pc and D_ac; -inf if it is empty.
 
-    On the boundary of the intersection V_p + V_a is at least the smallest of `level`, V_p on |w_p| = r_p, and V_a on
-    |w_a| = r_a. With V >= growth |w|^2 that gives a level which is safe, and exact where equality is attained. Without
-    room, radius < 0, S_c is empty.
+    On the boundary of the intersection, V_p + V_a is at least the smallest of `level`, V_p on |w_p| = r_p, and V_a on
+    |w_a| = r_a. With V >= growth |w|^2 this yields a safe level, which is exact where equality is attained. For a
+    negative radius, S_c is empty.
     """
     if min(parent.radius, abstract.radius) < 0:
         return -inf
@@ -117,18 +117,18 @@ def constrained_level(level: float, parent: Ball, abstract: Ball) -> float:
 
 
 class Constraints(NamedTuple):
-    """What the constraints of the robots leave."""
+    """Bounds on torque, positions and errors of a swarm within the robots' constraints."""
 
     torque: float  # largest desired torque that is assumed, N m
-    position: float  # largest |p_i| of any positions with the torques and inertias that can occur, m
-    errors: tuple[float, float]  # largest errors of torque (N m) and inertia (kg m^2) of the swarm on its way
+    position: float  # largest |p_i| of all positions with torques and inertias that can occur, m
+    errors: tuple[float, float]  # largest errors of the swarm's torque (N m) and inertia (kg m^2) over time
 
 
 def constraints(setting: Setting, torque: float) -> Constraints:
-    """Return what positions the swarm can take while the desired torque stays within +-`torque` (N m).
+    """Return bounds of the swarm while the desired torque stays within +-`torque` (N m).
 
-    The errors of torque and inertia decay on their own, whatever the plane does, so each stays within its largest
-    value, and all positions with such a torque and inertia are looked at.
+    The errors of torque and inertia decay independently of the plane, so each stays within its largest value; all
+    positions with such a torque and inertia are considered.
     """
     bounds = _largest_error(setting, 0), _largest_error(setting, 1)
     positions = []
@@ -149,7 +149,7 @@ def _largest_error(setting: Setting, axis: int) -> float:
 
 
 def constrained_conditions(setting: Setting, found: Constraints, parent: ParentCheck) -> tuple[Condition, ...]:
-    """Return the conditions of thm. GeneralConstrainedStability, given what `constraints` has found."""
+    """Return the conditions of thm. GeneralConstrainedStability, given the result of `constraints`."""
     half, manifold = setting.plane.length / 2.0, setting.manifold
     room = manifold_clearance(setting.sets, manifold.curvature, manifold.offset, manifold.torque_max)
     angle_room = STEEPEST - parent.largest_angle
@@ -170,14 +170,14 @@ def constrained_conditions(setting: Setting, found: Constraints, parent: ParentC
                 "initial_error_norm": hypot(*setting.initial_error),
                 "level": level,
             },
-            "the errors of the swarm decay on their own, so no common level set is needed: every position with a "
-            "torque and an inertia that occur must be on the plane",
+            "the errors of the swarm decay independently of the plane, so no common level set is needed: all positions "
+            "with a torque and an inertia that occur must be on the plane",
         ),
     )
 
 
 def abstract_states(setting: Setting, found: Constraints) -> dict[str, object]:
-    """Return how initial, desired and reached abstract states lie in the constraint sets."""
+    """Return the location of initial, desired and reached abstract states in the constraint sets."""
     manifold, initial, sets = setting.manifold, setting.initial, setting.sets
     half, torque_max = setting.plane.length / 2.0, manifold.torque_max
 

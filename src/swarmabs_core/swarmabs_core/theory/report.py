@@ -1,4 +1,4 @@
-"""What a check of the theory says: conditions with their numbers, the theorems that they belong to, verdicts."""
+"""Result of a check of the theory: conditions with their numbers, their theorems, and verdicts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Document: TypeAlias = "dict[str, Document] | list[Document] | str | float | bool
 
 
 class Verdict(Enum):
-    """What a check comes to."""
+    """The result of a check."""
 
     HOLDS = "holds"
     FAILS = "fails"
@@ -22,7 +22,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """One form of a condition, printed or corrected: an inequality between a value and a bound, infinite if missing."""
+    """A form of a condition, printed or corrected: an inequality between a value and a bound, infinite if missing."""
 
     text: str
     value: float
@@ -33,7 +33,7 @@ class Form:
 
     @property
     def margin(self) -> float:
-        """By how much the inequality holds; negative if it does not, minus infinity if a side does not exist."""
+        """Margin of the inequality; negative if it does not hold, minus infinity if a side does not exist."""
         if not isfinite(self.value) or not isfinite(self.bound):
             return float("-inf")
         return self.value - self.bound if self.relation.startswith(">") else self.bound - self.value
@@ -47,19 +47,19 @@ class Form:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A condition of a theorem, as the paper prints it, if it does, and as it has to be, which decides."""
+    """A condition of a theorem: as printed in the paper, if it is, and as corrected, which decides."""
 
     name: str  # short and stable, such as "k2"
     printed: Form | None
     corrected: Form
-    inputs: Mapping[str, Number] = field(default_factory=dict)  # the numbers that went in, in SI units
+    inputs: Mapping[str, Number] = field(default_factory=dict)  # the numbers used, in SI units
     note: str = ""
 
     document: ClassVar = ("name", "printed", "corrected", "margin", "verdict", "inputs", "note")
 
     @property
     def margin(self) -> float:
-        """By how much the corrected form holds."""
+        """Margin of the corrected form."""
         return self.corrected.margin
 
     @property
@@ -70,18 +70,18 @@ class Condition:
 
 @dataclass(frozen=True, slots=True)
 class Theorem:
-    """A theorem of the paper, or a group of conditions that it lacks, evaluated for a scenario."""
+    """A theorem of the paper, or a group of conditions missing from it, evaluated for a scenario."""
 
     label: str  # in the paper's source, such as "LQR_SI_sys"
     title: str
     conditions: tuple[Condition, ...] = ()  # none if it does not apply
-    note: str = ""  # why it does not apply, or what its proof leaves out
+    note: str = ""  # why it does not apply, or what its proof omits
 
     document: ClassVar = ("label", "title", "applicable", "verdict", "printed_verdict", "note", "conditions")
 
     @property
     def applicable(self) -> bool:
-        """Whether it is about this scenario."""
+        """Whether it applies to this scenario."""
         return bool(self.conditions)
 
     @property
@@ -102,12 +102,12 @@ class Theorem:
 
 @dataclass(frozen=True, slots=True)
 class ParentCheck:
-    """The theorem of a plane under one parent controller, evaluated for the swarm of a setting."""
+    """The theorem for a plane under one parent controller, evaluated for the swarm of a setting."""
 
     name: str  # of the controller in the labels of the theorems
     conditions: tuple[Condition, ...]
     derivative: Condition  # the derivatives of the Lyapunov functions are negative and outweigh the coupling
-    torque: float  # largest that the controller may ask for, N m
+    torque: float  # largest torque that the controller may request, N m
     largest_angle: float  # largest |th_d|, rad
     level: float  # of S
     energy: float  # V at the start
@@ -117,17 +117,17 @@ class ParentCheck:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Everything that the theory says of a scenario."""
+    """The evaluation of the whole theory for a scenario."""
 
     scenario: str
     controller: str
     swarm: str  # its kind
-    angle_max: float  # the bound theta_max of the angle that was assumed, rad
-    theorems: tuple[Theorem, ...]  # the six of controllers and swarms, and the two general ones
-    beyond: Theorem  # what the paper does not state but a run needs: sampled time and the singularity S3 = 0
+    angle_max: float  # the assumed bound theta_max of the angle, rad
+    theorems: tuple[Theorem, ...]  # the six for controllers and swarms, and the two general ones
+    beyond: Theorem  # conditions that a run needs beyond the paper: sampled time and the singularity S3 = 0
     attraction: Mapping[str, Document]  # the estimates of the region of attraction
-    abstract_states: Mapping[str, Document]  # how they lie in the constraint sets
-    notes: tuple[str, ...]  # what the theory leaves out of this scenario
+    abstract_states: Mapping[str, Document]  # their location in the constraint sets
+    notes: tuple[str, ...]  # properties of this scenario that the theory does not consider
 
     @property
     def failed(self) -> tuple[tuple[Theorem, Condition], ...]:
@@ -136,7 +136,7 @@ class Report:
 
     @property
     def covered(self) -> bool:
-        """Whether a theorem of controller and swarm applies and all applicable conditions hold."""
+        """Whether a theorem for controller and swarm applies and all applicable conditions hold."""
         return not self.failed and any(theorem.applicable for theorem in self.theorems)
 
     def document(self) -> Document:
@@ -158,7 +158,7 @@ class Report:
         )
 
     def warnings(self) -> Iterator[str]:
-        """Yield a line for the theorem of the run if it does not cover it, and one for sampled time."""
+        """Yield a line if the theorem for this run does not cover it, and one for failed conditions of sampled time."""
         for theorem in self.theorems:
             if theorem.label.endswith("_sys") and (told := _told(theorem)):
                 yield f"theorem {theorem.label} is not fulfilled: {told}; see the command check"
@@ -168,13 +168,13 @@ class Report:
 
 DECIDING = "ks, friction alone"
 _FOLLOWING = {"ks, all terms at rest", "initial state"}
-"""Conditions that cannot hold if the deciding one does not."""
+"""Conditions that cannot hold if the deciding condition does not."""
 _SAID_BY_THE_SCENARIO = {"inertia swing", "k1"}
-"""Conditions of which `Scenario.warnings` speaks already."""
+"""Conditions that `Scenario.warnings` already reports."""
 
 
 def _told(theorem: Theorem) -> str:
-    """Say which conditions fail that nothing else speaks of."""
+    """Return the failed conditions that are not reported elsewhere."""
     names = {condition.name for condition in theorem.failed}
     silent = _SAID_BY_THE_SCENARIO | (_FOLLOWING if DECIDING in names else set())
     told = []
@@ -188,7 +188,7 @@ def _told(theorem: Theorem) -> str:
 
 
 def plain(value: object) -> Document:
-    """Return a value as JSON can hold it, with None for what is no finite number."""
+    """Return a value in a form that JSON can represent, with None for numbers that are not finite."""
     if isinstance(value, Form | Condition | Theorem):
         return {name: plain(getattr(value, name)) for name in value.document}
     if isinstance(value, Mapping):

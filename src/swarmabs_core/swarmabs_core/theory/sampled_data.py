@@ -1,12 +1,12 @@
-r"""How long the control period and how old the broadcasts may be: linear loops in sampled time.
+r"""Limits of the control period and of the age of broadcasts: linear loops in sampled time.
 
 The paper's system is continuous; a run holds every command for a period h and may act on broadcasts that are n periods
-old. Each loop here is the exact discretisation of a linear system under held inputs,
+old. Each loop is the exact discretisation of a linear system under held inputs,
 
 .. math:: x_{k+1} = F x_k + G u_k, \qquad u_k = -H x_{k-n},
 
-and is stable if the spectral radius of its companion matrix is below 1. The limits are found by bisection. They say
-nothing about large errors, limits of drives, lost broadcasts and sums in which robots are missing.
+and is stable if the spectral radius of its companion matrix is below 1. The limits are found by bisection. They do not
+cover large errors, limits of drives, lost broadcasts, or sums in which robots are missing.
 """
 
 from __future__ import annotations
@@ -30,18 +30,17 @@ if TYPE_CHECKING:
 Matrix: TypeAlias = NDArray[np.float64]
 Pair: TypeAlias = tuple[float, float]
 Loop: TypeAlias = Callable[[float, int], Matrix]
-"""From period (s) and delay (periods) to the matrix of the loop."""
+"""Maps period (s) and delay (periods) to the matrix of the loop."""
 
 LONGEST_PERIOD = 10.0
 LONGEST_DELAY = 100
-"""Limits of period (s) and delay (steps) are looked for up to these; one that is equal to its own is none."""
+"""Upper ends of the searches for the limits of period (s) and delay (steps); a result at this end means no limit."""
 
 
 def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matrix:
-    """Return the matrix of x' = free x + entry u, u = -feedback x `delay` steps ago.
+    """Return the matrix of x' = free x + entry u, where u = -feedback x from `delay` steps ago.
 
-    Its state is x and the commands that are under way: of shapes (n, n), (n, 1) and (1, n) it makes one of
-    (n + delay, n + delay).
+    Its state consists of x and the delayed commands: shapes (n, n), (n, 1) and (1, n) yield (n + delay, n + delay).
     """
     if delay == 0:
         return free - entry @ feedback
@@ -55,12 +54,12 @@ def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matr
 
 
 def is_stable(matrix: Matrix) -> bool:
-    """Whether the spectral radius is below 1; a matrix that has overflowed is not stable."""
+    """Return whether the spectral radius is below 1; a matrix with overflow is not stable."""
     return bool(np.isfinite(matrix).all()) and bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
 
 
 def largest_period(loop: Loop, delay: int = 0) -> float:
-    """Return the period (s) from which on the loop is unstable: 0 if none is stable, `LONGEST_PERIOD` if all are."""
+    """Return the period (s) above which the loop is unstable: 0 if none is stable, `LONGEST_PERIOD` if all are."""
     shortest = 1e-5
     periods = np.geomspace(shortest, LONGEST_PERIOD, 241)
     low = 0.0
@@ -94,7 +93,7 @@ def single_integrator_loop(gain: float) -> Loop:
 
 
 def double_integrator_loop(kp: float, kd: float) -> Loop:
-    """Return the loop of one axis of double integrators: e'' = -kp e - kd e', the acceleration held."""
+    """Return the loop of one axis of double integrators: e'' = -kp e - kd e', with held acceleration."""
 
     def loop(period: float, delay: int) -> Matrix:
         free = np.array([[1.0, period], [0.0, 1.0]])
@@ -104,7 +103,7 @@ def double_integrator_loop(kp: float, kd: float) -> Loop:
 
 
 def added_damping_loop(mass: float, damping: float, ksd: float) -> Loop:
-    """Return the loop of a double integrator's own damping force -k_sd v, held; its velocity is never old.
+    """Return the loop of a double integrator's held damping force -k_sd v, which uses its current velocity.
 
     The mass is in kg, both dampings are in N s/m.
     """
@@ -121,17 +120,17 @@ def parent_loop(
 ) -> Loop:
     """Return the loop of plane, parent controller, command filter and swarm, linearised about rest at 0.
 
-    The plane is I w' = -c w - tau_s; the controller asks for k1 th + k2 w + z with z' = i1 th + i2 w (by Euler's
-    method), which the filter smooths and the swarm follows by its law for the torque. A delay is that of the broadcasts
-    to the robots.
+    The plane is I w' = -c w - tau_s. The controller requests k1 th + k2 w + z with z' = i1 th + i2 w (by Euler's
+    method); the filter smooths this torque, and the swarm follows it by its law. The delay is that of the broadcasts to
+    the robots.
 
     The inertia I is in kg m^2, the slope c of the friction in N m s/rad. `feedback` is k1 and k2 in N m/rad and
-    N m s/rad, `integral` i1 and i2 in these units per s, `swarm` K and None of single integrators, or kp and kd of
+    N m s/rad, `integral` i1 and i2 in these units per s, `swarm` K and None for single integrators, kp and kd for
     double integrators.
     """
     gain, derivative = swarm
     second = derivative is not None
-    # Plane and swarm: th, w, tau_s and, of double integrators, tau_s'; input: tau_s' or tau_s''.
+    # Plane and swarm: th, w, tau_s and, for double integrators, tau_s'; input: tau_s' or tau_s''.
     order = 4 if second else 3
     continuous = np.zeros((order + 1, order + 1))
     continuous[0, 1] = 1.0
@@ -169,10 +168,10 @@ def parent_loop(
 
 
 def sampled_conditions(setting: Setting) -> Iterator[Condition]:
-    """Yield for each loop the limits of period and delay, and whether the scenario keeps them."""
+    """Yield conditions on period and delay for each loop."""
     delay, step = setting.delay, setting.period
     for name, loop, note in _loops(setting):
-        # Beyond the longest one no delay is within its limit, and the matrix of the loop may be too large.
+        # A delay beyond the longest one exceeds any limit, and the matrix of the loop may be too large.
         considered = min(delay, LONGEST_DELAY)
         bound, longest = largest_period(loop, considered), largest_delay(loop, step)
         yield Condition(
@@ -204,7 +203,7 @@ def _loops(setting: Setting) -> Iterator[tuple[str, Loop, str]]:
         for axis, kp, kd in zip(("torque", "inertia"), gains.kp, gains.kd, strict=True):
             if axis == "torque" or (kp, kd) != (gains.kp[0], gains.kd[0]):
                 name = "DI errors" if gains.kp[0] == gains.kp[1] and gains.kd[0] == gains.kd[1] else f"DI {axis} error"
-                yield name, double_integrator_loop(kp, kd), "e'' = -kp e - kd e', the acceleration held"
+                yield name, double_integrator_loop(kp, kd), "e'' = -kp e - kd e', with held acceleration"
         kinds.append(("DI", gains.kp[0], gains.kd[0]))
     found = _linear_law(setting)
     if found is None:
@@ -223,7 +222,7 @@ def _linear_law(setting: Setting) -> tuple[Pair, Pair, str] | None:
     if isinstance(law, StateFeedback):
         return (law.k1, law.k2), (0.0, 0.0), "state feedback"
     if isinstance(law, Arise):
-        # e2 = -(w + alpha1 th) for a reference at rest, where Y_d and with it the adaptation vanish.
+        # e2 = -(w + alpha1 th) for a reference at rest, where Y_d and therefore the adaptation vanish.
         g = law.gains
         rate = (g.ks + 1.0) * g.alpha2 + g.beta / g.smoothing
         return ((g.ks + 1.0) * g.alpha1, g.ks + 1.0), (rate * g.alpha1, rate), "ARISE without adaptation"
@@ -231,7 +230,7 @@ def _linear_law(setting: Setting) -> tuple[Pair, Pair, str] | None:
 
 
 def _added_damping(setting: Setting) -> Condition:
-    """Return the condition on the robots' own damping k_sd, which acts on the velocity of the step."""
+    """Return the condition on the robots' added damping k_sd, which acts on the velocity of the step."""
     period, ksd = setting.period, setting.gains.ksd
     limits = [
         (largest_period(added_damping_loop(robot.mass, robot.damping, ksd)), robot.agent_id)
@@ -242,7 +241,7 @@ def _added_damping(setting: Setting) -> Condition:
     return Condition(
         "period, added damping",
         None,
-        Form("step < limit of the robot with the least", period, least, "<"),
+        Form("step < smallest limit of all robots", period, least, "<"),
         {"period": period, "largest_period": least, "ksd": ksd, "robot": slowest},
-        "m v' = -c v - k_sd v[k]: motion that torque and inertia do not see",
+        "m v' = -c v - k_sd v[k]: motion that does not affect torque and inertia",
     )

@@ -1,4 +1,4 @@
-"""What the conditions of all theorems are evaluated for: how the nodes are configured, and the initial state."""
+"""Input for the conditions of all theorems: configuration of the nodes, and initial state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SwarmKind = Literal["SI", "DI", "noHomo"]
 
 @dataclass(frozen=True)
 class Setting:
-    """A scenario as the theory sees it."""
+    """The properties of a scenario that the theory uses."""
 
     scenario: str
     controller: str
@@ -33,7 +33,7 @@ class Setting:
     manifold: Manifold
     plane: Plane
     period: float  # control period, s
-    robots: tuple[AgentConfig, ...]  # those that join later are not in the initial state
+    robots: tuple[AgentConfig, ...]  # including those that join later, which are not in the initial state
     duration: float  # s
     delay: int  # of the broadcasts, in steps
     faulty: bool
@@ -51,17 +51,17 @@ class Setting:
 
     @cached_property
     def initial_robots(self) -> tuple[AgentConfig, ...]:
-        """The robots that are there at the start."""
+        """The robots that take part from the start."""
         return tuple(robot for robot in self.robots if robot.life.first_step == 0)
 
     @cached_property
     def sets(self) -> ConstraintSets:
-        """Their constraint sets."""
+        """The constraint sets of the initial robots."""
         return ConstraintSets([robot.mass for robot in self.initial_robots], self.plane.length, self.plane.gravity)
 
     @cached_property
     def kind(self) -> SwarmKind:
-        """The kind of the swarm, with the robots that join later."""
+        """The kind of the swarm, including robots that join later."""
         kinds = {robot.kind for robot in self.robots}
         if len(kinds) > 1:
             return "noHomo"
@@ -85,7 +85,7 @@ class Setting:
 
     @cached_property
     def desired_torque(self) -> float:
-        """The torque (N m) that a fresh controller asks for at the start, limited."""
+        """The limited torque (N m) that the controller requests at the start."""
         plane = PlaneState(0, 0, self.plane.angle, self.plane.angular_velocity)
         return self.manifold.clip(self.make_law().torque(0.0, plane))
 
@@ -97,5 +97,5 @@ class Setting:
 
     @property
     def initial_error_rate(self) -> tuple[float, float]:
-        """The initial rate of the error; that of the desired state is 0, as the filter starts at rest."""
+        """The initial rate of the error; that of the desired state is 0, because the filter starts at rest."""
         return -self.initial.torque_rate, -self.initial.inertia_rate

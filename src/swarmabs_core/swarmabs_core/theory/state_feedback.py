@@ -1,9 +1,9 @@
-r"""The theorems of a plane under state feedback, LQR_SI_sys, LQR_DI_sys and LQR_noHomo_sys, and a proven region.
+r"""The theorems for a plane under state feedback, LQR_SI_sys, LQR_DI_sys and LQR_noHomo_sys, and a proven region.
 
 With the error :math:`z = (\theta, \dot\theta, e_\tau, e_J)` the paper estimates the region of attraction by the ball
 :math:`|z|^2 \le \theta_{max}^2 / (2 \eta)`, for which it prints two values of :math:`\eta`: one in the theorem, another
-in its proof. The latter is the right bound of the kinetic energy's coefficient, so it is the corrected one here; see
-docs/how-to/sweep.md. The paper also takes the abstract state without g for its error; here
+in its proof. The latter correctly bounds the coefficient of the kinetic energy, so it is the corrected one here; see
+docs/how-to/sweep.md. The paper also uses the abstract state without g as its error; here
 :math:`e_a(0) = a_d(0) - a(0)`.
 
 Its :math:`V_p = \theta^2/2 + (J + J_s) \dot\theta^2/2` can grow along solutions: the symmetric part of its matrix M is
@@ -16,11 +16,11 @@ the terms in :math:`\theta w` cancel, and
 .. math:: \dot V \le -D w^2 + |w| |e_\tau| - \kappa a e_\tau^2, \qquad
           D = \cos(\theta_{max}) k_2 + \gamma - \tfrac12 \dot J_{max}
 
-where :math:`\gamma` is the least slope :math:`f_f(w)/w`. That is negative unless w and e vanish if D > 0 and
-:math:`4 \kappa a D > 1`, and by LaSalle's principle the state tends to 0 from every level set
-:math:`V \le c = k_1 (\theta_{max} \sin\theta_{max} + \cos\theta_{max} - 1)`. The rate :math:`\dot J_{max}` is that of
-this set. A small :math:`\kappa` makes the set large and :math:`\dot J_{max}` with it; the one taken is the least that
-leaves a tenth of the D that there is without errors of the swarm, and :math:`4 \kappa a D \ge 2`.
+where :math:`\gamma` is the smallest slope :math:`f_f(w)/w`. If D > 0 and :math:`4 \kappa a D > 1`, this is negative
+unless w and e vanish, and by LaSalle's principle the state tends to 0 from every level set
+:math:`V \le c = k_1 (\theta_{max} \sin\theta_{max} + \cos\theta_{max} - 1)`. The rate :math:`\dot J_{max}` is that in
+this set. A small :math:`\kappa` enlarges the set and with it :math:`\dot J_{max}`; the smallest :math:`\kappa` is used
+that retains a tenth of the D of a swarm without errors, and :math:`4 \kappa a D \ge 2`.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ def corrected_eta(inertia: float, largest_inertia: float) -> float:
 
 
 def radius_squared(angle_max: float, eta: float) -> float:
-    """Return theta_max^2/(2 eta), below which |z|^2 lies in the estimate; `angle_max` in rad."""
+    """Return theta_max^2/(2 eta), the largest |z|^2 in the estimate; `angle_max` in rad."""
     return angle_max * angle_max / (2.0 * eta)
 
 
 def balls(square: float, printed: float, corrected: float) -> dict[str, Number]:
-    """Return how an initial |z|^2 lies in the estimates, of which these are the largest |z|^2."""
+    """Return whether an initial |z|^2 is in the printed and the corrected estimate, given by their largest |z|^2."""
     return {
         "initial_error_squared": square,
         "printed_radius_squared": printed,
@@ -72,7 +72,7 @@ def balls(square: float, printed: float, corrected: float) -> dict[str, Number]:
 
 
 class Estimate(NamedTuple):
-    """The estimates for one setting, as functions of the plane's initial state; the swarm's is that of the setting."""
+    """The estimates for one setting, as functions of the plane's initial state, with the setting's initial swarm."""
 
     setting: Setting
     printed: float  # largest |z|^2 of the printed estimate
@@ -81,7 +81,7 @@ class Estimate(NamedTuple):
     def error_squared(self, angle: float, angular_velocity: float) -> float:
         """Return |z|^2 of an initial state of the plane, in rad and rad/s, with this swarm.
 
-        The desired abstract state starts, unfiltered, at the limited torque that the controller asks for.
+        The desired abstract state starts, unfiltered, at the limited torque that the controller requests.
         """
         manifold, swarm = self.setting.manifold, self.setting.initial
         wanted = manifold.clip(self.setting.law.torque(0.0, PlaneState(0, 0, angle, angular_velocity)))
@@ -91,7 +91,7 @@ class Estimate(NamedTuple):
 
 
 def estimate(setting: Setting) -> Estimate | None:
-    """Return the estimates for a setting; None if its parent controller is no state feedback."""
+    """Return the estimates for a setting; None if its parent controller is not state feedback."""
     if not isinstance(setting.law, StateFeedback):
         return None
     manifold = setting.manifold
@@ -104,12 +104,12 @@ def estimate(setting: Setting) -> Estimate | None:
 
 
 def potential(angle: float) -> float:
-    """Return ``th sin th + cos th - 1`` of an angle in rad; it grows with abs(th) up to pi/2."""
+    """Return ``th sin th + cos th - 1`` of an angle in rad, which increases with abs(th) up to pi/2."""
     return angle * sin(angle) + cos(angle) - 1.0
 
 
 def least_viscous(friction: Friction) -> float:
-    """Return a lower bound of f_f(w)/w, N m s/rad: g6, less if g2 < g3 makes the Stribeck term drive."""
+    """Return a lower bound of f_f(w)/w, N m s/rad: g6, or less if g2 < g3, where the Stribeck term drives the plane."""
     return friction.g6 + min(0.0, friction.g1 * (friction.g2 - friction.g3))
 
 
@@ -125,25 +125,25 @@ class Loop(NamedTuple):
 
 
 class LevelSet(NamedTuple):
-    """The set V <= level and bounds that hold within it."""
+    """The set V <= level, and bounds within it."""
 
     level: float  # c, N m
     weight: float  # kappa; infinite if there is none
     rate: float  # largest |w|, rad/s
-    torque: float  # largest that the controller asks for, before it is limited, N m
+    torque: float  # largest torque that the controller requests, before it is limited, N m
     inertia_rate: float  # J'max, largest |J_s'|, kg m^2/s; infinite if it has no bound
     damping: float  # D, N m s/rad
     coupling: float  # 4 kappa a D, which must exceed 1
 
 
 def level_set(loop: Loop, angle_max: float) -> LevelSet:
-    """Return the level set that touches abs(th) = angle_max, rad, which is below pi/2."""
+    """Return the level set that touches abs(th) = angle_max (rad), which must be below pi/2."""
     level = max(0.0, loop.k1 * potential(angle_max))
     best = _with_weight(loop, angle_max, level, inf)
     if best.damping <= 0.0:
         return best
 
-    def suffices(weight: float) -> bool:  # the rate falls with the weight, so D and the coupling grow
+    def suffices(weight: float) -> bool:  # the rate decreases with the weight, so D and the coupling increase
         found = _with_weight(loop, angle_max, level, weight)
         return found.damping >= best.damping / 10.0 and found.coupling >= 2.0
 
@@ -179,7 +179,7 @@ def largest_torque(loop: Loop, angle_max: float, level: float) -> float:
 def _inertia_rate(loop: Loop, rate: float, torque: float, error: float) -> float:
     """Bound abs(J_s'), where J_s' = J_sd' - e_J' and J_sd' = 2 A tau (k1 w + k2 w') (lemma J_dot_is_bounded).
 
-    w' itself contains J_s', for which the equation is solved.
+    w' depends on J_s', so the inequality is solved for J_s'.
     """
     slope = 2.0 * loop.manifold.curvature * torque
     rest = 1.0 - slope * abs(loop.k2) * rate / loop.inertia
@@ -192,10 +192,10 @@ def _inertia_rate(loop: Loop, rate: float, torque: float, error: float) -> float
 
 
 def printed_inertia_rate(loop: Loop, gain: float, radius: float) -> float:
-    """Return J'max as lemma J_dot_is_bounded prints it, largest over the ball |z| <= radius.
+    """Return J'max as printed in lemma J_dot_is_bounded, the largest value over the ball |z| <= radius.
 
-    Its terms in e_J have the wrong sign and lack the inertia, and its denominator grows where it should shrink. `gain`
-    is K of the inertia's error, 1/s.
+    Its terms in e_J have the wrong sign and lack the inertia, and its denominator increases where it should decrease.
+    `gain` is K of the inertia's error, 1/s.
     """
     manifold, f = loop.manifold, loop.friction
     slope = 2.0 * manifold.curvature * manifold.torque_max
@@ -221,7 +221,7 @@ def matrix_eigenvalues(k1: float, k2: float, angle_max: float, inertia_rate: flo
 
 
 def check_feedback(setting: Setting) -> ParentCheck | None:
-    """Evaluate the theorem; None if the parent controller is no state feedback."""
+    """Evaluate the theorem; return None if the parent controller is not state feedback."""
     law, ball = setting.law, estimate(setting)
     if not isinstance(law, StateFeedback) or ball is None:
         return None
@@ -255,7 +255,7 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
                 "tolerated_inertia_rate_printed": 2.0 * cosine * law.k2,
                 "tolerated_inertia_rate_corrected": 2.0 * (cosine * law.k2 + viscous),
             },
-            "J'max printed by lemma J_dot_is_bounded, corrected as bound over the proven region",
+            "printed: J'max of lemma J_dot_is_bounded; corrected: bound over the proven region",
         ),
         Condition(
             "Lyapunov function",
@@ -286,9 +286,9 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
         Condition(
             "torque limit",
             None,
-            Form("largest |tau_sd| asked for in S <= torque_max", region.torque, manifold.torque_max, "<="),
+            Form("largest |tau_sd| requested in S <= torque_max", region.torque, manifold.torque_max, "<="),
             {"largest_torque": region.torque, "torque_max": manifold.torque_max},
-            "the proof has the law without its limit",
+            "the proof does not consider the torque limit",
         ),
         *gain_conditions(setting),
         Condition(
@@ -304,7 +304,7 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
                 "corrected_ball_squared": ball.corrected,
                 "weight": region.weight,
             },
-            "S is the level set of the corrected V; another th_max gives another S",
+            "S is the level set of the corrected V and depends on th_max",
         ),
     )
     reached = largest_torque(loop, angle_max, min(max(energy, 0.0), region.level))
@@ -316,7 +316,7 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
             Form("V_p' negative definite: least eigenvalue of M's symmetric part > 0", eigenvalues[0], 0.0),
             Form("V' <= 0, and 0 on no trajectory but the origin: 4 kappa a D > 1", region.coupling, 1.0),
             {},
-            "V' does not depend on th, so the theorem of LaSalle is needed where the paper asks for a definite V_p'",
+            "V' does not depend on th, so LaSalle's theorem is needed where the paper requires a definite V_p'",
         ),
         torque=min(reached, manifold.torque_max),
         largest_angle=0.0,
