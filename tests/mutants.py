@@ -2,7 +2,8 @@
 
 A mutant is a function with one change. Each is tried in a fork of a process that has collected the tests and run none,
 by those tests that run the changed line, quick ones first; where only other processes run it, by the tests that start
-processes (`smoke`). mutmut and cosmic-ray start a process for each, which takes seconds instead of tenths.
+processes (`smoke`); where only imports do, by a process that imports it. mutmut and cosmic-ray start a process for
+each, which takes seconds instead of tenths.
 """
 
 import ast
@@ -11,6 +12,7 @@ import json
 import marshal
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -185,6 +187,12 @@ class Watch:
         self._now = set()
         sys.monitoring.restart_events()
 
+    def end(self) -> set[tuple[str, int]]:
+        """Watch no longer; return what has run."""
+        sys.monitoring.set_events(TOOL, sys.monitoring.events.NO_EVENTS)
+        sys.monitoring.free_tool_id(TOOL)
+        return self._now
+
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
         before = self._now
@@ -203,6 +211,9 @@ class Watch:
         took = time.monotonic() - began
         lines = self._now.union(*(self._fixtures.get(name, ()) for name in item.fixturenames))
         return (took, sorted(lines)) if all(report.passed for report in reports) else None
+
+
+IMPORTING = pytest.StashKey[Watch]()
 
 
 def forked(act: Callable[[], int]) -> int:
@@ -241,11 +252,26 @@ def tried(mutant: Mutant, items: list[pytest.Item]) -> int:
     return MISSED
 
 
+def imported(mutant: Mutant, config: pytest.Config) -> int:
+    """Run the tests in a process that imports the mutant, up to the first that fails."""
+    if not put_in(mutant):
+        return UNFIT
+    words = [sys.executable, "-m", "pytest", "--exitfirst", *config.invocation_params.args]
+    nowhere = subprocess.DEVNULL
+    return NOTICED if subprocess.call(words, cwd=config.rootpath, stdout=nowhere, stderr=nowhere) else MISSED
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("mutants")
     group.addoption("--mutate", action="append", default=[], metavar="PATH", help="a module or folder of the sources")
     group.addoption("--mutants", type=int, default=100, metavar="N", help="how many of its mutants to try")
     group.addoption("--mutants-seed", default="0", metavar="TEXT", help="which of them")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
+    """Watch which lines imports run."""
+    early_config.stash[IMPORTING] = Watch({mutant.path for mutant in sample(early_config)})
 
 
 @pytest.hookimpl(trylast=True)
@@ -258,15 +284,16 @@ def pytest_configure() -> None:
 
 def sample(config: pytest.Config) -> list[Mutant]:
     """Return the mutants that are asked for; whether one is among them does not depend on other files."""
-    paths = [Path(path).resolve() for path in config.getoption("--mutate")]
+    asked = config.known_args_namespace
+    paths = [Path(path).resolve() for path in asked.mutate]
     files = [file for path in paths for file in ([path] if path.is_file() else sorted(path.rglob("*.py")))]
 
     def rank(mutant: Mutant) -> bytes:
         name = os.path.relpath(mutant.path, config.rootpath)
-        return sha256(f"{config.getoption('--mutants-seed')} {name} {mutant.number}".encode()).digest()
+        return sha256(f"{asked.mutants_seed} {name} {mutant.number}".encode()).digest()
 
     every = [mutant for file in files for mutant in mutants_of(file)]
-    return sorted(every, key=rank)[: config.getoption("--mutants")]
+    return sorted(every, key=rank)[: asked.mutants]
 
 
 def watched(items: list[Any], files: set[str]) -> list[tuple[float, set[tuple[str, int]], Any]]:
@@ -289,7 +316,10 @@ def watched(items: list[Any], files: set[str]) -> list[tuple[float, set[tuple[st
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtestloop(session: pytest.Session) -> bool:
+def pytest_runtestloop(session: pytest.Session) -> bool | None:
+    at_import = session.config.stash[IMPORTING].end()
+    if "SWARMABS_MUTANT" in os.environ:
+        return None
     say = session.config.get_terminal_writer().line
     mutants = sample(session.config)
     seen = watched(session.items, {mutant.path for mutant in mutants})
@@ -299,12 +329,16 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
         places = {(mutant.path, line) for line in mutant.lines}
         asked, total = list[pytest.Item](), 0.0
         fit = [each for each in seen if each[1] & places]
+        importing = not fit and at_import & places
         fit = fit or [each for each in seen if each[2].get_closest_marker("smoke")]
         for took, _, item in sorted(fit, key=itemgetter(0)):
             if total + took < LONGEST:
                 asked.append(item)
                 total += took
-        code = ended(forked(partial(tried, mutant, asked)), 10.0 + 4.0 * total) if asked else MISSED
+        if importing:
+            code = ended(forked(partial(imported, mutant, session.config)), 30.0 * LONGEST)
+        else:
+            code = ended(forked(partial(tried, mutant, asked)), 10.0 + 4.0 * total) if asked else MISSED
         name = os.path.relpath(mutant.path, session.config.rootpath)
         counts.setdefault(str(Path(name).parent), Counter())[code] += 1
         if code == MISSED:

@@ -101,12 +101,12 @@ class Host:
         known = (other.address, "lladdr", other._hardware_address(), "dev", "eth0")
         self.ip("neighbour", "replace", *known, "nud", "permanent")
 
-    def udp(self, port: int = 0, address: str | None = None) -> socket.socket:
-        """Return a socket of the host for this process, at its first address or another; it dies with the host."""
+    def udp(self, port: int = 0) -> socket.socket:
+        """Return a socket of the host for this process, at its first address; it dies with the host."""
         with entered(self.pid, "net"):
             opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sockets.append(opened)
-        opened.bind((self.address if address is None else address, port))
+        opened.bind((self.address, port))
         return opened
 
     def listening(self) -> set[tuple[str, str]]:

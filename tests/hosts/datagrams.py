@@ -13,19 +13,18 @@ _SO_RCVBUFFORCE, _BUFFER = 33, 16 * 2**20
 
 
 class Receiver:
-    """What a host receives at its first address, or at the one of a tunnel, which others reach by theirs."""
+    """What a host receives at its first address."""
 
-    def __init__(self, host: Host, tunnel: str | None = None) -> None:
-        self._place = (tunnel or host.address, _PORT)
-        self._from = "" if tunnel else None
-        self._socket = host.udp(_PORT, tunnel)
+    def __init__(self, host: Host) -> None:
+        self._place = (host.address, _PORT)
+        self._socket = host.udp(_PORT)
         self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER)
         self._socket.settimeout(0.1)
         self._last = 0
 
     def hear(self, sender: Host, number: int, count: int = 50, size: int = 100) -> None:
         """Let a host send it datagrams of some size (bytes) with numbers from this one on."""
-        speak = sender.udp(address=self._from)
+        speak = sender.udp()
         for each in range(number, number + count):
             self._send(speak, each, size)
 
@@ -36,7 +35,7 @@ class Receiver:
         """Return numbers and delays (s) of what has come in order, up to a last word of a host that gets through."""
         self._last -= 1
         found: list[tuple[int, float]] = []
-        speak = sender.udp(address=self._from)
+        speak = sender.udp()
         while True:
             self._send(speak, self._last)  # again if it was lost
             with suppress(TimeoutError):

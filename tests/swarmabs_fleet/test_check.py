@@ -48,6 +48,7 @@ def test_a_bundle_is_as_it_was_made_or_what_is_wrong_is_named(
     findings = check([*examples.values(), *EXAMPLES.values()], None)
     assert bad(findings) == []
     assert sum(finding.text.startswith("they do not get") for finding in findings) == 3
+    assert [finding.verdict for finding in findings if finding.text.startswith("security is none")] == ["note"]
     for words, act in DAMAGES.items():
         bundle = own("tunnel") / "cart-1"
         act(bundle)
@@ -275,11 +276,3 @@ def test_permissions_that_end_are_named(tmp_path: Path) -> None:
     notes = [finding for finding in check([output / "arm-1"], None) if "valid until" in finding.text]
     assert {finding.verdict for finding in notes} == {"note"}
     assert len(notes) == 2
-
-
-def test_a_discovery_server_with_certificates_is_noted(tmp_path: Path) -> None:
-    text = EXAMPLES["sros2"].read_text(encoding="utf-8")
-    fleet = edited(tmp_path / "hall.yaml", text, ("discovery: static", "discovery: server, server: base"))
-    (found,) = (finding for finding in check([fleet], None) if "discovery server" in finding.text)
-    assert found.verdict == "note" and "use 'discovery: static'" in found.text
-    assert not [finding for finding in check([EXAMPLES["sros2"]], None) if "discovery server" in finding.text]

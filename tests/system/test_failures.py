@@ -66,15 +66,6 @@ def test_ctrl_c_reaches_the_whole_process_group_of_an_impatient_user_again_and_a
     assert "Traceback" not in done.err
 
 
-def test_an_interrupt_while_processes_start(folder: Path, mark: str) -> None:
-    def watch(progress: Progress) -> None:
-        if progress.phase == "starting" and len(marked_processes(mark)) > 8:
-            runs.interrupt()
-
-    outcome = runs.lockstep(folder, "arise_het_20", runs.FOREVER, on_progress=watch)
-    assert (outcome.status, outcome.start_seconds) == ("interrupted", None)
-
-
 _PRIVATE = ("unshare", "--user", "--map-root-user", "--mount", "--propagation", "private", "sh", "-c")
 """Starts a shell whose mounts are its own."""
 
@@ -93,15 +84,6 @@ def test_nothing_of_the_tracing_library_is_left(folder: Path) -> None:
         left, _ = shell.communicate(timeout=60.0)
     assert runs.summary_of(folder)["status"] == "interrupted"
     assert left == ""
-
-
-def test_the_orchestrator_is_killed_while_processes_start(folder: Path, mark: str) -> None:
-    """The launcher, its children and their ports go with it."""
-    with runs.started_swarm("run", "--set", runs.FOREVER, "-o", folder) as command:
-        until(lambda: len(runs.named_processes(mark)) >= 3, "processes are started")
-        os.kill(command.process.pid, signal.SIGKILL)
-        command.wait()
-    until(lambda: not marked_processes(mark), "all processes are gone")
 
 
 DURATION = 150.0

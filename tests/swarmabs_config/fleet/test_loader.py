@@ -15,7 +15,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.drives import TOPIC
 from swarmabs_core.realtime.instruments import TopicSettings
 
-LAN, TUNNEL = (EXAMPLES[name].read_text(encoding="utf-8") for name in ("lan", "tunnel"))
+LAN, TUNNEL, CERTIFICATES = (EXAMPLES[name].read_text(encoding="utf-8") for name in ("lan", "tunnel", "sros2"))
 
 
 KILL = "{at: 1.0, kind: kill, agent: 1}"
@@ -115,7 +115,10 @@ FIELDS = [
     (DOUBLE, TOPICS + "gravity: imu, imu: {topic: /a-b}}", "robots.1.drive.imu.topic: '/a-b'"),
     ("plane: {host", "plane: {type: driver, topic: '%', host", "coordinators.plane.topic: '%' is"),
     (SINGLE, PLUGIN + "{'a b': 1}}", "robots.0.drive.settings.a b: 'a b' is not a valid setting name"),
-    (SINGLE, PLUGIN + "{a: {}}}", "robots.0.drive.settings"),
+    *((SINGLE, PLUGIN + f"{{a: {bad}}}}}", "robots.0.drive.settings: a: ") for bad in ("{}", "[]", "[1, 2.0]", "null")),
+    *((SINGLE, PLUGIN + f"{{a: {far}}}}}", "robots.0.drive.settings: a: ") for far in (2**63, -(2**63) - 1, "1.1e12")),
+    *((SINGLE, PLUGIN + f"{{{name}: 1}}}}", "robots.0.drive.settings: a setting") for name in ("type", "name")),
+    (SINGLE, "drive: {type: plugin, name: topic}", "robots.0.drive.name: 'topic'"),
     ("name: one", "name: one\nset: {'a b': 1}", "set.a b: 'a b' is not a dotted path"),
     (SINGLE, TOPICS + "gravity: imu}", "robots.0.drive: gravity does not act on a single integrator; remove"),
     (SINGLE, TOPICS + "command: joint}", "robots.0.drive.joint.name: it is empty; give the name of the joint"),
@@ -171,6 +174,13 @@ def test_a_drive_has_the_same_settings_and_defaults_in_the_fleet_file_as_in_the_
     assert (double.imu.max_rate, double.imu.max_jump) == (3.0, 0.1)
 
 
+def test_a_plugin_is_given_whatever_a_parameter_can_be(tmp_path: Path) -> None:
+    given = f"{{a: {2**63 - 1}, b: [{-(2**63)}, 1], c: -1.0e+12, d: [x, y], e: true}}"
+    loaded = load_fleet(edited(tmp_path / "fleet.yaml", ONE_HOST, (SINGLE, f"{PLUGIN}{given}}}")))
+    expected = {"a": 2**63 - 1, "b": (-(2**63), 1), "c": -1e12, "d": ("x", "y"), "e": True}
+    assert loaded.fleet.members[0].drive.parameters == expected  # type: ignore[union-attr]
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_load_and_their_canonical_text_means_the_same(name: str, tmp_path: Path) -> None:
     loaded = load_fleet(EXAMPLES[name])
@@ -187,6 +197,23 @@ def test_examples_load_and_their_canonical_text_means_the_same(name: str, tmp_pa
     for stem, fleet in (("9-a", "9-a"), ("ä b", "fleet__b"), ("-" * 99, f"fleet{'-' * 27}")):
         unnamed = edited(tmp_path / f"{stem}.yaml", LAN, ("name: lan\n", ""))
         assert load_fleet(unnamed).fleet.name == fleet
+
+
+IDLE = "  - {name: idle, address: 192.168.10.99, interface: eth0}\nrobots:"
+
+
+@pytest.mark.parametrize(
+    ("fleet", "change", "warnings"),
+    [
+        (LAN, ("robots:", IDLE), ["idle", "security is none"]),
+        (TUNNEL, ("controller: {host", "controller: {host"), []),
+        (TUNNEL, ("controller: {host", "controller: {start_mode: run, host"), ["start_mode is run"]),
+        (CERTIFICATES, ("discovery: static", "discovery: server, server: base"), ["discovery server"]),
+    ],
+)
+def test_what_is_doubtful_is_said(fleet: str, change: tuple[str, str], warnings: list[str], tmp_path: Path) -> None:
+    found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).fleet.warnings()
+    assert [words in text for text, words in zip(found, warnings, strict=True)] == [True] * len(warnings)
 
 
 def test_too_many_robots_for_the_ports_of_a_host(tmp_path: Path) -> None:
