@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_play
 from tests.swarmabs_analysis.figures.conftest import record
 
 from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
-from swarmabs_view.protocol import Frame, Hello, Message, Robot, State
+from swarmabs_view.protocol import Curves, Frame, Hello, Message, Robot, State
 
 HELLO = Hello(
     source="swarm",
@@ -194,3 +194,12 @@ class PageServer:
 def page_server(page: Page, served: Served) -> PageServer:
     """Return a server of which a test says what it sends."""
     return PageServer(page, served.url)
+
+
+def curves(first: int, last: int, scale: float = 1.0) -> Curves:
+    """Return points of the curves, one each 0.1 s."""
+    steps = range(first, last)
+    values = {key: [scale * (0.5 - step % 7) for step in steps] for key in ("angle", "torque", "inertia")}
+    zeros = {key: [0.0 for _ in steps] for key in ("reference", "desired_torque", "desired_inertia")}
+    known = {"replace": first == 0, "time": [step * 0.1 for step in steps], **values, **zeros}
+    return Curves.model_validate(known)

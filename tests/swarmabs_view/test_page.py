@@ -9,10 +9,10 @@ from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 from tests.swarmabs_analysis.figures.conftest import ReadBag
 from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import PERIOD
-from tests.swarmabs_view.conftest import PageServer, Served, load, number, seek, serving
+from tests.swarmabs_view.conftest import PageServer, Served, curves, load, number, seek, serving
 
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_view.protocol import Answer, Curves, Event, Events, Steering
+from swarmabs_view.protocol import Answer, Event, Events, Steering
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -325,22 +325,6 @@ def test_everything_has_a_name_a_size_and_can_be_reached_by_keyboard(page: Page,
     assert "skip" in reached[0]
 
 
-INKED = """(canvas) => {
-    const data = canvas.getContext('2d').getImageData(0, 0, 2, canvas.height).data;
-    return data.some((value, index) => index % 4 === 3 && value > 0);
-}"""
-NAMES = ("angle", "error", "torque", "inertia")
-
-
-def curves(first: int, last: int, scale: float = 1.0) -> Curves:
-    """Return points of the curves, one each 0.1 s."""
-    steps = range(first, last)
-    values = {key: [scale * (0.5 - step % 7) for step in steps] for key in ("angle", "torque", "inertia")}
-    zeros = {key: [0.0 for _ in steps] for key in ("reference", "desired_torque", "desired_inertia")}
-    known = {"replace": first == 0, "time": [step * 0.1 for step in steps], **values, **zeros}
-    return Curves.model_validate(known)
-
-
 def place(page: Page, name: str) -> FloatRect:
     """Return where a chart is, which is then to be seen."""
     over = page.locator(f"#chart-{name} .u-over")
@@ -375,22 +359,6 @@ def expect_span(page: Page, name: str, begin: float, end: float, within: float) 
             "([value, time, within]) => Math.abs(parseFloat(value.innerText) - time) <= within",
             arg=[values.first.element_handle(), time, within],
         )
-
-
-@pytest.mark.parametrize("scale", [1.0, 1.234567e-9, 4e7])
-def test_labels_have_their_room_and_all_charts_the_same(page: Page, page_server: PageServer, scale: float) -> None:
-    page_server.open(curves(0, 50, scale))
-    for name in NAMES:  # nothing is written as far to the left as a chart's edge
-        canvas = page.locator(f"#chart-{name} canvas").element_handle()
-        page.wait_for_function(f"(canvas) => !({INKED})(canvas)", arg=canvas)
-    page.wait_for_function(
-        """(names) => new Set(names.map((name) => {
-            const [over, outer] = [`#chart-${name} .u-over`, `#chart-${name}`].map(
-                (selector) => document.querySelector(selector).getBoundingClientRect());
-            return `${over.x - outer.x} ${over.width}`;
-        })).size === 1""",
-        arg=list(NAMES),
-    )
 
 
 def test_the_time_stands_in_the_address_and_an_address_leads_to_its_time(page: Page, served: Served) -> None:

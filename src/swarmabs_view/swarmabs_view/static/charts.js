@@ -1,7 +1,8 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
 import { colours, eventColour, short } from "./drawing.js";
 
-const HEIGHT = 150;
+const HEIGHT = 155;
+const SPACE = 20; // px between two labels on the left, at least
 const INTERVAL = 120; // ms between two redraws of growing curves
 const FONT = "11px system-ui, sans-serif";
 const NARROWEST = 62; // px, width of the left axis
@@ -88,7 +89,7 @@ export class Charts {
           padding: [FLAG, null, null, null],
           legend: { show: named !== false },
           scales: { x: { time: false, auto: () => this.zoom === null && !this.span } },
-          axes: [{ ...axis, size: 32 }, { ...axis, size: (_, values) => this.room(values ?? []) }],
+          axes: [{ ...axis, size: 32 }, { ...axis, space: SPACE, size: (_, values) => this.room(values ?? []) }],
           series: [
             { label: "time, s", value: (_, time) => (time === null ? "--" : String(Number(time.toPrecision(9)))) },
             ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: 1.6, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),

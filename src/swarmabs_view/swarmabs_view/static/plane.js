@@ -12,7 +12,7 @@ const DASHES = 1.04; // where horizontal and reference begin, in half lengths fr
 
 // A size that the picture leaves room for: it changes only when more is needed, or much less.
 function settled(held, needed) {
-  return held >= needed && held <= 2 * needed ? held : 1.25 * needed;
+  return held >= needed && held <= 1.5 * needed ? held : 1.15 * needed;
 }
 
 // The height of a plane of length 1 at an angle, rad.
@@ -52,10 +52,11 @@ export class PlaneView {
     const colour = colours();
     const half = this.halfLength(hello, frame);
     const angle = frame.angle ?? 0;
-    const deep = { x: 0.1 * width, y: 0.4 * height };
     this.rise = settled(this.rise, Math.max(rise(angle), rise(frame.reference), 0.01));
+    const steep = Math.min(this.rise, 1);
+    const deep = { x: 0.1 * width, y: (0.4 - 0.15 * steep) * height };
     const crowded = this.crowded(hello);
-    const scale = Math.min(0.36 * width, (0.22 * height) / Math.min(this.rise, 1)) / half;
+    const scale = Math.min(0.36 * width, (0.42 * height - deep.y / 2) / steep) / half;
     const [cx, cy] = [0.5 * width, 0.52 * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
     // From metres along the plane and depth (0 near, 1 far) to the screen.
