@@ -26,6 +26,11 @@ MOST_VIOLATIONS = 20
 Steps = Callable[[], Iterator[RecordedStep]]
 
 
+def states(step: RecordedStep) -> Iterator[AgentState]:
+    """Yield the robots' states of a step."""
+    yield from (record.message for record in step.records if isinstance(record.message, AgentState))
+
+
 class Violation(NamedTuple):
     """An invariant that does not hold: its name, where, and what is there instead."""
 
@@ -56,12 +61,10 @@ class StaysInLane(Invariant):
         self._outside: set[int] = set()
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        messages = [record.message for record in step.records]
-        events = [m for m in messages if isinstance(m, SwarmEvent) and m.kind == EventKind.LIMIT_HIT]
-        said = {event.agent_id for event in events if "plane's end" in event.detail}
-        for message in messages:
-            if not isinstance(message, AgentState):
-                continue
+        events = [record.message for record in step.records if isinstance(record.message, SwarmEvent)]
+        hits = (event for event in events if event.kind == EventKind.LIMIT_HIT)
+        said = {event.agent_id for event in hits if "plane's end" in event.detail}
+        for message in states(step):
             position = true_state(message, self._lies).position
             if abs(position) <= self._half:
                 self._outside.discard(message.agent_id)
@@ -84,10 +87,7 @@ class NothingStale(Invariant):
         self._coming: dict[int, dict[int, int]] = {}
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        for record in step.records:
-            state = record.message
-            if not isinstance(state, AgentState):
-                continue
+        for state in states(step):
             wanted = NEVER
             if state.agent_id in self._coming:
                 wanted = self._reached(state.agent_id, step.step - 1)

@@ -17,16 +17,7 @@ WriteBag: TypeAlias = Callable[..., Path]
 STEPS = 40
 STEPS_PER_FILE = 10
 
-SCENARIO = b"""schema: 1
-name: sample
-duration: 0.4
-seed: 5
-swarm:
-  agents:
-    - {id: 1, kind: single_integrator, mass: 0.4, position: 0.1}
-    - {id: 2, kind: single_integrator, mass: 0.5, position: -0.1}
-    - {id: 7, kind: double_integrator, mass: 0.6, damping: 0.7, position: 0.2}
-"""
+SCENARIO = sample_run.SCENARIO.encode()
 PROVENANCE = b'{"versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123"}'
 
 

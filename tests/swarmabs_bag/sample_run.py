@@ -11,6 +11,16 @@ from swarmabs_core.cdr import encode
 
 AGENTS = (1, 2, 7)
 PERIOD = 10_000_000
+SCENARIO = """schema: 1
+name: sample
+duration: 0.4
+seed: 5
+swarm:
+  agents:
+    - {id: 1, kind: single_integrator, mass: 0.1, position: 0.1}
+    - {id: 2, kind: single_integrator, mass: 0.2, position: -0.1}
+    - {id: 7, kind: double_integrator, mass: 0.7, damping: 0.7, position: 0.2}
+"""
 
 
 def make_step(step: int, agents: Sequence[int] = AGENTS, period: int = PERIOD) -> Iterator[msg.Message]:

@@ -62,23 +62,6 @@ def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_he
     assert sum(len(message.events) for message in told(said, protocol.Events)) == 1  # none is lost
 
 
-def test_pages_that_come_at_different_times_have_the_same_in_the_end() -> None:
-    live = view_of()
-    early, late = LiveSession(live), None
-    points: dict[str, list[float]] = {"early": [], "late": []}
-    early.hello()
-    for step in range(50):
-        for message in make_step(step):
-            live.add(message)
-        if step == 30:
-            late = LiveSession(live)
-            late.hello()
-        for name, session in (("early", early), ("late", late)):
-            for curves in told(session.poll(step / 10), protocol.Curves) if session else ():
-                points[name] = [*([] if curves.replace else points[name]), *curves.time]
-    assert points["early"] == points["late"] == [step / 100 for step in range(50)]
-
-
 def test_something_is_said_every_second() -> None:
     session = LiveSession(view_of())
     session.hello()
@@ -263,21 +246,6 @@ def since(buffer: CurveBuffer[Instant], epoch: int = -1, count: int = 0) -> prot
     found = buffer.since(epoch, count)
     assert found is not None
     return protocol.Curves.of(found[0], replace=found[1])
-
-
-def test_points_follow_each_other_and_those_who_have_them_get_the_rest() -> None:
-    buffer: CurveBuffer[Instant] = CurveBuffer()
-    assert since(buffer).time == []
-    for step in (0, 1, 2, 2, 1):  # a step that is past is no new point
-        buffer.add(point(step))
-    assert len(buffer) == 3
-    first = since(buffer)
-    assert (first.replace, first.time, first.reference) == (True, [0.0, 0.01, 0.02], [None] * 3)
-    known = (buffer.epoch, len(buffer))
-    assert buffer.since(*known) is None
-    buffer.add(point(3))
-    more = since(buffer, *known)
-    assert (more.replace, more.angle) == (False, [1.5])
 
 
 def test_the_beginning_comes_later_and_whole() -> None:

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 from hypothesis import given, settings
-from tests.soak.invariants import Invariant, Violation, WithinLimits
+from tests.soak.invariants import Invariant, Violation, WithinLimits, states
 from tests.swarmabs_core.helpers import builtin
 from tests.transport.fleet import EPOCH, Network, VirtualFleet
 from tests.transport.network import LARGEST, Act, Script, script, scripts, turns
@@ -42,10 +42,7 @@ class StaysWithin(Invariant):
         self._lane = max(0.0, 0.5 * scenario.plane.length - scenario.realtime.lane_margin)
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        for record in step.records:
-            state = record.message
-            if not isinstance(state, AgentState):
-                continue
+        for state in states(step):
             if abs(state.position) > self._lane + 1e-9:
                 yield Violation("lane", step.step, state.agent_id, f"{state.position:.6g} m is outside of its lane")
 
@@ -60,10 +57,7 @@ class NothingDoubtful(Invariant):
         self._before: dict[int, int] = {}
 
     def check(self, step: RecordedStep) -> Iterator[Violation]:
-        for record in step.records:
-            state = record.message
-            if not isinstance(state, AgentState):
-                continue
+        for state in states(step):
             decided, self._before[state.agent_id] = self._before.get(state.agent_id), state.step
             if state.broadcast_step == NEVER:
                 continue

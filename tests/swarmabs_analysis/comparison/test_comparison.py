@@ -170,13 +170,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: record(folder / name, "pd_het_4", *overrides) for name, overrides in settings.items()}
 
 
-def test_the_same_scenario_twice_is_equal(runs: dict[str, Path]) -> None:
-    found = compare_bags(runs["one"], runs["same"] / "bag")
-    assert found.equal
-    assert found.a.digest == found.b.digest
-    assert (found.scenario, found.provenance) == ((), ())
-
-
 def test_figures_are_those_of_the_messages_and_other_settings_are_named_as_set_takes_them(
     runs: dict[str, Path],
 ) -> None:

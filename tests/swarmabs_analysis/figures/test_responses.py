@@ -15,7 +15,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from numpy.typing import NDArray
@@ -138,26 +137,6 @@ def test_nine_panels_show_the_bags_and_any_reference(name: str, controller: str,
         assert wanted == pytest.approx([0.7 * math.sin(0.015 * math.pi * t) for t in times], abs=1e-12)
     else:
         assert "θ wanted" not in [line.get_label() for line in plane.lines]
-
-
-def test_four_panels_show_the_large_swarms(short_runs: Path) -> None:
-    ((a, b, c, d),), others = grid(draw("ARISE_lg_swarm", short_runs), 4)
-    for plane, rate, robots, name in ((a, others[0], b, "arise_het_20"), (c, others[1], d, "arise_het_200")):
-        bag = ReadBag(short_runs / name)
-        times = bag.times()
-        assert_same(drawn(plane, "θ"), times, bag.column("/plane/state", "angle"))
-        assert_same(drawn(rate, "ω"), times, bag.column("/plane/state", "angular_velocity"))
-        assert len(robots.lines) == len(bag.agents())
-        for line, robot in zip(robots.lines, bag.agents(), strict=True):
-            shown = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
-            assert_same(shown, times, bag.column("/swarm/agent_state", "position", robot))
-        kinds = [bag.column("/swarm/agent_state", "kind", robot)[0] for robot in bag.agents()]
-        colours = [to_hex(line.get_color()) for line in robots.lines]
-        legend = robots.get_legend()
-        assert legend is not None
-        names = [text.get_text() for text in legend.get_texts()]
-        by_name = dict(zip(names, (to_hex(line.get_color()) for line in legend.get_lines()), strict=True))
-        assert colours == [by_name["SI" if kind == 1 else "DI"] for kind in kinds]
 
 
 def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:

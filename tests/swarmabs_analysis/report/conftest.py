@@ -8,21 +8,12 @@ from pathlib import Path
 import pytest
 from markupsafe import Markup
 from tests.swarmabs_analysis.figures.conftest import record
-from tests.swarmabs_bag.sample_run import make_run, write_bag
+from tests.swarmabs_bag.sample_run import SCENARIO, make_run, write_bag
 
 from swarmabs_analysis.report import Report, make_report
 from swarmabs_analysis.report.panels import Panel
 from swarmabs_core.messages import Message
 
-SCENARIO = """schema: 1
-name: sample
-duration: 0.4
-swarm:
-  agents:
-    - {id: 1, kind: single_integrator, mass: 0.1, position: 0.1}
-    - {id: 2, kind: single_integrator, mass: 0.2, position: -0.1}
-    - {id: 7, kind: double_integrator, mass: 0.7, damping: 0.7, position: 0.2}
-"""
 CHANGES = (
     "plane.angle=0.015",
     "faults=[{at: 0.05, kind: kill, agent: 1}, {at: 0.1, kind: leave, agent: 2}, {at: 0.02, kind: join, agent: 4}]",

@@ -12,7 +12,6 @@ from swarmabs_core import messages as msg
 from swarmabs_core.behaviours import Agent, AgentConfig, AgentGroup, LifeSpan, Limits
 from swarmabs_core.behaviours.base import ConflictError, UnexpectedMessageError
 from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.faults import DelayFault, InjectedFault, LossFault
 from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
@@ -176,29 +175,6 @@ def test_double_integrator_keeps_the_speed_limit_and_brakes_within_the_limit_of_
     for sign in (1.0, -1.0):
         node, _ = started(DI, velocity=sign * 0.8, limits=Limits(force=0.5))
         assert state(hear(node, broadcasts(mode=msg.Mode.STOP))).command == pytest.approx(-0.5 * sign)
-
-
-def test_robot_that_loses_the_broadcasts_keeps_its_command() -> None:
-    loss = LossFault(probability=0.5)
-    node, before = started(faults=(InjectedFault(loss),), seed=4)
-    losses = [loss.loses(f"4:{step}:3") for step in range(40)]
-    assert 10 < sum(losses) < 30
-    for step, gone in enumerate(losses):
-        after = state(hear(node, broadcasts(step, desired=0.1 * step)))
-        new = (law(before, desired=0.1 * step), step)
-        assert (after.command, after.broadcast_step) == ((before.command, before.broadcast_step) if gone else new)
-        before = after
-
-
-@kinds
-def test_delayed_broadcasts_meet_the_robots_present_state(kind: msg.Kind) -> None:
-    node, before = started(kind, faults=(InjectedFault(DelayFault(steps=2)),))
-    for step in range(6):
-        after = state(hear(node, broadcasts(step, desired=0.1 * step)))
-        late = step - 2
-        expected = (0.0, msg.NEVER) if late < 0 else (law(before, late, desired=0.1 * late), late)
-        assert (after.command, after.broadcast_step) == expected
-        before = after
 
 
 @kinds

@@ -12,7 +12,7 @@ from urdf_parser_py.urdf import URDF
 from swarmabs_bag.swarm_state import SILENT_STEPS, SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core import messages as msg
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepSchedule
+from swarmabs_core.steering import OffsetReference, StepSchedule
 from swarmabs_view.visualization.scene import (
     DEAD,
     GREY,
@@ -148,42 +148,15 @@ def test_who_leaves_or_is_removed_is_taken_away_once_and_who_is_dead_stands_wher
     assert shapes["robots", 1].colour == DEAD
 
 
-def test_the_reference_has_its_offsets() -> None:
-    scene = new()
-    offset = msg.SwarmEvent(0, 30, 0, msg.EventKind.STEERING, 0.25, REFERENCE)
-    _, shapes = drawn(offset, offset._replace(value=9.0, detail=DISTURBANCE), plane(29, 0.0), scene=scene)
-    assert shapes["reference", 0].pose.orientation == tilt(0.29)
-    _, shapes = drawn(plane(30, 0.0), scene=scene)
-    assert shapes["reference", 0].pose.orientation == pytest.approx(tilt(0.3 + 0.25))
-    scenario = find_scenario("pd_het_4", ["faults=[{kind: reference, at: 1.0, offset: 0.1}]"]).resolved()
-    _, shapes = drawn(plane(100, 0.0), scene=(Scene.of(scenario), SwarmState.of(scenario)))
-    assert shapes["reference", 0].pose.orientation == tilt(0.1)
-
-
 def test_what_does_not_belong_here_is_left_out() -> None:
     scene = new()
     assert scene[0].frame(scene[1]) is None
     frame, shapes = drawn(plane(3, 0.3), plane(2, 0.2), robot(3, 99, 0.1), robot(3, 1, math.nan), scene=scene)
     assert (frame.step, frame.angle, frame.stamp, frame.rate) == (3, 0.3, 3 * PERIOD, 0.25)
-    assert not any(group == "robots" for group, _ in shapes)
+    assert not any(group in {"robots", "torque"} for group, _ in shapes)
     scene[1].add(plane(4, math.nan))
     scene[1].add(robot(4, 1, 0.0))
     assert scene[0].frame(scene[1]) is None
-
-
-def test_what_is_drawn_together_is_of_one_step() -> None:
-    """Queues are read one after the other, and the swarm goes on meanwhile."""
-    messages: list[object] = [plane(step, step / 1000.0) for step in range(30, 90)]
-    messages += [abstract(step, -step / 100.0) for step in range(20, 80)]
-    messages += [desired(step, step / 100.0) for step in range(10, 60)]
-    messages += [robot(step, agent_id, step / 1000.0) for step in range(100) for agent_id in (1, 3)]
-    frame, shapes = drawn(*messages)
-    assert (frame.step, frame.angle) == (59, 0.059)
-    assert [place.x for place in frame.places.values()] == [0.059, 0.059]
-    assert shapes["torque", 0].size.x == shapes["torque", 1].size.x == pytest.approx(0.59 / 5.0)
-    frame, shapes = drawn(*messages, *(plane(step, 0.0) for step in range(90, 300)))
-    assert frame.step == 299  # observer and controller are silent
-    assert ("torque", 0) not in shapes
 
 
 def test_by_a_clock_the_reference_begins_with_the_law() -> None:
