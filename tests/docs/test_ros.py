@@ -1,4 +1,4 @@
-"""The nodes of docs/how-to/ros.md, started by hand, and by the launch file with stand-ins for `launch`.
+"""The nodes of docs/how-to/ros.md, started by hand, and by the launch files with stand-ins for `launch`.
 
 The package `launch` comes with a complete ROS 2 only.
 """
@@ -15,11 +15,13 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.docs.pages import blocks, read, rows, script, section
+from tests.docs.pages import ROOT, blocks, read, rows, script, section
 from tests.processes import programs
 
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder, new_run_folder
+from swarmabs_cli import swarm
+from swarmabs_config.graph import REALTIME
 from swarmabs_config.scenario import load_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
@@ -30,11 +32,15 @@ from swarmabs_run.simulation import Simulation
 
 STAND_INS = {
     "launch": ("LaunchDescription",),
-    "launch.actions": ("DeclareLaunchArgument", "LogInfo", "OpaqueFunction", "Shutdown"),
+    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction", "Shutdown"),
     "launch.substitutions": ("LaunchConfiguration",),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
+    "launch_ros.substitutions": ("ExecutableInPackage",),
 }
+
+
+LAUNCHES = sorted((ROOT / "src/swarmabs_bringup/launch").glob("*.launch.py"))
 
 
 class StandIn:
@@ -47,14 +53,19 @@ class StandIn:
         return context[self.positional[0]]
 
 
-@pytest.fixture
-def launch_file(monkeypatch: pytest.MonkeyPatch) -> Any:
+@pytest.fixture(params=["lockstep"])
+def launch_file(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return one of the launch files, by default the one in lockstep."""
     for module_name, names in STAND_INS.items():
         module = ModuleType(module_name)
         for name in names:
             setattr(module, name, type(name, (StandIn,), {}))
         monkeypatch.setitem(sys.modules, module_name, module)
-    return script("src/swarmabs_bringup/launch/lockstep.launch.py")
+    return script(f"src/swarmabs_bringup/launch/{request.param}.launch.py")
+
+
+launches = pytest.mark.parametrize("launch_file", [file.name.split(".")[0] for file in LAUNCHES], indirect=True)
+realtime, view = (pytest.mark.parametrize("launch_file", [name], indirect=True) for name in ("realtime", "view"))
 
 
 def documented_nodes() -> list[list[str]]:
@@ -111,10 +122,93 @@ def test_scenario_namespace_and_folder_are_taken_or_numbered_and_a_folder_in_use
         actions(launch_file, out=str(tmp_path))
 
 
-def test_the_page_has_the_arguments_of_the_file_and_starts_all_kinds_of_nodes_by_hand(launch_file: Any) -> None:
+@realtime
+def test_in_real_time_nodes_are_those_of_a_run_and_only_robots_may_be_lost(
+    launch_file: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+
+    class Starting(StandIn):
+        environment = {"SWARMABS_START_FD": "/pipe"}  # noqa: RUF012 - as of the real one
+        begun, failed = False, ""
+        start = forget = lambda _: None
+
+        def __init__(self, *processes: object) -> None:
+            made.append(self)
+
+        def problem(self) -> str:
+            return self.failed
+
+    monkeypatch.setattr(launch_file, "Starter", Starting)
+    out = tmp_path / "run"
+    found = actions(launch_file, out=str(out), duration="3", markers="true", namespace="/left")
+    *nodes, markers = (node.named for node in of_kind(found, "Node"))
+    planned = plan(load_scenario(out / "scenario.yaml"), RunFolder(out), driver=REALTIME)
+    assert [node["arguments"] for node in nodes] == [process.arguments("/left") for process in planned]
+    for node, process in zip(nodes, planned, strict=True):
+        assert node["additional_env"] == Starting.environment
+        installed = {program.name: program.module for program in programs(node["package"])}
+        assert installed[node["executable"]] == process.module
+    assert markers["parameters"] == [{"scenario_file": str(out / "scenario.yaml")}]
+    assert (markers["package"], markers["namespace"]) == ("swarmabs_view", "/left")
+
+    ends = {process.name: node["on_exit"] for node, process in zip(nodes, planned, strict=True)}
+
+    def follows(name: str, code: int, *, ending: bool = False) -> list[str]:
+        following = ends[name](SimpleNamespace(returncode=code), SimpleNamespace(is_shutdown=ending))
+        return [type(action).__name__ for action in following]
+
+    with pytest.raises(RunError, match="agent_002 failed with exit code 2"):
+        follows("agent_002", 2)
+    made[0].begun = True
+    assert follows("agent_001", 0) == follows("agent_001", -2, ending=True) == []
+    assert follows("recorder", 0) == follows("plane_sim", 1, ending=True) == ["Shutdown"]
+    with pytest.raises(RunError, match="plane_sim failed with exit code 1"):
+        follows("plane_sim", 1)
+    made[0].failed = "the plane lies"
+    with pytest.raises(RunError, match="the plane lies"):
+        follows("recorder", 0)
+    assert follows("agent_002", -9) == ["LogInfo"]
+    with pytest.raises(RunError, match="agent_002 failed with exit code -9; the plane lies"):
+        follows("recorder", 0)
+    with pytest.raises(InputError, match="markers:=yes: give true or false"):
+        actions(launch_file, markers="yes")
+
+
+@view
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, ["--live", "/", "--port", "0"]),
+        ({"namespace": "/left", "open": "true"}, ["--live", "/left", "--port", "0", "--open"]),
+        ({"bag": "run", "port": "8080"}, ["run", "--port", "8080"]),
+        ({"bag": "run", "namespace": "/left"}, ["run", "--namespace", "/left", "--port", "0"]),
+    ],
+)
+def test_the_view_is_the_command_of_that_name(launch_file: Any, given: dict[str, str], words: list[str]) -> None:
+    (process,) = actions(launch_file, **given)
+    program, command, *arguments = process.named["cmd"]
+    assert (program.named, command) == ({"package": "swarmabs_cli", "executable": "swarm"}, "view")
+    assert arguments == words
+    context = swarm.make_context("swarm", ["view", *words], resilient_parsing=True)
+    swarm.get_command(context, "view").make_context("view", words)
+    (action,) = process.named["on_exit"](SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=False))
+    assert type(action).__name__ == "Shutdown"
+    with pytest.raises(RunError, match="exit code 2"):
+        process.named["on_exit"](SimpleNamespace(returncode=2), SimpleNamespace(is_shutdown=False))
+    with pytest.raises(InputError, match="open:=yes"):
+        actions(launch_file, open="yes")
+
+
+def test_the_page_starts_all_kinds_of_nodes_by_hand() -> None:
     kinds = {module.split(".")[0] for module, *_ in documented_nodes()}
     assert kinds == {"plane_sim", "abstraction_observer", "parent_controller", "agent_node"}
-    described = {row[0].strip("`"): row[1] for row in rows(section(read("docs/how-to/ros.md"), "Launch file"))}
+
+
+@launches
+def test_the_page_has_the_arguments_of_each_file(launch_file: Any) -> None:
+    heading = Path(launch_file.__file__).name
+    described = {row[0].strip("`"): row[1] for row in rows(section(read("docs/how-to/ros.md"), heading))}
     assert described.keys() == launch_file.ARGUMENTS.keys()
     for name, (default, _) in launch_file.ARGUMENTS.items():
         assert described[name] == (f"`{default}`" if default else "empty")

@@ -1,9 +1,10 @@
 """What a node tells whoever started it, the orchestrator of a run or systemd, and how it is told to begin.
 
 The orchestrator hands down two file descriptors by environment variables: a pipe on which nodes report in lines of
-JSON, and the read end of another pipe whose closing is the start signal for all at once. In real time each process
-finds there, before that, when its step 0 begins. A node that was started by hand has neither, reports nowhere and
-begins at once. systemd is told of a service of ``Type=notify`` by the protocol of sd_notify(3).
+JSON, and the read end of another pipe whose closing is the start signal for all at once. A launch file, which cannot
+hand down descriptors, gives the paths of named pipes instead. In real time each process finds there, before that, when
+its step 0 begins. A node that was started by hand has neither, reports nowhere and begins at once. systemd is told of a
+service of ``Type=notify`` by the protocol of sd_notify(3).
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class StatusChannel:
 
     def __init__(self, node: str) -> None:
         self._node = node
-        self._report = _descriptor(REPORT_FD)
-        self._start = _descriptor(START_FD)
+        self._report = _descriptor(REPORT_FD, os.O_WRONLY)
+        self._start = _descriptor(START_FD, os.O_RDONLY)
 
     def send(self, event: Report, **details: object) -> None:
         """Report; lines below 4 KiB are never mixed up with those of other nodes."""
@@ -69,8 +70,10 @@ def epoch_records(epoch_ns: int, processes: int) -> bytes:
     return b"%0*d" % (EPOCH_RECORD, epoch_ns) * processes
 
 
-def _descriptor(variable: str) -> int | None:
-    text = os.environ.get(variable)
+def _descriptor(variable: str, mode: int) -> int | None:
+    text = os.environ.get(variable, "")
+    if text.startswith("/"):
+        return os.open(text, mode | os.O_CLOEXEC)
     return int(text) if text else None
 
 
