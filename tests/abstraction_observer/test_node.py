@@ -60,7 +60,7 @@ def test_in_real_time_it_remembers_silent_robots_in_a_file_and_warns_where_it_ca
     assert isinstance(spec.behaviour, RealtimeObserver)
     assert spec.phase == OBSERVER_PHASE
     (tmp_path / "m.json").write_text("no states")
-    with pytest.raises(InputError, match=r"parameter memory: .*holds no states of robots"):
+    with pytest.raises(InputError, match=r"parameter memory: .*contains no states of robots"):
         realtime.make(realtime_settings_from(realtime.PARAMETERS, memory=str(tmp_path / "m.json")), node)
     assert isinstance(realtime.make(realtime_settings_from(realtime.PARAMETERS), node).behaviour, RealtimeObserver)
 
@@ -81,7 +81,7 @@ def test_what_was_kept_is_there_for_the_next_node_unless_it_was_changed(tmp_path
     MemoryFile(tmp_path / "m.json", print)[3] = STATE
     text = (tmp_path / "m.json").read_text().replace("-0.1", '"-0.1"')
     (tmp_path / "m.json").write_text(text)
-    with pytest.raises(InputError, match="no robot's state"):
+    with pytest.raises(InputError, match="not a robot's state"):
         MemoryFile(tmp_path / "m.json", print)
 
 
@@ -92,7 +92,7 @@ def test_what_was_kept_is_there_for_the_next_node_unless_it_was_changed(tmp_path
 def test_a_file_of_something_else_is_refused_and_left(tmp_path: Path, text: str) -> None:
     path = tmp_path / "m.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"parameter memory: .*m\.json holds no states of robots"):
+    with pytest.raises(InputError, match=r"parameter memory: .*m\.json contains no states of robots"):
         MemoryFile(path, print)
     assert path.read_text() == text
 
@@ -104,5 +104,5 @@ def test_a_file_that_cannot_be_written_is_told_and_costs_only_the_memory(tmp_pat
     (tmp_path / "m.json").mkdir()
     memory[3] = STATE
     assert memory[3] == STATE
-    assert "is not remembered" in problems[0]
+    assert "are not stored" in problems[0]
     assert [path.name for path in tmp_path.iterdir()] == ["m.json"]

@@ -86,7 +86,7 @@ def test_the_drive_brings_its_settings_as_parameters(packages: Path) -> None:
     topic = names_of_the_drive(**{"drive.type": "topic"})
     assert topic == ["drive.type", *(f"drive.{setting.name}" for setting in TOPIC.settings)]
     assert names_of_the_drive(**{"drive.type": "standing"}) == ["drive.type", "drive.place"]
-    with pytest.raises(InputError, match=r"parameter drive\.type: no drive 'wheels'"):
+    with pytest.raises(InputError, match=r"parameter drive\.type: there is no drive 'wheels'"):
         names_of_the_drive(**{"drive.type": "wheels"})
 
 

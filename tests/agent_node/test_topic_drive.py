@@ -227,7 +227,7 @@ def test_a_body_that_was_turned_round_is_believed_after_a_while_or_when_the_cloc
         assert time > 100 or wire.sent[-1] == 0.2
     assert wire.sent[-1] == -0.2
     assert drive.refused.counts == {"heading": 49}
-    assert "turned round 0.490 s after" in drive.refused.last
+    assert "turned around 0.490 s after" in drive.refused.last
     drive, wire = made(SI)
     heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
     earlier = EPOCH - SECOND

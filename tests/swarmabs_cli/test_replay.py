@@ -60,7 +60,7 @@ def test_a_node_that_fails_is_exit_code_1(bag: str) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--node", "robot:1"], "no node 'robot:1'; name controller, observer, plane, or a robot as agent:N"),
+        (["--node", "robot:1"], "no node 'robot:1'; use controller, observer, plane, or agent:N"),
         (["--node", "agent:9"], "--node agent:9: the bag has no states of robot 9"),
         (["--node", "plane", "--set", "step=0.005"], "--set changes the control period"),
         (["--node", "plane", "--rate", "2"], "--rate is for a replay without --node"),

@@ -27,7 +27,7 @@ from swarmabs_config.graph import (
 from swarmabs_core.behaviours import LifeSpan, Limits
 from swarmabs_core.controllers import Arise, StateFeedback, lqr_gains
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import DelayFault, InjectedFault, LieFault, LossFault
+from swarmabs_core.faults import DelayFault, FalsifiedStateFault, InjectedFault, LossFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPICS, Kind, Mode
 from swarmabs_core.realtime.validation import Bounds
@@ -83,7 +83,7 @@ def test_robots() -> None:
         assert robot.limits == Limits(force=2.5)
         assert robot.seed == 9
     loss, delay = InjectedFault(LossFault(probability=0.25)), InjectedFault(DelayFault(steps=2))
-    lie = InjectedFault(LieFault(position_offset=0.01), 10, 30)
+    lie = InjectedFault(FalsifiedStateFault(position_offset=0.01), 10, 30)
     assert [robot.faults for robot in robots] == [(loss, delay), (loss, lie), (loss,), (loss, delay)]
     faults = "faults=[{at: 0, kind: freeze, agent: 2}, {at: 0, kind: join, agent: 2}]"
     assert configure.agent_configs(builtin("pd_het_4", faults))[1].life == LifeSpan(0, ChangeKind.FREEZE, 0)

@@ -56,7 +56,7 @@ def test_laws_take_their_settings() -> None:
 @pytest.mark.parametrize(
     ("name", "settings", "text"),
     [
-        ("pid", {}, r"no parent controller 'pid'; there are arise, lqr, pd"),
+        ("pid", {}, r"no parent controller 'pid'; available: arise, lqr, pd"),
         ("pd", {"gain": (1.0, 2.0)}, r"parent controller 'pd' has no parameter 'gain'; it has gains"),
         ("pd", {"gains": (1.0,)}, "2 elements"),
         ("lqr", {"r": 0.0}, "more than 0"),

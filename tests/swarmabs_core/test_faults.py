@@ -12,8 +12,8 @@ from swarmabs_core.faults import (
     DelayFault,
     DuplicationFault,
     Falsification,
+    FalsifiedStateFault,
     InjectedFault,
-    LieFault,
     LossFault,
     ReorderingFault,
     RobotFaults,
@@ -47,14 +47,14 @@ def test_faults_that_are_sure_and_those_without_an_effect() -> None:
     assert ClockOffsetFault(offset=-1.5e-9).clock_offset() == -2
     state = agent_state(3)
     assert loss.falsified(state) is state
-    lie, some = LieFault(agent=3, mass_factor=2.0), LossFault(probability=0.5, agents=(2, 4))
+    lie, some = FalsifiedStateFault(agent=3, mass_factor=2.0), LossFault(probability=0.5, agents=(2, 4))
     assert [agent for agent in range(1, 6) if lie.hits(agent)] == [3]
     assert [agent for agent in range(1, 6) if some.hits(agent)] == [2, 4]
     assert LossFault(probability=0.5).hits(9)
 
 
 def test_faults_of_a_robot_act_and_are_announced_while_they_last() -> None:
-    loss, lie = LossFault(probability=0.25), LieFault(agent=3, position_offset=0.1, mass_factor=2.0)
+    loss, lie = LossFault(probability=0.25), FalsifiedStateFault(agent=3, position_offset=0.1, mass_factor=2.0)
     robot = RobotFaults((InjectedFault(loss, 2, 4), InjectedFault(lie, 3)), 1, 3)
     assert [robot.acting(step) for step in range(5)] == [[], [], [loss], [loss, lie], [lie]]
     told = {step: [text for _, text in robot.announced(step, first=False)] for step in range(5)}
@@ -75,7 +75,7 @@ def test_faults_of_a_robot_act_and_are_announced_while_they_last() -> None:
 )
 def test_lies_that_say_nothing_are_refused(settings: dict[str, float], text: str) -> None:
     with pytest.raises(SettingError, match=text):
-        LieFault(agent=3, **settings)
+        FalsifiedStateFault(agent=3, **settings)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,9 @@ def test_lies_that_say_nothing_are_refused(settings: dict[str, float], text: str
         InjectedFault(DelayFault(steps=2), 10),
         InjectedFault(ReorderingFault(probability=0.1, steps=3), 0, 20),
         InjectedFault(ClockOffsetFault(offset=-1e-9), 3, 4),
-        InjectedFault(LieFault(position_offset=0.1, position_factor=-0.3333333333333333, mass_factor=1e-3), 3, 4),
+        InjectedFault(
+            FalsifiedStateFault(position_offset=0.1, position_factor=-0.3333333333333333, mass_factor=1e-3), 3, 4
+        ),
     ],
 )
 def test_a_fault_as_a_parameter(fault: InjectedFault) -> None:

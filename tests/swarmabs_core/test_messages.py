@@ -168,5 +168,5 @@ def test_each_message_has_one_publisher(message: msg.Message, publisher: str) ->
 
 def test_what_names_no_node_is_refused() -> None:
     for text in ("", "agent", "agent:", "agent:x", "agent:03", "plane:1", "robot:3", "observer:"):
-        with pytest.raises(InputError, match=r"no node .*; name controller, observer, plane, or a robot as agent:N"):
+        with pytest.raises(InputError, match=r"no node .*; use controller, observer, plane, or agent:N"):
             NodeName.parse(text)

@@ -62,7 +62,7 @@ def test_installed_packages_are_not_looked_at_for_what_is_built_in(monkeypatch: 
 
 def test_an_unknown_name_is_answered_with_all_names_and_loads_nothing(packages: Path, registry: Laws) -> None:
     install(packages, "controller", "broken", "raise RuntimeError", package="broken-one")
-    with pytest.raises(InputError, match=r"no parent controller 'pid'; there are arise, broken, lqr, pd"):
+    with pytest.raises(InputError, match=r"no parent controller 'pid'; available: arise, broken, lqr, pd"):
         registry.find("pid")
     assert "pid" not in registry
     assert "broken" in registry

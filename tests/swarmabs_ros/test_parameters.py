@@ -68,7 +68,7 @@ def test_a_wrong_value_is_refused_in_one_line_that_names_it(name: str, text: str
         declare(node, TABLE)
     message = str(refusal.value)
     assert message.startswith(f"parameter {name}: ") and "\n" not in message
-    unknown = "probe has none of this name; did you mean mass?"
+    unknown = "probe has no parameter of this name; did you mean mass?"
     assert next((parameter.description for parameter in TABLE if parameter.name == name), unknown) in message
 
 

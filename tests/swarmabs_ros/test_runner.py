@@ -97,7 +97,7 @@ def test_what_is_no_xml_is_refused(text: str, tmp_path: Path) -> None:
     profile = tmp_path / "robot.xml"
     profile.write_text(text)
     check_profiles(dict.fromkeys(PROFILES, ""))  # without a name there is nothing to check
-    with pytest.raises(InputError, match=r"robot\.xml is no XML: .*every interface.*; make it anew"):
+    with pytest.raises(InputError, match=r"robot\.xml is not XML: .*every interface.*; recreate it"):
         check_profiles({PROFILES[1]: str(profile)})
 
 

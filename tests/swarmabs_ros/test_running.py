@@ -149,7 +149,7 @@ def test_a_process_whose_node_does_not_halt_says_so_and_ends(
     monkeypatch.setattr(node, "halt", lambda: released.wait(10.0))
     assert realtime(node) == 1
     assert exits == [1]
-    reason = "halting has not ended within 0.3 s: a drive's stop() hangs, or a step before it; this process ends, and "
+    reason = "halting has not ended within 0.3 s: a drive's stop() hangs, or a step before it; this process ends"
     reasons = {details["reason"] for event, details in told.reports if event == "failed"}
     assert [text.startswith(reason) for text in reasons] == [True]
     assert any(text.startswith(f"STATUS={reason}") for text in told.notices)
@@ -172,7 +172,7 @@ def test_what_cannot_be_made_or_done_in_real_time_is_refused(
 
 
 def test_a_node_that_is_not_to_start_by_itself_waits(told: Told) -> None:
-    told.then["READY=1\nSTATUS=waits to be configured"] = terminate
+    told.then["READY=1\nSTATUS=waiting for configuration"] = terminate
     node = Ticking(told)
     assert realtime(node, autostart="false") == 0
     assert (node.ticks, node.halts) == (0, 0)
@@ -462,7 +462,7 @@ def test_gains_are_set_until_the_node_is_active_and_used_from_its_activation_on(
         ("gains.ksd", None, "cannot be undeclared"),
         ("gains.k", [1.0], "is not allowed; give 2 elements"),
         ("mass", 0.7, "read-only"),
-        ("use_sim_time", True, "parameter use_sim_time: in real time the system's clock"),
+        ("use_sim_time", True, "parameter use_sim_time: in real time"),
     ],
 )
 def test_what_cannot_be_set_is_refused_with_its_reason_and_nothing_changes(
@@ -532,7 +532,7 @@ def test_every_process_finds_the_epoch_in_the_pipe_of_all(pipes: dict[str, int])
     os.write(pipes["start"], epoch_records(epoch, len(channels)))
     os.close(pipes.pop("start"))
     assert [channel.wait_for_epoch() for channel in channels] == [epoch] * 3
-    with pytest.raises(RunError, match="has gone before the start"):
+    with pytest.raises(RunError, match="ended before the start"):
         StatusChannel("one too many").wait_for_epoch()
 
 
@@ -544,7 +544,7 @@ def test_a_node_started_by_hand_reports_nowhere_begins_at_once_and_is_told_no_ep
     channel = StatusChannel("plane_sim")
     channel.send("ready")
     assert channel.wait_for_start(0.0)
-    with pytest.raises(InputError, match="parameter await_epoch: nobody is there to tell the epoch"):
+    with pytest.raises(InputError, match="parameter await_epoch: no orchestrator started this node"):
         channel.wait_for_epoch()
 
 

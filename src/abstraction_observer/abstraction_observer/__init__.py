@@ -1,1 +1,1 @@
-"""Node that gathers the agents' states into the abstract and the auxiliary state."""
+"""Node that sums the robots' states into the abstract and the auxiliary state of the swarm."""

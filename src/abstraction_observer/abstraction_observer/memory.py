@@ -1,4 +1,4 @@
-"""The memory of an observer across restarts: the positions of robots that no longer report."""
+"""The memory of an observer across restarts: the positions of silent robots."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 
 class MemoryFile(UserDict[int, AgentState]):
-    """Last states of silent robots by id, kept in a file that is replaced as a whole with each change.
+    """Last states of silent robots by id, stored in a file that each change replaces atomically.
 
     Parameters
     ----------
     path : Path
-        The file; it need not exist yet, its folder must.
+        The file; it need not exist, but its folder must.
     on_problem : callable
-        Told why the file could not be written, which costs the memory and not the swarm.
+        Receives the reason if the file cannot be written; the observer then continues without the memory.
 
     Raises
     ------
     InputError
-        If the file is not one of these, or cannot be read.
+        If the file cannot be read, or is not a memory file.
     """
 
     def __init__(self, path: Path, on_problem: Callable[[str], None]) -> None:
@@ -40,14 +40,16 @@ class MemoryFile(UserDict[int, AgentState]):
         except FileNotFoundError:
             return
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"parameter memory: {path} cannot be read ({error}); remove it or give another") from error
+            raise InputError(
+                f"parameter memory: {path} cannot be read ({error}); remove it, or give another file"
+            ) from error
         try:
             for item in json.loads(text)["silent"]:
                 state = _state(item)
                 self.data[state.agent_id] = state
         except (ValueError, TypeError, KeyError) as error:
             raise InputError(
-                f"parameter memory: {path} holds no states of robots ({error}); remove it, or give another file"
+                f"parameter memory: {path} contains no states of robots ({error}); remove it, or give another file"
             ) from error
 
     def __setitem__(self, agent_id: int, state: AgentState) -> None:
@@ -66,7 +68,7 @@ class MemoryFile(UserDict[int, AgentState]):
             new.write_text(json.dumps({"silent": silent}) + "\n", encoding="utf-8")
             new.replace(self._path)
         except OSError as error:
-            self._on_problem(f"{self._path}: {error.strerror}: where silent robots stand is not remembered")
+            self._on_problem(f"{self._path}: {error.strerror}: the positions of silent robots are not stored")
             with suppress(OSError):
                 new.unlink(missing_ok=True)
 
@@ -74,5 +76,5 @@ class MemoryFile(UserDict[int, AgentState]):
 def _state(item: dict[str, float]) -> AgentState:
     state = AgentState(**item)  # type: ignore[arg-type]  # checked below
     if not all(type(value) in (int, float) for value in state):
-        raise ValueError(f"{item} is no robot's state")
+        raise ValueError(f"{item} is not a robot's state")
     return state

@@ -1,4 +1,4 @@
-"""Node ``abstraction_observer``: the robots' states in, abstract and auxiliary state of the swarm out."""
+"""Node ``abstraction_observer``: states of the robots in, abstract and auxiliary state of the swarm out."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
-ON_STALL = Parameter("on_stall", "fail", "what becomes of a robot that does not answer", choices=("fail", "drop"))
+ON_STALL = Parameter("on_stall", "fail", "reaction to a robot that does not answer", choices=("fail", "drop"))
 PARAMETERS = (ObserverConfig, ON_STALL, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return the behaviour, and what it answers to a stall."""
+    """Return the behaviour and its reaction to a stall."""
     observer = Observer(settings.made(ObserverConfig))
     gate = Steered(observer) if settings.flag(STEERED.name) else None
 
     def drop() -> Messages:
-        if gate is not None and not gate.open:  # it is not the robots who are waited for
+        if gate is not None and not gate.open:  # the node waits for an order, not for robots
             return ()
         silent = observer.silent_agents()
         return observer.drop(silent, SILENT) if silent else ()

@@ -1,4 +1,4 @@
-"""Node ``abstraction_observer`` in real time: it sums up the robots that are heard."""
+"""Node ``abstraction_observer`` in real time: it sums up the robots' newest states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from swarmabs_ros.realtime_runner import run_realtime
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
-MEMORY = Parameter("memory", "", "file that keeps the positions of silent robots across restarts; empty: none")
+MEMORY = Parameter("memory", "", "file that stores the positions of silent robots across restarts; empty: none")
 PARAMETERS = (RealtimeObserverConfig, MEMORY)
 GAINS = ("ksd",)
 

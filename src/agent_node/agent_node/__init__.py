@@ -1,1 +1,1 @@
-"""Node of one robot: from the broadcasts and its own state to its own command."""
+"""Node of one robot: computes its command from the broadcasts and its own state."""

@@ -25,7 +25,7 @@ PARAMETERS = (
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints; refuse an id that the scenario does not have."""
+    """Return behaviour and endpoints; reject ids that are not in the scenario."""
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file: give the file of the resolved scenario")
     configs = {c.agent_id: c for c in configure.agent_configs(load_scenario(Path(settings.text("scenario_file"))))}

@@ -1,4 +1,4 @@
-"""Node ``agent_node`` in real time: one robot behind its drive."""
+"""Node ``agent_node`` in real time: one robot with its drive."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ GAINS = ("gains", "law")
 
 
 def drive_of(config: RealtimeAgentConfig, node: RealtimeNode) -> Drive:
-    """Return the drive that is asked for, open.
+    """Return the configured drive, opened.
 
-    Raises `InputError` if its settings contradict each other, or the package that brings it is unfit.
+    Raises `InputError` if its settings contradict each other, or the package that provides it is unusable.
     """
     body = Body(
         agent_id=config.agent_id,
@@ -42,7 +42,7 @@ def drive_of(config: RealtimeAgentConfig, node: RealtimeNode) -> Drive:
 
 
 def _topic_drive(settings: TopicSettings, body: Body, node: RealtimeNode) -> Drive:
-    from agent_node.topic_drive import (  # noqa: PLC0415 - its messages take a while to load, and not all need them
+    from agent_node.topic_drive import (  # noqa: PLC0415 - loading its messages is slow, and not every robot needs them
         TopicDrive,
         TopicLink,
     )
@@ -51,7 +51,7 @@ def _topic_drive(settings: TopicSettings, body: Body, node: RealtimeNode) -> Dri
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
-    """Return the behaviour, the drive open."""
+    """Return the behaviour, with its drive opened."""
     config = settings.made(RealtimeAgentConfig)
     config.refuse_contradictions()
     agent = RealtimeAgent(config, drive_of(config, node))

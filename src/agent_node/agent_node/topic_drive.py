@@ -1,8 +1,8 @@
-"""A drive behind topics: what a robot's base says, and what it is told.
+"""A drive connected by topics: measurements of a robot's base in, commands out.
 
-Signs. The lane is an axis of the sensor's frame; positions grow along it as the scenario's do, and the plane's angle th
-is positive where the side of positive positions is up. The body's x axis points forward, along the lane (facing 1) or
-against it (facing -1); commands are given along it. Its nose rises by facing times th.
+Sign conventions: The lane is an axis of the sensor's frame, along which positions increase as in the scenario. The
+plane's angle th is positive if the side of positive positions is up. The body's x axis points forward, along the lane
+(facing 1) or against it (facing -1), and commands are given along this axis. The nose rises by facing times th.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.drives import Body
     from swarmabs_core.realtime.instruments import TopicSettings
 
-TURN_ROUND = 500_000_000
-"""Shortest time in which a body turns round, ns; meanwhile it stands across the lane, of which nothing is taken."""
+TURN_TIME = 500_000_000
+"""Shortest time in which a body turns around, ns; readings of a body across the lane are rejected meanwhile."""
 COMMAND = QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.RELIABLE)
-"""What is offered to the base: a reliable writer serves both kinds of readers, and only the newest command counts."""
+"""QoS of the command: a reliable writer matches both kinds of readers, and only the newest command is relevant."""
 
 _TYPES: dict[str, Any] = {"twist": TwistStamped, "force": Float64, "joint": JointState}
 
 
 class TopicLink:
-    """Subscriptions of a topic drive, in a group that no executor may serve, and its publisher."""
+    """The subscriptions of a topic drive, in a group that no executor may serve, and its publisher."""
 
     def __init__(self, settings: TopicSettings, kind: Kind, node: Node, group: CallbackGroup | None = None) -> None:
         self._settings = settings
@@ -68,11 +68,11 @@ class TopicLink:
         self._publisher = node.create_publisher(_TYPES[settings.command], settings.command_topic, COMMAND)
 
     def take(self) -> list[Reading]:
-        """Return what the sensors have said since the last call."""
+        """Return the readings that have arrived since the last call."""
         return [reading for sensor in self._sensors for reading in sensor.take()]
 
     def send(self, value: float) -> None:
-        """Send the base a command."""
+        """Send a command to the base."""
         self._publisher.publish(self._message(value))
 
     def _message(self, value: float) -> Any:
@@ -95,16 +95,16 @@ class TopicLink:
 
 
 class TopicDrive:
-    """Measures by topics, drives by a topic.
+    """A drive that subscribes to measurements and publishes commands.
 
-    Readings that are not plausible are refused and counted; then the newest good one grows old, and the robot stops by
-    its age. A double integrator whose weight is to be balanced has a measurement only while its IMU is heard: a
-    measurement is as old as the oldest thing it depends on.
+    Implausible readings are rejected and counted; if they persist, the newest valid one becomes outdated and the robot
+    stops. A double integrator with weight compensation also needs its IMU: a measurement has the age of the oldest
+    reading on which it depends.
 
     Raises
     ------
     InputError
-        If the type of the command does not suit the robot's kind.
+        If the type of the command does not match the robot's kind.
     """
 
     def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[TopicSettings], TopicLink]) -> None:
@@ -126,7 +126,7 @@ class TopicDrive:
         self._link = connect(settings)
 
     def read(self, now: int) -> Measurement | None:
-        """Take over what has arrived, and return the newest measurement."""
+        """Process the readings that have arrived, and return the newest measurement."""
         for reading in self._link.take():
             try:
                 self._hear(reading, now)
@@ -144,13 +144,14 @@ class TopicDrive:
         return Measurement(stamp, motion.value, motion.rate)
 
     def write(self, command: float, now: int) -> None:
-        """Send a command, to which a double integrator's weight along the plane is added.
+        """Send a command; for a double integrator, compensate its weight along the plane.
 
-        What is added is m (g sin(th) - p w^2), the negative of what a tilting plane does to a robot (EOM_DI with the
-        Lagrangian's terms), so the body feels the law's force alone. The sum stays within the limit of force.
+        The added force m (g sin(th) - p w^2) cancels the effect of the tilting plane on a robot (EOM_DI with the
+        Lagrangian's terms), so that only the force of the law accelerates the body. The sum stays within the force
+        limit.
 
-        A double integrator whose motion or tilt is not known gets no command: no force would brake it or hold its
-        weight, zero neither, but its base does when commands cease.
+        If the motion or tilt of a double integrator is unknown, no command is sent: no force, not even zero, would
+        safely brake it or hold its weight, but its base does when commands cease.
         """
         if not self._single and not self._knows(now):
             return
@@ -164,7 +165,7 @@ class TopicDrive:
         self._send(0.0)
 
     def report(self) -> tuple[tuple[str, str], ...]:
-        """Return what was refused, and the tilt that the robot feels."""
+        """Return counts of rejected readings, and the robot's tilt."""
         tilted = self._tilt.newest
         felt = (("tilt, rad", "none" if tilted is None else f"{self._facing * tilted.value:.6f}"),)
         return (*(felt if self._weighs else ()), *self.refused.values())
@@ -172,13 +173,13 @@ class TopicDrive:
     def _send(self, command: float) -> None:
         value = command * self._facing
         if self._to_joint:
-            # A joint moves by motion / scale; by virtual work its effort is force * scale.
+            # A joint moves by motion / scale; by the principle of virtual work its effort is force * scale.
             scale = self._settings.joint.scale
             value = value / scale if self._single else value * scale
         self._link.send(value)
 
     def _knows(self, now: int) -> bool:
-        """Tell whether motion, and the tilt if it is needed, are known of late."""
+        """Return whether recent readings of the motion and, if needed, of the tilt are known."""
         tracks = (self._track, self._tilt) if self._weighs else (self._track,)
         return all(each.newest is not None and now - each.newest.stamp <= self._age_limit for each in tracks)
 
@@ -212,11 +213,11 @@ class TopicDrive:
         self._facing, self._faced = facing, reading.stamp
 
     def _check_facing(self, facing: float, stamp: int) -> None:
-        """Refuse that a body has turned round at once: it would be driven the wrong way by one wrong reading."""
-        if facing == self._facing or self._faced is None or not 0 <= stamp - self._faced < TURN_ROUND:
+        """Reject a sudden reversal of the body: after one wrong reading it would be driven in the wrong direction."""
+        if facing == self._facing or self._faced is None or not 0 <= stamp - self._faced < TURN_TIME:
             return
         passed = (stamp - self._faced) / 1e9
-        raise RefusedReadingError("heading", f"turned round {passed:.3f} s after the last good reading")
+        raise RefusedReadingError("heading", f"turned around {passed:.3f} s after the last valid reading")
 
     def _hear_joints(self, reading: Joints, now: int) -> None:
         settings = self._settings
@@ -233,13 +234,13 @@ class TopicDrive:
 
 
 def _resolved(settings: TopicSettings, *, single_integrator: bool) -> TopicSettings:
-    """Return the settings with the command that suits the robot, and with names of all topics."""
+    """Return the settings with the command type for the robot's kind, and with the names of all topics."""
     command = settings.command
     if command == "auto":
         command = "twist" if single_integrator else "force"
     if command == "twist" and not single_integrator:
         raise InputError(
-            "drive.command: a twist is a velocity, and a double integrator is driven by force; use force or joint"
+            "drive.command: a twist is a velocity, but a double integrator is driven by force; use force or joint"
         )
     topics = {"odometry": "~/odom", "joint_state": "~/joint_states"}
     commands = {"twist": "~/cmd_vel", "force": "~/force", "joint": "~/joint_command"}

@@ -1,1 +1,1 @@
-"""Node that turns the plane's state into the desired abstract state."""
+"""Node that computes the desired abstract state from the plane's state."""

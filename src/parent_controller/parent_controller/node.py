@@ -1,4 +1,4 @@
-"""Node ``parent_controller``: the plane's state in, the desired abstract state of the swarm out."""
+"""Node ``parent_controller``: state of the plane in, desired abstract state of the swarm out."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ PARAMETERS = (ControllerConfig, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return the behaviour; refuse offsets of the reference where the law knows none."""
+    """Return the behaviour; reject offsets of the reference if the law does not support them."""
     config = settings.made(ControllerConfig)
     law = config.law.make(config.period_ns / 1e9, config.manifold)
     if config.offsets and not isinstance(law, OffsetController):
-        raise InputError("parameter offsets: the law has no method offset_torque; leave the parameter out")
+        raise InputError("parameter offsets: the law has no method offset_torque; omit the parameter")
     controller = Controller(config, law, packed=settings.flag(PACKED.name))
     return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller)
 

@@ -1,4 +1,4 @@
-"""Node ``parent_controller`` in real time: it answers each state of the plane, and lets an operator stop the swarm."""
+"""Node ``parent_controller`` in real time: it answers each state of the plane, and an operator can stop the swarm."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ GAINS = ("controller",)
 
 
 def law_of(config: RealtimeControllerConfig) -> Callable[[], ParentController]:
-    """Return what makes the control law of a configuration."""
+    """Return a factory for the control law of a configuration."""
     return lambda: config.law.make(config.schedule.period, config.manifold)
 
 
-def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
+def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it does not use the node
     """Return the behaviour."""
     config = settings.made(RealtimeControllerConfig)
     controller = RealtimeController(config, law_of(config))

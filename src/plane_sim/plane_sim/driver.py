@@ -1,4 +1,4 @@
-"""Node ``plane_driver``: the plane as an encoder or an IMU on it sees it; on hardware in plane_sim's place."""
+"""Node ``plane_driver``: the plane measured by an encoder or an IMU; on hardware it replaces plane_sim."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlaneDriverConfig(PlaneInstrument):
-    """Configuration of the plane's driver."""
+    """Configuration of the plane driver."""
 
     schedule: Schedule = part(Schedule, name="")
     clock_tolerance: float = same(Realtime, "clock_tolerance")
 
 
 class PlaneDriver:
-    """Turns a sensor's readings into the plane's state, one per step.
+    """Converts a sensor's readings to one state of the plane per step.
 
-    While the newest good reading is older than the limit, or there has been none, it publishes nothing; then the parent
-    controller asks for nothing, and the robots stop.
+    If there is no valid reading, or the newest one is older than the limit, it publishes nothing; the parent controller
+    then publishes nothing either, and the robots stop.
 
     Parameters
     ----------
     take : callable
-        Returns what the sensor has said since the last call, in order, without waiting; it is asked once per step.
+        Returns the readings since the last call, in order, without waiting; it is called once per step.
     """
 
     def __init__(self, config: PlaneDriverConfig, take: Callable[[], Sequence[Reading]] = tuple) -> None:
@@ -68,7 +68,7 @@ class PlaneDriver:
         self.refused = RefusedReadings()
 
     def measure(self, readings: Iterable[Reading], now: int) -> Messages:
-        """Take over what the sensor has said, in order; answer what is to be told of refusals."""
+        """Process readings in order; return events for rejected ones."""
         told: Messages = ()
         for reading in readings:
             try:
@@ -79,12 +79,12 @@ class PlaneDriver:
                 told += self._refusals.add(reason, self._config.schedule.step(now), now)
         return told
 
-    def hear(self, message: Message, now: int) -> Messages:  # noqa: ARG002 - as all nodes
-        """Hear nothing: the plane needs no message of the swarm."""
+    def hear(self, message: Message, now: int) -> Messages:  # noqa: ARG002 - the interface of behaviours
+        """Ignore all messages: the plane needs none of the swarm."""
         return ()
 
     def tick(self, now: int) -> Messages:
-        """Publish the plane's state, if it is known; say when the sensor falls silent and when it is back."""
+        """Return the plane's state, if it is known, and events when the sensor falls silent or returns."""
         return (*self.measure(self._take(), now), *self._state(now))
 
     def _state(self, now: int) -> Messages:
@@ -103,10 +103,10 @@ class PlaneDriver:
         return (state,)
 
     def halt(self) -> None:
-        """Do nothing: a sensor moves nothing."""
+        """Do nothing: a sensor needs no safe state."""
 
     def health(self, now: int) -> Health:
-        """Return whether the sensor is heard, and what was refused."""
+        """Return whether the sensor reports, and counts of rejected readings."""
         sample = self._track.newest
         values = self.refused.values()
         if sample is None:
@@ -141,7 +141,7 @@ class PlaneDriver:
             raise RefusedReadingError("source", f"a reading of type {type(reading).__name__}")
         check_finite(angle)
         if abs(angle) > config.angle_limit:
-            raise RefusedReadingError("angle", f"{angle:.4g} rad, at most {config.angle_limit:g} is believed")
+            raise RefusedReadingError("angle", f"{angle:.4g} rad, at most {config.angle_limit:g} is plausible")
         self._track.offer(reading.stamp, angle, rate, now)
 
 
@@ -149,7 +149,7 @@ PARAMETERS = (PlaneDriverConfig,)
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
-    """Return the behaviour, the sensor connected."""
+    """Return the behaviour, with its sensor connected."""
     config = settings.made(PlaneDriverConfig)
     topic = config.topic or ("~/imu" if config.source == "imu" else "~/joint_states")
     sensor = SensorSubscription(node, config.source, topic, node.loop_group, arrival=config.stamp == "arrival")

@@ -1,4 +1,4 @@
-"""Node ``plane_sim``: the simulated plane; on hardware an encoder's or an IMU's driver takes its place."""
+"""Node ``plane_sim``: the simulated plane; on hardware the driver of an encoder or an IMU replaces it."""
 
 from __future__ import annotations
 

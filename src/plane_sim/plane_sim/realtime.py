@@ -1,4 +1,4 @@
-"""Node ``plane_sim`` in real time, for demonstrations and tests: a plane that is simulated by the clock."""
+"""Node ``plane_sim`` in real time, for demonstrations and tests: a plane simulated by the clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 PARAMETERS = (RealtimePlaneConfig,)
 
 
-def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it needs no more of its node
+def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it does not use the node
     """Return the behaviour."""
     return RealtimeSpec(RealtimePlane(settings.made(RealtimePlaneConfig)), PLANE_PHASE)
 

@@ -10,7 +10,14 @@ from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, Ob
 from swarmabs_core.behaviours.base import Run
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import gathered
-from swarmabs_core.faults import Falsification, InjectedFault, LieFault, MembershipFault, RobotFault, SettingFault
+from swarmabs_core.faults import (
+    Falsification,
+    FalsifiedStateFault,
+    InjectedFault,
+    MembershipFault,
+    RobotFault,
+    SettingFault,
+)
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
@@ -56,7 +63,7 @@ def falsifications(scenario: UncheckedScenario) -> tuple[Falsification, ...]:
         Falsification(agent.id, injected)
         for agent in scenario.agents
         for injected in robot_faults(scenario, agent.id)
-        if isinstance(injected.fault, LieFault)
+        if isinstance(injected.fault, FalsifiedStateFault)
     )
 
 
@@ -99,7 +106,10 @@ def observer_config(scenario: UncheckedScenario) -> ObserverConfig:
 def plane_config(scenario: UncheckedScenario) -> PlaneConfig:
     """Return the simulated plane's configuration."""
     return gathered(
-        PlaneConfig, *declared(scenario), lies=falsifications(scenario), torques=step_changes(scenario, DISTURBANCE)
+        PlaneConfig,
+        *declared(scenario),
+        falsifications=falsifications(scenario),
+        torques=step_changes(scenario, DISTURBANCE),
     )
 
 

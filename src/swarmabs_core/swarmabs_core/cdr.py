@@ -248,7 +248,7 @@ def _text(layout: _Layout, message_type: type[Message], data: bytes, count: int)
 def _lists(layout: _Layout, message_type: type[Message], data: bytes, number: int) -> list[Any]:
     name = message_type.__name__
     if number > _MOST_ROBOTS:
-        raise MalformedMessageError(name, f"{number} robots")
+        raise MalformedMessageError(name, f"{number} robots, at most {_MOST_ROBOTS}")
     lists = _tail(layout, number)
     size = layout.size + lists.size
     if not size <= len(data) < size + _TRANSPORT_PADDING:

@@ -10,7 +10,7 @@ from swarmabs_core.messages import Kind
 
 
 class Drive(Protocol):
-    """What moves a robot over one control period."""
+    """Model of a robot's motion over one control period."""
 
     def advance(self, position: float, velocity: float, command: float) -> tuple[float, float]:
         """Return position (m) and velocity (m/s) one period later under the command."""

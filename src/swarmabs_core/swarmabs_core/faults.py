@@ -346,7 +346,7 @@ class ClockOffsetFault(
 
 
 @dataclass(frozen=True)
-class LieFault(SingleRobotFault, kind="lie", description="the robot reports a false position or mass"):
+class FalsifiedStateFault(SingleRobotFault, kind="lie", description="the robot reports a false position or mass"):
     """A robot reports a false position or mass; the plane moves under the true ones."""
 
     position_offset: float = setting(0.0, "offset added to its position, m")
@@ -472,15 +472,15 @@ class Falsification(NamedTuple):
         """
         agent_id, _, rest = text.partition(" ")
         injected = InjectedFault.parse(rest)
-        if not agent_id.isdecimal() or not isinstance(injected.fault, LieFault):
-            raise InputError(f"lie {text!r} is not of the form 'AGENT lie FIRST END OFFSET FACTOR FACTOR'")
+        if not agent_id.isdecimal() or not isinstance(injected.fault, FalsifiedStateFault):
+            raise InputError(f"falsification {text!r} is not of the form 'AGENT lie FIRST END OFFSET FACTOR FACTOR'")
         return cls(int(agent_id), injected)
 
 
-def true_state(state: AgentState, lies: Iterable[Falsification]) -> AgentState:
+def true_state(state: AgentState, falsifications: Iterable[Falsification]) -> AgentState:
     """Return a robot's true state, with injected falsifications undone."""
-    for agent_id, injected in lies:
-        if agent_id == state.agent_id and injected.acts(state.step) and isinstance(injected.fault, LieFault):
+    for agent_id, injected in falsifications:
+        if agent_id == state.agent_id and injected.acts(state.step) and isinstance(injected.fault, FalsifiedStateFault):
             state = injected.fault.true_state(state)
     return state
 

@@ -127,7 +127,7 @@ class Field(NamedTuple):
 Stamp: TypeAlias = Annotated[int, Field("time", "ns", "time of creation, by the clock of the publisher")]
 StepNumber: TypeAlias = Annotated[int, Field("uint64", meaning="number of the control period")]
 EarlierStep: TypeAlias = Annotated[int, Field("uint64", meaning="a step", missing=NEVER)]
-Robot: TypeAlias = Annotated[int, Field("uint16", meaning="robot")]
+RobotId: TypeAlias = Annotated[int, Field("uint16", meaning="robot")]
 
 
 class PlaneState(NamedTuple):
@@ -149,7 +149,7 @@ class AgentState(NamedTuple):
     stamp: Stamp
     step: StepNumber
     broadcast_step: Annotated[int, Field("uint64", meaning="step of the broadcasts used", missing=NEVER)]
-    agent_id: Robot
+    agent_id: RobotId
     kind: Annotated[int, Field("uint8", constants=Kind)]
     status: Annotated[int, Field("uint8", constants=Status)]
     mass: Annotated[float, Field("float64", "kg")]
@@ -209,7 +209,7 @@ class SwarmEvent(NamedTuple):
 
     stamp: Stamp
     step: StepNumber
-    agent_id: Robot
+    agent_id: RobotId
     kind: Annotated[int, Field("uint8", constants=EventKind)]
     value: Annotated[float, Field("float64", "by kind")]
     detail: Annotated[str, Field("string", "", "human-readable")]
@@ -259,7 +259,7 @@ class Steering(NamedTuple):
     step: StepNumber
     request: Annotated[int, Field("uint64", meaning="number of the request")]
     action: Annotated[int, Field("uint8", constants=Action)]
-    agent_id: Robot
+    agent_id: RobotId
     value: Annotated[float, Field("float64", "by action")]
 
 

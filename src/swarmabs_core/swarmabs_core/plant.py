@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.5
 """Angle of the plane, rad, at which a run fails: robots slide off, and the ARISE law divides by its cosine."""
+DIVERGED = "the plane's motion is not finite at t = {:g} s; reduce plane.substep, or the gains"
 
 
 class RobotPath(NamedTuple):
@@ -237,9 +238,9 @@ class PlaneDynamics:
                         self.impact = self.impact or (time + (n + 2) * half, w)
                     th, w = copysign(end_stop, th), 0.0
         except (ValueError, OverflowError) as error:  # cos(inf)
-            raise RunError(f"the plane's motion is not finite at t = {time:g} s") from error
+            raise RunError(DIVERGED.format(time)) from error
         if not (isfinite(th) and isfinite(w)):
-            raise RunError(f"the plane's motion is not finite at t = {time:g} s")
+            raise RunError(DIVERGED.format(time))
         return th, w
 
     def _sample(self, time: float, load: SwarmLoad) -> tuple[list[float], list[float], list[float], list[float]]:

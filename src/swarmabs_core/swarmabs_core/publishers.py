@@ -57,7 +57,7 @@ class NodeName(NamedTuple):
         except ValueError:
             name = None
         if name is None or (name.kind is NodeKind.AGENT) != bool(colon) or str(name) != text:
-            raise InputError(f"no node {text!r}; name controller, observer, plane, or a robot as agent:N")
+            raise InputError(f"there is no node {text!r}; use controller, observer, plane, or agent:N for a robot")
         return name
 
 

@@ -125,7 +125,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         try:
             return self[name]
         except KeyError:
-            raise InputError(f"no {self._noun} {name!r}; there are {', '.join(sorted(self))}") from None
+            raise InputError(f"there is no {self._noun} {name!r}; available: {', '.join(sorted(self))}") from None
 
     def make(self, name: str, settings: Settings, context: ContextT) -> MadeT:
         """Create the object of a part; omitted settings have their defaults.

@@ -1,1 +1,1 @@
-"""What the ROS nodes of swarmabs share."""
+"""Common parts of the ROS nodes of swarmabs."""

@@ -1,8 +1,8 @@
-"""Publishers and subscriptions of serialised messages, and how a node waits for them.
+"""Publishers and subscriptions of serialized messages, and waiting for messages.
 
-This is the one place that goes below rclpy's public interface: waiting on a wait set and taking messages directly
-costs a quarter of what an executor with callbacks costs, and that is what carries hundreds of processes on two cores.
-`ExecutorReceiver` does the same with public means and is what to fall back to if a future rclpy changes underneath.
+Only this module uses non-public parts of rclpy: waiting on a wait set and taking messages directly has a quarter of the
+cost of an executor with callbacks, which makes hundreds of processes on two cores possible. `ExecutorReceiver` does the
+same with rclpy's public interface, as a fallback if a future rclpy changes its internals.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def ros_type(topic: Topic) -> Any:
 
 
 def profile(qos: Qos) -> QoSProfile:
-    """Return rclpy's form of a quality of service."""
+    """Convert a quality of service to an rclpy profile."""
     found = QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=qos.depth,
@@ -61,7 +61,7 @@ def profile(qos: Qos) -> QoSProfile:
 
 
 def advertise(node: Node, topic: Topic, driver: Driver = LOCKSTEP) -> Publisher:
-    """Create the publisher of a topic, which takes serialised messages."""
+    """Create the publisher of a topic, which accepts serialized messages."""
     return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[driver][topic]))
 
 
@@ -69,11 +69,11 @@ class Receiver(Protocol):
     """Access to the messages that have arrived."""
 
     def take(self, topic: Topic) -> bytes | None:
-        """Return the oldest message of a topic that has not been taken, None if there is none."""
+        """Return the oldest message of a topic that has not been taken yet, None if there is none."""
         ...
 
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
-        """Wait until a message of one of the topics is there; return False if it was not in time (s)."""
+        """Wait until a message of one of the topics arrives; return False after `timeout` (s)."""
         ...
 
     def publisher_count(self, topic: Topic) -> int:
@@ -82,9 +82,9 @@ class Receiver(Protocol):
 
 
 class WaitSetReceiver:
-    """Waits on a wait set of just the topics in question and takes serialised messages directly.
+    """Waits on a wait set of only the given topics and takes serialized messages directly.
 
-    Where an executor runs for the same node, `group` keeps it off the subscriptions. Raises `ImportError` if this rclpy
+    If an executor also serves the node, `group` keeps it from taking the messages. Raises `ImportError` if this rclpy
     has no such interface; the text names the alternative.
     """
 
@@ -103,16 +103,16 @@ class WaitSetReceiver:
             self._take = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
         except AttributeError as error:
             raise ImportError(
-                f"this rclpy cannot be waited on directly ({error}); start with the parameter receive:=executor"
+                f"this rclpy does not support direct waiting ({error}); start with the parameter receive:=executor"
             ) from error
 
     def take(self, topic: Topic) -> bytes | None:
-        """Return the oldest message of a topic that has not been taken, None if there is none."""
+        """Return the oldest message of a topic that has not been taken yet, None if there is none."""
         taken = self._take[topic](self._types[topic], True)
         return None if taken is None else taken[0]
 
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
-        """Wait until a message of one of the topics is there; return False if it was not in time (s)."""
+        """Wait until a message of one of the topics arrives; return False after `timeout` (s)."""
         wait_set = self._wait_sets.get(topics)
         if wait_set is None:
             wait_set = self._make_wait_set(len(topics), 0, 0, 0, 0, 0, self._context)
@@ -129,22 +129,22 @@ class WaitSetReceiver:
 
 
 class LoopGroup(CallbackGroup):
-    """Group of what a loop waits for by itself: no executor ever takes anything of it."""
+    """Callback group of the entities that a loop serves itself: no executor executes any of them."""
 
     def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - the interface of rclpy
-        """Refuse."""
+        """Return False."""
         return False
 
     def beginning_execution(self, entity: object) -> bool:  # noqa: ARG002 - the interface of rclpy
-        """Refuse."""
+        """Return False."""
         return False
 
     def ending_execution(self, entity: object) -> None:
-        """Do nothing, as nothing has begun."""
+        """Do nothing, because no execution starts."""
 
 
 class ExecutorReceiver:
-    """The same by rclpy's public executor; several times slower."""
+    """A receiver that uses rclpy's public executor; several times slower."""
 
     def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
         self._arrived: dict[Topic, deque[bytes]] = {topic: deque() for topic in subscriptions}
@@ -156,7 +156,7 @@ class ExecutorReceiver:
         self._executor.add_node(node)
 
     def _keeping(self, topic: Topic) -> Callable[[bytes], None]:
-        """Return the callback of a topic; rclpy wants one with a Python signature."""
+        """Return the callback of a topic; rclpy requires one with a Python signature."""
         arrived = self._arrived[topic]
 
         def keep(data: bytes) -> None:
@@ -165,12 +165,12 @@ class ExecutorReceiver:
         return keep
 
     def take(self, topic: Topic) -> bytes | None:
-        """Return the oldest message of a topic that has not been taken, None if there is none."""
+        """Return the oldest message of a topic that has not been taken yet, None if there is none."""
         arrived = self._arrived[topic]
         return arrived.popleft() if arrived else None
 
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
-        """Wait until a message has arrived, and take what else is there; return False if none was in time (s)."""
+        """Wait until a message arrives, and store all that have arrived; return False after `timeout` (s)."""
         try:
             before = -1
             while (kept := sum(map(len, self._arrived.values()))) > before:
@@ -187,11 +187,11 @@ class ExecutorReceiver:
 
 
 def receiver(node: Node, subscriptions: Mapping[Topic, Qos], waiting: Waiting) -> Receiver:
-    """Subscribe to topics in the way asked for."""
+    """Subscribe to topics and return the selected kind of receiver."""
     if waiting == "executor":
         return ExecutorReceiver(node, subscriptions)
     return WaitSetReceiver(node, subscriptions)
 
 
 def unheard(_: object) -> None:
-    """Stand in for a callback where no executor runs."""
+    """Serve as callback where no executor runs."""

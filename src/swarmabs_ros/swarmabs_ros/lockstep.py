@@ -1,9 +1,9 @@
-"""The loop that drives a node behaviour in lockstep over DDS, and repeats its messages where nothing comes.
+"""The loop that drives a node behaviour in lockstep over DDS, and repeats its messages if nothing arrives.
 
-No quality of service is trusted, so whoever waits too long sends its last messages again.
+The loop does not rely on any quality of service: a node that waits too long sends its last messages again.
 
-What the loop does and how it waits are apart: its activity does all that can be done and says what it waits for, so a
-test can be clock, network and scheduler of a whole swarm in one thread.
+Work and waiting are separate: the loop's activity does all pending work and yields what it waits for, so a test can act
+as clock, network and scheduler of a whole swarm in one thread.
 """
 
 from __future__ import annotations
@@ -29,43 +29,43 @@ if TYPE_CHECKING:
     from swarmabs_ros.status import StatusChannel
 
 SLICE = 0.1
-"""Longest time, s, for which a node does not look whether it shall stop."""
+"""Longest time, s, between checks whether the node must stop."""
 FIRST = 0.05
 """Shortest wait before a repetition, s."""
 LONGEST = 1.0
 """Longest wait between repetitions, s."""
 WINDOW = 128
-"""Most steps that are repeated: more than a run may be ahead of its recorder."""
+"""Largest number of steps that are repeated: more than a run may be ahead of its recorder."""
 
 INTERRUPTED = "interrupted"
-"""What `NodeSpec.on_exit` is told where people have stopped the node (SIGINT)."""
+"""Argument of `NodeSpec.on_exit` if the user has stopped the node (SIGINT)."""
 
 
 Wait = tuple[tuple["Topic", ...], float]
-"""What a loop waits for: a message of one of the topics, for so many s at most; without topics just the time."""
+"""What a loop waits for: a message of one of the topics, and the longest time, s; without topics, only the time."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeSpec:
-    """What a node is made of.
+    """Specification of a node in lockstep.
 
     Parameters
     ----------
     endpoints : Endpoints, optional
-        What it publishes and reads, if that does not follow from the graph and its parameters.
+        Its publications and subscriptions, if they do not follow from the graph and its parameters.
     on_stall : callable, optional
-        What the behaviour answers to a stall, such as dropping robots. It is asked as long as the stall lasts, once
-        it has been waited for the same for the time that counts as a stall.
+        Reaction of the behaviour to a stall, such as dropping robots. It is called while the stall lasts, once the node
+        has waited for the same messages for the stall time.
     on_exit : callable, optional
-        What to do at the end, whatever it is; the argument says what went wrong, if something did, or `INTERRUPTED`.
+        Called at the end in any case, with the problem, if there is one, or `INTERRUPTED`.
     lingers : bool
-        Whether the node, when its behaviour has finished, stays to repeat its last messages until it is told to stop.
+        Whether the node, after its behaviour has finished, repeats its last messages until it is told to stop.
     gather : float
-        Time, s, for which messages may gather before they are handled, for a node that nobody waits for.
+        Time, s, for which messages are collected before they are handled, for a node that no other node waits for.
     on_idle : callable, optional
-        What to do whenever nothing more has arrived, every `SLICE` s at the latest.
+        Called when no more messages have arrived, at least every `SLICE` s.
     hear : callable, optional
-        Takes a message by topic and bytes, for a node that needs these too; by default the behaviour takes the message.
+        Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
     """
 
     behaviour: Behaviour
@@ -79,9 +79,9 @@ class NodeSpec:
 
 
 class RunningClock:
-    """Time, s, for which a process has run: while all of a run is stopped (SIGSTOP, a debugger), nobody is silent.
+    """Running time of a process, s: time in which the whole run is stopped (SIGSTOP, a debugger) is not a silence.
 
-    Between two readings of a steady clock at most `LONGEST` counts; a node that waits reads it every `SLICE`.
+    At most `LONGEST` counts between two readings of a steady clock; a waiting node reads it every `SLICE`.
     """
 
     def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
@@ -97,14 +97,14 @@ class RunningClock:
 
 
 class Repeater:
-    """Decides on repetitions from the times at which there was progress, s, of any clock that does not jump.
+    """Decides on repetitions from the times of progress, s, on any clock that does not jump.
 
-    The first repetition comes after four usual step times and repeats one step; if it does not help, ever more steps
-    are repeated at ever longer intervals, because what somebody lacks may be older than the current step. The fifth
-    repetition covers them all, `most`, and comes before the silence counts as a stall.
+    The first repetition follows after four usual step times and repeats one step. If it does not help, more and more
+    steps are repeated at longer and longer intervals, because a missing message may be older than the current step. The
+    fifth repetition covers all `most` steps and occurs before the silence counts as a stall.
 
-    The shortest wait before a repetition is `first`. In a large swarm a step takes longer than a small one's patience,
-    and whoever repeats itself before it can be answered adds to what makes the step long.
+    The shortest wait before a repetition is `first`. It must suit the size of the swarm: steps of a large swarm take
+    longer, and repetitions before an answer is possible would only add load.
     """
 
     def __init__(self, now: float, *, first: float = FIRST, most: int = WINDOW) -> None:
@@ -118,9 +118,9 @@ class Repeater:
         self._due = now + self._interval
 
     def progress(self, now: float) -> None:
-        """Note that a step was made."""
-        # This follows the step time that four steps of five keep to: a lost message, which delays a step by this very
-        # wait, must not make the next wait longer. All would wait ever longer for each other.
+        """Record that a step was completed."""
+        # The usual step time tracks about the 80 % quantile: a lost message delays a step by this wait, but must not
+        # lengthen the next wait. Otherwise the nodes would wait longer and longer for each other.
         self._usual = min(self._usual * (1.1 if now - self._last > self._usual else 0.98), self._longest)
         self._interval = min(max(self._first, 4.0 * self._usual), self._longest)
         self._last = now
@@ -132,7 +132,7 @@ class Repeater:
         return max(0.0, self._due - now)
 
     def due(self, now: float) -> int:
-        """Return how many of the latest steps to repeat now, 0 for none."""
+        """Return the number of latest steps to repeat now, 0 for none."""
         if now < self._due:
             return 0
         window = self._window
@@ -147,10 +147,10 @@ class Repeater:
 
 
 class Lockstep:
-    """Takes what the behaviour awaits, publishes what it answers, repeats itself when nothing comes.
+    """Passes awaited messages to the behaviour, publishes its answers, and repeats them if nothing arrives.
 
-    Stalls are reported to `status`: silence of `stall_timeout`, s; 0 for never. Repetitions are as of `Repeater`. The
-    time is that of `clock`, s, by default a `RunningClock`; `sleep` lets so many s of it pass.
+    A silence of `stall_timeout` s is reported to `status` as a stall; 0 disables this. `Repeater` decides on
+    repetitions. `clock` returns a time, s, by default that of a `RunningClock`; `sleep` waits for a time, s.
     """
 
     def __init__(
@@ -189,8 +189,8 @@ class Lockstep:
     def run(self) -> None:
         """Drive the behaviour until `stop` is called, or until it has finished if it does not linger.
 
-        A lingering behaviour that has finished goes on repeating its last messages, in case somebody still lacks one.
-        Raises `RunError` if the behaviour refuses to go on.
+        A lingering node whose behaviour has finished keeps repeating its last messages, in case another node still
+        needs one. Raises `RunError` if the behaviour cannot continue.
         """
         activity, wait, sleep = self.activity(), self._receiver.wait, self._sleep
         go_on = activity.send
@@ -205,7 +205,7 @@ class Lockstep:
                     heard = None
 
     def activity(self) -> Generator[Wait, bool | None, None]:
-        """Do what `run` does, but leave the waiting to whoever drives this, and tells whether a message has come."""
+        """Do the work of `run`, but yield each wait to the caller, who sends back whether a message has arrived."""
         behaviour, spec, clock = self._behaviour, self._spec, self._clock
         repeater = Repeater(clock(), first=self._repeat_after, most=self._repeat_steps)
         self._repeater = repeater
@@ -229,7 +229,7 @@ class Lockstep:
             self._repeat(repeater.due(now))
 
     def _drain(self, topics: tuple[Topic, ...]) -> bool:
-        """Handle what has arrived on these topics, as long as they are what is awaited; tell whether there was any."""
+        """Handle messages of these topics while they are the awaited ones; return whether there were any."""
         behaviour, take = self._behaviour, self._receiver.take
         found = False
         for topic in topics:
@@ -279,11 +279,11 @@ class Lockstep:
         if self._spec.on_stall is None or now - self._waited_since < self._stall_timeout:
             return
         answer = self._spec.on_stall()
-        if answer:  # a step is made: whoever is silent in the next one is another stall
+        if answer:  # this completes a step: silence in the next one is a new stall
             self._progress(answer, now)
 
     def _progress(self, answer: Messages, now: float) -> None:
-        """Publish the answer that makes a step."""
+        """Publish an answer, which completes a step."""
         self._publish(answer)
         self._repeater.progress(now)
         if self._stalled:

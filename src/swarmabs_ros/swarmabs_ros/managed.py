@@ -1,7 +1,7 @@
-"""A node in real time as ROS manages it: lifecycle, parameters, an operator's services, diagnostics.
+"""The ROS interface of a node in real time: lifecycle, parameters, an operator's services, diagnostics.
 
-The thread that starts the node makes the steps. A second one serves ROS: it may be late without harm, and what it
-wants of the behaviour it hands to the first.
+The thread that starts the node executes the steps. A second thread serves ROS; delays there do no harm, and it passes
+requests for the behaviour to the first thread.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from swarmabs_ros.tuning import Tune, Tuning
 
 DIAGNOSTICS_PERIOD = 1.0
-"""Time between two messages of diagnostics, s."""
+"""Time between two diagnostics messages, s."""
 TOLD_WITHIN = 1.0
-"""Time, s, that a process which is about to end has for each answer and for its last diagnostics."""
+"""Time limit, s, of a process that is about to end for each answer and for its last diagnostics."""
 SUCCESS, FAILURE, ERROR = (
     TransitionCallbackReturn.SUCCESS,
     TransitionCallbackReturn.FAILURE,
@@ -53,20 +53,20 @@ SUCCESS, FAILURE, ERROR = (
 
 @dataclass(frozen=True, slots=True)
 class RealtimeSpec:
-    """What a node in real time is made of.
+    """Specification of a node in real time.
 
     Parameters
     ----------
     phase : float
-        Share of the period that is over when its step is due.
+        Fraction of the period after which its step is due.
     endpoints : Endpoints, optional
-        What it publishes and reads, if that does not follow from the graph and its parameters.
+        Its publications and subscriptions, if they do not follow from the graph and its parameters.
     wakes : tuple of Topic
-        Topics that are answered at once.
+        Topics whose messages are answered at once.
     services : mapping
-        An operator's commands (``std_srvs/Trigger``) by name: what the behaviour does at a time, ns since 1970.
+        An operator's commands (``std_srvs/Trigger``) by name; the callables take the time, ns since 1970.
     tune : callable, optional
-        Makes, from settings with other gains, what has the behaviour use them; raises `InputError` if they are refused.
+        Returns a callable that installs the gains of other settings; raises `InputError` if they are invalid.
     """
 
     behaviour: RealtimeBehaviour
@@ -83,12 +83,12 @@ class RealtimeNode(LifecycleNode):
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.notes: RcutilsLogger = self.get_logger()  # type: ignore[no-untyped-call]
-        # rclpy lets a request that does not fit the state end the executor.
+        # In rclpy a transition request that does not fit the state would end the executor.
         self._service_change_state.callback = self._guarded(self._service_change_state.callback)
         self.failure: Exception | None = None
-        """Why it is not as it should be."""
+        """The error that keeps the node from working, None if there is none."""
         self.loop_group = LoopGroup()
-        """For subscriptions that the loop takes from by itself, such as those of a drive."""
+        """Callback group of subscriptions that the loop serves itself, such as those of a drive."""
         self._loop: RealtimeLoop
         self._make: Callable[[], RealtimeSpec]
         self._endpoints: Endpoints
@@ -112,7 +112,7 @@ class RealtimeNode(LifecycleNode):
         status: StatusChannel,
         tuning: Tuning,
     ) -> None:
-        """Say what configuring makes, and who does what; before the executor runs."""
+        """Set what configuration creates, and the parts of the process; call this before the executor runs."""
         self._make, self._endpoints, self._schedule = make, endpoints, schedule
         self._loop, self._executor, self._status, self._tuning = loop, executor, status, tuning
         tuning.serve(self, lambda: self.state)
@@ -120,7 +120,7 @@ class RealtimeNode(LifecycleNode):
     # Transitions
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make behaviour and endpoints; what was opened is closed again if that fails."""
+        """Create behaviour and endpoints; if that fails, close what was opened."""
         self.failure = None
         try:
             self._configure()
@@ -129,7 +129,7 @@ class RealtimeNode(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to make steps, with the gains as they are now."""
+        """Start executing steps, with the current gains."""
         self.failure = None
         try:
             if (install := self._tuning.taken()) is not None:
@@ -143,7 +143,7 @@ class RealtimeNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Halt and be silent; an error if that is because of one."""
+        """Halt and stop publishing; return an error if one is the cause."""
         try:
             self._loop.deactivate()
         except Exception as error:  # noqa: BLE001 - rclpy would swallow it
@@ -153,21 +153,21 @@ class RealtimeNode(LifecycleNode):
         return ERROR if self.failure is not None else super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take back behaviour and endpoints."""
+        """Release behaviour and endpoints."""
         return super().on_cleanup(state) if self._release() else ERROR
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Halt, and take back behaviour and endpoints."""
+        """Halt, and release behaviour and endpoints."""
         return super().on_shutdown(state) if self._release() else ERROR
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take back behaviour and endpoints, so that it can be configured again."""
+        """Release behaviour and endpoints, so that the node can be configured again."""
         return super().on_error(state) if self._release() else FAILURE
 
     # From the loop's thread
 
     def failed(self, error: Exception) -> None:
-        """Note an error of the active behaviour, which is halted, and leave the active state."""
+        """Record an error of the active behaviour, which has been halted, and leave the active state."""
         self.failure = error
         text = one_line(error)
         self.notes.error(f"halted after an error: {text}")
@@ -177,8 +177,8 @@ class RealtimeNode(LifecycleNode):
     # From the watchdog's thread
 
     def hung(self) -> None:
-        """Say that halting does not end, before the process does; what was asked for is answered first."""
-        error = RunError(f"{self._loop.hang}; this process ends, and its body is as it was left")
+        """Report that halting hangs before the process ends; pending requests are answered first."""
+        error = RunError(f"{self._loop.hang}; this process ends without stopping the robot's body")
         text = one_line(error)
         self.notes.fatal(text)
         self._status.send("failed", reason=text)
@@ -193,12 +193,12 @@ class RealtimeNode(LifecycleNode):
     # From the executor's thread
 
     def bring_up(self) -> bool:
-        """Configure and activate; tell whether that was successful."""
+        """Configure and activate; return whether that was successful."""
         transitions = (self.trigger_configure, self.trigger_activate)
         return all(trigger() == SUCCESS for trigger in transitions)  # type: ignore[no-untyped-call]
 
     def end(self) -> None:
-        """Shut down, wherever in its life the node is; from the loop's thread, once nothing else runs."""
+        """Shut down from any lifecycle state; called by the loop's thread once nothing else runs."""
         if self.state in {"unconfigured", "inactive", "active"}:
             self.trigger_shutdown()  # type: ignore[no-untyped-call]
 
@@ -208,7 +208,7 @@ class RealtimeNode(LifecycleNode):
 
     @property
     def state(self) -> str:
-        """State of the lifecycle: unconfigured, inactive, active, finalized, or a transition's."""
+        """Lifecycle state: unconfigured, inactive, active, finalized, or that of a transition."""
         return str(self._state_machine.current_state[1])
 
     def _entities(self) -> tuple[Any, ...]:
@@ -228,7 +228,7 @@ class RealtimeNode(LifecycleNode):
             self.create_service(Trigger, name, self._operating(command))
 
     def _release(self) -> bool:
-        """Take back whatever configuring made on this node, a drive's endpoints too; tell whether that went well."""
+        """Release all that configuration created, including a drive's endpoints; return whether that was successful."""
         try:
             self._loop.attach(None)
         except Exception as error:  # noqa: BLE001 - rclpy would swallow it
@@ -264,20 +264,20 @@ class RealtimeNode(LifecycleNode):
             try:
                 self._loop.command(command)
                 response.success = True
-            except Exception as error:  # noqa: BLE001 - it is told to whoever asked
+            except Exception as error:  # noqa: BLE001 - it is reported to the caller
                 response.message = f"{self.get_name()}: {one_line(error)}"
             return response
 
         return operate
 
     def _guarded(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return a callback that answers no instead of raising an error."""
+        """Return a callback that answers with a failure instead of raising an error."""
 
         def guarded(request: Any, response: Any) -> Any:
             try:
                 return callback(request, response)
-            except Exception as error:  # noqa: BLE001 - of rclpy's own, not public class
-                self.notes.warning(f"transition refused in state {self.state}: {one_line(error)}")
+            except Exception as error:  # noqa: BLE001 - rclpy's class is not public
+                self.notes.warning(f"transition rejected in state {self.state}: {one_line(error)}")
                 response.success = False
                 return response
 
@@ -287,10 +287,10 @@ class RealtimeNode(LifecycleNode):
         self._diagnostics.publish(diagnostic_array(self.get_name(), self.health(), read_clocks().system))
 
     def health(self) -> Health:
-        """Return how the node is, whatever its state."""
+        """Return the health of the node in any state."""
         try:
             level, text, values = self._loop.health(DIAGNOSTICS_PERIOD / 2.0)
-        except Exception as error:  # noqa: BLE001 - that is how it is
+        except Exception as error:  # noqa: BLE001 - it is the health of the node
             level, text, values = Level.ERROR, one_line(error), ()
         state = self.state
         if self.failure is not None:
@@ -301,15 +301,15 @@ class RealtimeNode(LifecycleNode):
 
 
 def one_line(error: Exception) -> str:
-    """Return an error in one line, with its class where the text is not meant for people."""
+    """Return an error in one line, with its class if it is not one of swarmabs."""
     text = " ".join(str(error).split())[:2000]
     return text if isinstance(error, SwarmabsError) else f"{type(error).__name__}: {text}"
 
 
 def diagnostic_array(node: str, health: Health, now: int) -> DiagnosticArray:
-    """Return the message of a node in the form that ROS tools expect; `now` in ns since 1970.
+    """Return the diagnostics message of a node in the form that ROS tools expect; `now` in ns since 1970.
 
-    Its name is also the hardware's: a robot is its node.
+    The name of the node also serves as the hardware id, because each robot has its own node.
     """
     status = DiagnosticStatus(
         level=bytes([health.level]),

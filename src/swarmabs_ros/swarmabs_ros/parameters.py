@@ -1,4 +1,4 @@
-"""Declaration of a node's parameters to ROS, from the node's table."""
+"""Declaration of a node's parameters to ROS from its table."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 def given_values(node: Node) -> dict[str, object]:
-    """Return what a node was given that has declared it automatically, by name."""
+    """Return the parameter values that a node was given and has declared automatically, by name."""
     return {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
 
 
 def table_of(
     given: Mapping[str, object], common: tuple[Parameter, ...], own: tuple[Parameter | type, ...]
 ) -> tuple[Parameter, ...]:
-    """Return the parameters of a node: those that all nodes have, its own, and those that follow from declarations.
+    """Return the parameters of a node: those common to all nodes, its own, and those from declarations.
 
-    Values that were given choose parts that have parameters of their own. Raises `InputError` if there is no such part.
+    Given values may select parts that add parameters. Raises `InputError` if there is no such part.
     """
     found = {parameter.name: parameter for parameter in common}
     for each in own:
@@ -44,50 +44,50 @@ def table_of(
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
-    """Declare all of a node's parameters, described and read-only, and return their checked values; see `checked`."""
+    """Declare all parameters of a node as read-only, and return their values from `checked`."""
     values = checked(node, table)
     declare_values(node, table, values)
     return values
 
 
 def checked(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:
-    """Return the values of a node's parameters: what it was given, and otherwise their defaults.
+    """Return the values of a node's parameters: those given, and otherwise the defaults.
 
-    Raises `InputError` if a value is refused, or there is no such parameter.
+    Raises `InputError` if a value is not allowed, or there is no such parameter.
     """
     given = given_values(node)
     names = {parameter.name for parameter in table}
     for name in sorted(given):
         if name not in names and not name.startswith(_OF_RCLPY):
             close = difflib.get_close_matches(name, names, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(names))}"
-            raise InputError(f"parameter {name}: {node.get_name()} has none of this name; {hint}")
+            hint = f"did you mean {close[0]}?" if close else f"its parameters are {', '.join(sorted(names))}"
+            raise InputError(f"parameter {name}: {node.get_name()} has no parameter of this name; {hint}")
     return {p.name: p.check(plain(given[p.name])) if p.name in given else p.default for p in table}
 
 
 def declare_values(
     node: Node, table: tuple[Parameter, ...], values: Mapping[str, Value], settable: tuple[Parameter, ...] = ()
 ) -> None:
-    """Declare parameters with these values, described, and read-only unless they are settable.
+    """Declare parameters with these values and their descriptions, read-only unless they are settable.
 
-    The node has declared automatically what it was given, which is declared again.
+    Given parameters, which the node has declared automatically, are declared again.
     """
     for parameter in table:
         if node.has_parameter(parameter.name):
             node.undeclare_parameter(parameter.name)
         value = values[parameter.name]
         listed = list(value) if isinstance(value, tuple) else value
-        # The type of an empty list cannot be seen.
+        # An empty list does not show its type.
         model = RosParameter.Type.from_parameter_value([parameter.item]) if listed == [] else listed
         descriptor = _descriptor(parameter, read_only=parameter not in settable)
         node.declare_parameter(parameter.name, model, descriptor, ignore_override=True)
 
 
 def plain(value: object) -> Value:
-    """Return the value of a ROS parameter as that of a `Parameter`: arrays as tuples."""
+    """Convert the value of a ROS parameter to that of a `Parameter`: arrays become tuples."""
     if isinstance(value, (bool, int, float, str)):
         return value
-    return tuple(value)  # type: ignore[arg-type]  # lists and arrays of numbers or texts
+    return tuple(value)  # type: ignore[arg-type]  # lists and arrays of numbers or strings
 
 
 def _descriptor(parameter: Parameter, *, read_only: bool) -> ParameterDescriptor:

@@ -1,7 +1,7 @@
-"""What the sensors of robots and planes say, as immutable values without ROS, and what of it is believed.
+"""Readings of the sensors of robots and planes as immutable values without ROS, and their validation.
 
-Frames are those of REP 103: right-handed, x forward, y left, z up. A rotation is a unit quaternion (x, y, z, w) that
-turns a vector of the body into the frame of the message. Stamps are ns since 1970. What is refused raises
+Frames follow REP 103: right-handed, x forward, y left, z up. A rotation is a unit quaternion (x, y, z, w) that rotates
+a vector from the body to the frame of the message. Stamps are ns since 1970. Rejected readings raise
 `RefusedReadingError`.
 """
 
@@ -14,11 +14,11 @@ Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
 UNIT_TOLERANCE = 0.01
-"""By how much the norm of a quaternion may differ from 1."""
+"""Largest difference of a quaternion's norm from 1."""
 
 
 class Odometry(NamedTuple):
-    """``nav_msgs/Odometry``: position (m) and rotation in the frame, velocity (m/s) in the body's own axes."""
+    """``nav_msgs/Odometry``: position (m) and rotation in the frame, velocity (m/s) in the body's axes."""
 
     stamp: int
     frame: str
@@ -37,9 +37,9 @@ class Joints(NamedTuple):
 
 
 class Imu(NamedTuple):
-    """``sensor_msgs/Imu``: rotation of the body in the world, angular velocity (rad/s) in the body's own axes.
+    """``sensor_msgs/Imu``: rotation of the body in the world, angular velocity (rad/s) in the body's axes.
 
-    Either is None if the message says that the sensor does not measure it.
+    Either is None if the sensor does not measure it according to the message.
     """
 
     stamp: int
@@ -52,7 +52,7 @@ Reading: TypeAlias = Odometry | Joints | Imu
 
 
 class RefusedReadingError(Exception):
-    """A reading that nothing is taken from; such refusals are counted under the reason."""
+    """A reading that is rejected; rejections are counted by reason."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
@@ -60,35 +60,35 @@ class RefusedReadingError(Exception):
 
 
 def signed_axis(name: str) -> tuple[int, float]:
-    """Return number (0, 1, 2) and sign of an axis out of `AXES`."""
+    """Return number (0, 1, 2) and sign of an axis in `AXES`."""
     return "xyz".index(name[1]), -1.0 if name[0] == "-" else 1.0
 
 
 def check_finite(*values: float) -> None:
-    """Refuse values that are infinite or not a number."""
+    """Reject values that are infinite or NaN."""
     for value in values:
         if not isfinite(value):
             raise RefusedReadingError("not finite", f"a value is {value}")
 
 
 def check_frame(found: str, wanted: str) -> None:
-    """Refuse a frame other than the one that is wanted; an empty text allows all."""
+    """Reject a frame other than `wanted`; an empty string allows all."""
     if wanted and found != wanted:
         raise RefusedReadingError("frame", f"frame {found[:80]!r}, not {wanted!r}")
 
 
 def normalised(rotation: Quaternion) -> Quaternion:
-    """Return a rotation as an exact unit quaternion; refuse what is no rotation."""
+    """Return a rotation as an exact unit quaternion; reject a quaternion that is not a rotation."""
     check_finite(*rotation)
     norm = hypot(*rotation)
     if abs(norm - 1.0) > UNIT_TOLERANCE:
-        raise RefusedReadingError("orientation", f"a quaternion of norm {norm:.3g} is no rotation")
+        raise RefusedReadingError("orientation", f"a quaternion of norm {norm:.3g} is not a rotation")
     x, y, z, w = rotation
     return x / norm, y / norm, z / norm, w / norm
 
 
 def rotation_row(rotation: Quaternion, row: int) -> Vector:
-    """Return a row of the matrix that turns the body's vectors into the frame: the frame's axis as the body sees it."""
+    """Return a row of the matrix that rotates vectors from body to frame: the frame's axis in body coordinates."""
     x, y, z, w = rotation
     if row == 0:
         return 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
@@ -103,10 +103,10 @@ def wrapped(angle: float) -> float:
 
 
 def tilt(rotation: Quaternion, axis: int) -> float:
-    """Return by how much a body is turned about one of its own axes, which is level (rad, -pi to pi).
+    """Return the rotation of a body about one of its axes, which must be level (rad, -pi to pi).
 
-    It is read from the direction of gravity alone, so the heading of the body, which drifts, does not enter. With axis
-    x (0) or y (1) it is 0 where the body's z points up, with axis z (2) where its y does.
+    It follows from the direction of gravity alone and does not depend on the drifting heading. For axis x (0) or y (1)
+    it is 0 if the body's z axis points up, for axis z (2) if its y axis does.
     """
     up = rotation_row(rotation, 2)
     if axis == 0:
@@ -117,7 +117,7 @@ def tilt(rotation: Quaternion, axis: int) -> float:
 
 
 def joint_values(reading: Joints, joint: str) -> tuple[float, float | None]:
-    """Return position and velocity of a joint, which is None if the message has none; refuse it without a position."""
+    """Return position and velocity of a joint (None if the message has no velocity); reject it without a position."""
     if joint not in reading.names:
         known = ", ".join(reading.names[:8])[:200]
         raise RefusedReadingError("joint", f"no joint {joint!r}, only {known or 'none'}")
@@ -128,7 +128,7 @@ def joint_values(reading: Joints, joint: str) -> tuple[float, float | None]:
 
 
 def imu_values(reading: Imu, axis: int, sign: float) -> tuple[float, float]:
-    """Return angle (rad) and rate (rad/s) of tilting about a signed axis of the sensor; refuse it if it lacks one."""
+    """Return angle (rad) and rate (rad/s) of the tilt about a signed axis of the sensor; reject it if it lacks one."""
     if reading.rotation is None or reading.angular_velocity is None:
         raise RefusedReadingError("orientation", "the IMU measures no orientation, or no angular velocity")
     check_finite(*reading.angular_velocity)
@@ -144,27 +144,27 @@ class Sample(NamedTuple):
 
 
 SETTLING = 5.0
-"""Time constants after which a differentiated rate is believed: less than 1 % of its first error is left."""
+"""Number of time constants after which a differentiated rate is used: less than 1 % of its initial error remains."""
 
 
 class Track:
     r"""The newest plausible sample.
 
-    A value further away than rate and jump allow is refused, but the longer the last good one is ago, the further it
-    may be: what has really been moved is believed again after a while.
+    A value further away than rate and jump allow is rejected. The allowed distance increases with the time since the
+    last valid value, so the readings of a body that was moved are accepted again after some time.
 
     Parameters
     ----------
     max_rate : float
         Largest rate of change, per s.
     max_jump : float
-        By how much two values may differ beyond that, because of noise.
+        Further difference of two values that is allowed because of noise.
     clock_tolerance : float
-        How far a stamp may lie in the future, s.
+        How far a stamp may be in the future, s.
     bandwidth : float
-        Where a reading brings no rate, it is differentiated: :math:`\dot r = \omega (\dot x - r)` with this
-        :math:`\omega` in rad/s, solved exactly for values that lie on straight lines between readings. It begins with 0
-        and is believed when that is forgotten.
+        Readings without a rate are differentiated: :math:`\dot r = \omega (\dot x - r)` with this :math:`\omega` in
+        rad/s, solved exactly for linear interpolation between readings. The rate starts at 0 and is used once the
+        initial error has decayed.
     """
 
     def __init__(self, max_rate: float, max_jump: float, clock_tolerance: float, bandwidth: float) -> None:
@@ -183,7 +183,7 @@ class Track:
         return None if last is None or last.stamp < self._believed_from else last
 
     def offer(self, stamp: int, value: float, rate: float | None, now: int) -> None:
-        """Take over a reading, rate None if the sensor brings none; if it is refused, the newest sample stays."""
+        """Add a reading, with rate None if the sensor has none; if it is rejected, the newest sample remains."""
         check_finite(value, 0.0 if rate is None else rate)
         latest = now + self._tolerance
         if stamp <= 0:
@@ -191,7 +191,7 @@ class Track:
         if stamp > latest:
             raise RefusedReadingError("future", f"{(stamp - now) / 1e9:.3f} s from the future")
         last = self._last
-        if last is not None and last.stamp > latest:  # the clock was set back: what came before tells nothing now
+        if last is not None and last.stamp > latest:  # the clock was set back: earlier samples are void
             last = None
         if last is not None:
             if stamp <= last.stamp:
@@ -215,18 +215,18 @@ class Track:
 
 
 class RefusedReadings:
-    """How often readings were refused, by reason, and the last of them."""
+    """Counts of rejected readings by reason, and the last rejection."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
         self.last = ""
 
     def add(self, error: RefusedReadingError) -> None:
-        """Count a refusal."""
+        """Count a rejection."""
         self.counts[error.reason] = self.counts.get(error.reason, 0) + 1
         self.last = str(error)
 
     def values(self) -> tuple[tuple[str, str], ...]:
-        """Return the counts as figures of a state of health."""
+        """Return the counts as values for a health status."""
         counts = tuple((f"readings refused, {reason}", str(count)) for reason, count in sorted(self.counts.items()))
         return (*counts, ("last reading refused", self.last)) if self.last else counts

@@ -1,8 +1,8 @@
-"""The loop that drives a node behaviour by the clock: hear what has arrived, make the step that is due, publish.
+"""The loop that drives a node behaviour by the clock: process messages, execute the step that is due, publish.
 
-Everything that touches the behaviour happens in the thread that runs the loop; other threads hand in jobs. What is
-done and how it is waited for are apart: an `Activity` knows no thread, and reads the clocks that it is given, so a test
-can be clock, network and scheduler of a whole fleet.
+All access to the behaviour happens in the thread that runs the loop; other threads submit jobs. Work and waiting are
+separate: an `Activity` is independent of threads and reads the clocks that it is given, so a test can act as clock,
+network and scheduler of a whole fleet.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ if TYPE_CHECKING:
     from swarmabs_ros.lockstep import Wait
 
 SLICE = 0.1
-"""Longest time, s, for which the loop does not look for jobs, or whether it shall stop."""
+"""Longest time, s, between checks for jobs and for the request to stop."""
 ANSWER_WITHIN = 2.0
-"""Time, s, after which whoever waits for a job takes the loop to hang."""
+"""Time limit, s, of a job; a loop that does not answer within it is considered hung."""
 HALTS_WITHIN = 5.0
-"""Time, s, that halting may take, whatever asks for it: a drive that takes longer to stop is taken to hang."""
+"""Time limit, s, of halting for any reason; a drive that takes longer to stop is considered hung."""
 TOLERATED = 0.01
-"""Share of periods that may be missed from one report of health to the next without a warning."""
+"""Fraction of periods that may be missed between two health reports without a warning."""
 _NOTHING: Wait = ((), 0.0)
 _PAIRED = 100_000
-"""Longest time between the readings of two clocks, ns, that are one reading."""
+"""Longest time, ns, between the readings of two clocks that count as simultaneous."""
 
 T = TypeVar("T")
 
 
 def read_clocks() -> Reading:
-    """Read the system's clock and the steady one; again if this thread was interrupted between them."""
+    """Read the system clock and the steady clock; retry if this thread was interrupted in between."""
     for _ in range(3):
         steady = time.monotonic_ns()
         system = time.time_ns()
@@ -57,7 +57,7 @@ def read_clocks() -> Reading:
 
 
 def arrived(receiver: Receiver, depths: Mapping[Topic, int]) -> Iterator[tuple[Topic, bytes]]:
-    """Take what has arrived on topics, of each so much at most as may wait: a flood does not delay what comes next."""
+    """Take messages that have arrived, at most `depths` of each topic, so that a flood cannot delay further work."""
     for topic, depth in depths.items():
         for _ in range(depth):
             data = receiver.take(topic)
@@ -68,16 +68,16 @@ def arrived(receiver: Receiver, depths: Mapping[Topic, int]) -> Iterator[tuple[T
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """What the loop drives.
+    """A behaviour with its clock and its endpoints, for the loop to drive.
 
     Parameters
     ----------
     clock : StepClock
-        When the behaviour's steps are due.
+        Determines when the behaviour's steps are due.
     depths : mapping
-        How many messages of each topic may wait.
+        Queue depth of each topic.
     wakes : tuple of Topic
-        Topics whose messages are heard at once; all others are heard when a step is due.
+        Topics whose messages are processed at once; all others are processed when a step is due.
     """
 
     behaviour: RealtimeBehaviour
@@ -89,18 +89,18 @@ class Engine:
 
 
 class Activity:
-    """What is done with an engine, each thing when it is asked for: steps, messages, commands, health.
+    """Operations on an engine: steps, messages, commands, health.
 
     Attributes
     ----------
     engine : Engine
-        What is driven.
+        The engine that is driven.
     active : bool
-        Whether steps are made.
+        Whether steps are executed.
     refused : int
-        How many malformed messages were refused.
+        Number of rejected malformed messages.
     refusal : str
-        Why the last of them was.
+        Reason for the last rejection.
     """
 
     def __init__(self, engine: Engine, read: Callable[[], Reading]) -> None:
@@ -112,22 +112,22 @@ class Activity:
         self.refusal = ""
 
     def activate(self) -> None:
-        """Begin to make steps."""
+        """Start executing steps."""
         engine = self.engine
-        # What has waited until now is old; events are kept for those who come late, whatever their age.
+        # Queued messages are outdated; events are kept for nodes that join late, regardless of their age.
         for _ in arrived(engine.receiver, {t: n for t, n in engine.depths.items() if t is not EVENTS}):
             pass
         engine.clock.start(self._read())
         self.active = True
 
     def deactivate(self) -> None:
-        """Halt the behaviour, and be silent."""
+        """Halt the behaviour and stop publishing."""
         if self.active:
             self.active = False
             self.engine.behaviour.halt()
 
     def advance(self) -> Wait:
-        """Hear what has arrived and make the step if one is due; else say what is waited for."""
+        """If a step is due, process the messages that have arrived and execute it; return what to wait for."""
         engine, now = self.engine, self._read()
         if engine.clock.due(now) is not None:
             self._hear(now.system)
@@ -136,15 +136,15 @@ class Activity:
         return engine.wakes, min(SLICE, engine.clock.wait(now) / 1e9)
 
     def wake(self) -> None:
-        """Hear what has arrived between two steps."""
+        """Process messages that have arrived between two steps."""
         self._hear(self._read().system)
 
     def command(self, work: Callable[[int], Messages]) -> None:
-        """Have an operator's command done, given the time in ns since 1970, and publish what it answers."""
+        """Execute an operator's command, given the time in ns since 1970, and publish its answer."""
         self._publish(work(self._read().system))
 
     def health(self) -> Health:
-        """Return how behaviour and timing are; what was missed counts since the last time this was asked."""
+        """Return the health of behaviour and timing; missed periods are counted since the last call."""
         now, clock = self._read(), self.engine.clock
         level, text, values = self.engine.behaviour.health(now.system)
         missed, made = clock.missed - self._reported[0], clock.lateness.count - self._reported[1]
@@ -176,25 +176,25 @@ class Activity:
 
 
 class Watchdog(threading.Thread):
-    """Notices that something does not end in time, whatever the thread hangs in that does it, and tells `on_hang`."""
+    """Calls `on_hang` if an operation does not end in time, wherever its thread hangs."""
 
     def __init__(self, on_hang: Callable[[], None]) -> None:
         super().__init__(name="watchdog", daemon=True)
         self._on_hang = on_hang
-        # Reentrant, so that a handler of signals may use it, whatever it has interrupted.
+        # Reentrant, so that signal handlers can use it.
         self._orders: queue.SimpleQueue[float | None] = queue.SimpleQueue()
 
     def expect(self, seconds: float | None) -> None:
-        """Expect an end within so many s from now; None: it has come."""
+        """Expect the operation to end within a time (s) from now; None: it has ended."""
         self._orders.put(seconds)
 
     def end(self) -> None:
-        """Watch no longer."""
+        """Stop watching."""
         self._orders.put(-1.0)
         self.join()
 
     def run(self) -> None:
-        """Watch until `end`, or until something hangs."""
+        """Watch until `end`, or until an operation hangs."""
         seconds: float | None = None
         while seconds is None or seconds >= 0.0:
             try:
@@ -210,17 +210,17 @@ class RealtimeLoop:
     Parameters
     ----------
     on_failure : callable
-        Told, in the loop's thread, of an error of the behaviour; it has been halted and is silent by then.
+        Called in the loop's thread with an error of the behaviour, after the behaviour was halted.
     on_pass : callable
-        Called with the steady time, ns, every `SLICE` s at the latest.
+        Called with the steady time, ns, at least every `SLICE` s.
     on_hang : callable
-        Told, in a thread of its own, that halting has not ended within `halts_within`: the loop's thread is lost.
+        Called in a separate thread if halting does not end within `halts_within`: the loop's thread is lost.
     halts_within : float
-        Time, s, that halting may take.
+        Time limit of halting, s.
     read : callable
         Reads the clocks.
     sleep : callable
-        Sleeps, s, by the steady clock.
+        Sleeps for a time, s, by the steady clock.
     """
 
     def __init__(
@@ -249,14 +249,15 @@ class RealtimeLoop:
     # From any thread
 
     def stop(self) -> None:
-        """Make `run` return soon, or have `on_hang` told; for handlers of signals, too."""
+        """Make `run` return soon, or `on_hang` be called; safe in signal handlers."""
         self._stopping = True
         self._watchdog.expect(self._halts_within)
 
     def call(self, work: Callable[[], T], timeout: float = ANSWER_WITHIN) -> T:
-        """Have something done in the loop's thread, between two passes, and return what it returns.
+        """Execute `work` in the loop's thread, between two passes, and return its result.
 
-        Raises `RunError` if it was not begun in time (s), and then it will not be done either; or if the loop is lost.
+        Raises `RunError` if it does not start within `timeout` (s), in which case it is cancelled, or if the loop is
+        lost.
         """
         if threading.get_ident() == self._thread:
             return work()
@@ -266,7 +267,7 @@ class RealtimeLoop:
         wait(either, timeout, FIRST_COMPLETED)
         if not answer.done() and not self._hung.done():
             if answer.cancel():
-                raise RunError(f"the loop that makes the steps has not answered for {timeout:g} s")
+                raise RunError(f"the loop that executes the steps has not answered for {timeout:g} s")
             wait(either, return_when=FIRST_COMPLETED)
         if not answer.done():
             raise RunError(self.hang)
@@ -274,34 +275,34 @@ class RealtimeLoop:
 
     @property
     def hang(self) -> str:
-        """What there is to say of a loop that is lost."""
+        """The error text for a loop that is lost."""
         return f"halting has not ended within {self._halts_within:g} s: a drive's stop() hangs, or a step before it"
 
     def attach(self, engine: Engine | None) -> None:
-        """Take over what is to be driven, not active at first; None: nothing."""
+        """Attach an engine, which is inactive at first; None: detach the current one."""
         self._halting(lambda: self._attach(engine))
 
     def activate(self) -> None:
-        """Begin to make steps."""
+        """Start executing steps."""
         self.call(self._activate)
 
     def deactivate(self) -> None:
-        """Halt the behaviour, and be silent; raises `RunError` if it does not halt in time."""
+        """Halt the behaviour and stop publishing; raises `RunError` if it does not halt in time."""
         self._halting(self._deactivate)
 
     def command(self, work: Callable[[int], Messages]) -> None:
-        """Have an operator's command done, given the time in ns since 1970, and publish what it answers.
+        """Execute an operator's command, given the time in ns since 1970, and publish its answer.
 
         Raises `RunError` if the node is not active.
         """
         self.call(lambda: self._command(work))
 
     def health(self, timeout: float = ANSWER_WITHIN) -> Health:
-        """Return how behaviour and timing are; what was missed counts since the last time this was asked."""
+        """Return the health of behaviour and timing; missed periods are counted since the last call."""
         return self.call(self._health, timeout)
 
     def _halting(self, work: Callable[[], None]) -> None:
-        """Have something done that halts: what the loop is at must end in time too."""
+        """Execute work that halts the behaviour; the loop's current work must also end in time."""
         self._watchdog.expect(self._halts_within)
         self.call(work, self._halts_within)
 
@@ -312,7 +313,7 @@ class RealtimeLoop:
     # In the loop's thread
 
     def run(self) -> None:
-        """Drive what is attached while it is active, until `stop` is called; then halt it."""
+        """Drive the attached engine while it is active, until `stop` is called; then halt it."""
         self._thread = threading.get_ident()
         self._watchdog.start()
         while not self._stopping:
@@ -321,7 +322,7 @@ class RealtimeLoop:
             if (activity := self._active) is not None:
                 try:
                     self._pass(activity)
-                except Exception as error:  # noqa: BLE001 - whatever goes wrong, the body must be left safe
+                except Exception as error:  # noqa: BLE001 - after any error the body must be brought to a safe state
                     self._fail(error)
         try:
             self._deactivate()
@@ -337,7 +338,7 @@ class RealtimeLoop:
                 if answer.set_running_or_notify_cancel():
                     try:
                         answer.set_result(work())
-                    except Exception as error:  # noqa: BLE001 - it is raised where it was asked for
+                    except Exception as error:  # noqa: BLE001 - it is raised in the calling thread
                         answer.set_exception(error)
                 wait = False
         except queue.Empty:
@@ -345,7 +346,7 @@ class RealtimeLoop:
 
     @property
     def _active(self) -> Activity | None:
-        """What is attached, if it is active."""
+        """The attached activity, if it is active."""
         activity = self._activity
         return activity if activity is not None and activity.active else None
 
@@ -363,9 +364,9 @@ class RealtimeLoop:
 
     def _activate(self) -> None:
         if self._activity is None:
-            raise RunError("there is nothing to activate")
+            raise RunError("there is nothing to activate; configure the node first")
         self._activity.activate()
-        # What is there now stays: the collector need not go through it again while steps are made.
+        # Existing objects are permanent: the collector need not scan them again while steps are executed.
         gc.collect()
         gc.freeze()
 
@@ -381,13 +382,13 @@ class RealtimeLoop:
     def _fail(self, error: Exception) -> None:
         try:
             self._deactivate()
-        except Exception as worse:  # noqa: BLE001 - told together with what led to it
+        except Exception as worse:  # noqa: BLE001 - reported together with its cause
             error = RunError(f"{_text(error)}; then halting failed too: {_text(worse)}")
         self._on_failure(error)
 
     def _command(self, work: Callable[[int], Messages]) -> None:
         if (activity := self._active) is None:
-            raise RunError("this node is not active")
+            raise RunError("this node is not active; activate it first")
         try:
             activity.command(work)
         except Exception as error:

@@ -1,6 +1,6 @@
-"""The frame of ``main`` of every node in real time: parameters, the two threads, autostart, exit code.
+"""The common ``main`` of all nodes in real time: parameters, the two threads, autostart, exit code.
 
-A process may ask the kernel for a real-time priority and for memory that stays in, so that its steps come in time.
+A process can request a real-time priority and locked memory from the kernel, so that its steps are on time.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SCHEDULING = Parameter(
 PRIORITY = Parameter(
     "priority",
     50,
-    "priority within a real-time class of the thread that makes the steps; all others have one less",
+    "priority within a real-time class of the thread that executes the steps; that of all others is one less",
     minimum=2,
     maximum=99,
 )
@@ -52,7 +52,7 @@ LOCK_MEMORY = Parameter("lock_memory", default=False, description="whether to ke
 
 COMMON = (
     *parameters_of(Schedule),
-    Parameter("await_epoch", default=False, description="whether whoever starts the node tells it the epoch"),
+    Parameter("await_epoch", default=False, description="whether the process that starts the node sends it the epoch"),
     *(parameter for parameter in parameters_of(Realtime) if parameter.name == "clock_tolerance"),
     Parameter("autostart", default=True, description="whether to configure and activate the node at once"),
     SCHEDULING,
@@ -62,7 +62,7 @@ COMMON = (
 """Parameters that every node in real time has."""
 
 SWITCH_INTERVAL = 0.0005
-"""Longest time, s, for which the thread that serves ROS keeps the interpreter when a step is due."""
+"""Longest time, s, for which the thread that serves ROS holds the interpreter while a step is due."""
 _ENDS_WITHIN = 5.0
 _CLASSES = {"fifo": os.SCHED_FIFO, "rr": os.SCHED_RR}
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h on Linux, x86-64 and ARM
@@ -71,7 +71,7 @@ Table = tuple[Parameter | type, ...]
 
 
 def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
-    """Return parameters of a table by name: those of a lockstep node that mean the same here."""
+    """Return parameters of a table by name: those of a lockstep node that have the same meaning in real time."""
     known = {parameter.name: parameter for parameter in table}
     return tuple(known[name] for name in names)
 
@@ -84,18 +84,18 @@ def run_realtime(
     *,
     gains: tuple[str, ...] = (),
 ) -> int:
-    """Run a node in real time until it is told to stop (SIGINT, SIGTERM); return its exit code, as of `run_program`.
+    """Run a node in real time until it is told to stop (SIGINT, SIGTERM); return the exit code of `run_program`.
 
     Parameters
     ----------
     name : str
-        Its name in the graph, and its own where none is remapped.
+        Its name in the graph, and its node name unless remapped.
     table : tuple of Parameter or type
-        Its parameters beyond the common ones, and the declarations from which further ones follow.
+        Its parameters beyond the common ones, and declarations from which further ones follow.
     make : callable
-        Makes behaviour and endpoints from the parameters, each time the node is configured.
+        Creates behaviour and endpoints from the parameters each time the node is configured.
     gains : tuple of str
-        Parameters, or what their names begin with, that may be set while the node is not active.
+        Names or prefixes of the parameters that may be set while the node is not active.
     """
 
     def body(node: RealtimeNode, status: StatusChannel) -> None:
@@ -132,7 +132,7 @@ def _run(
 
     def start() -> None:
         if not node.bring_up():
-            refused.append(node.failure or RunError("the node does not start"))
+            refused.append(node.failure or RunError("the node did not start"))
             loop.stop()
 
     server = Server(node, executor)
@@ -145,7 +145,7 @@ def _run(
         if settings.flag("autostart"):
             executor.create_task(start)
         else:
-            notify("READY=1\nSTATUS=waits to be configured")
+            notify("READY=1\nSTATUS=waiting for configuration")
         loop.run()
     finally:
         notify("STOPPING=1")
@@ -158,7 +158,7 @@ def _run(
 
 
 def _give_up(node: RealtimeNode) -> NoReturn:
-    """End the process, whose main thread does not come back, once it is said why."""
+    """Report why the main thread hangs, and end the process."""
     try:
         node.hung()
         sys.stderr.write(f"error: {node.failure}\n")
@@ -168,10 +168,11 @@ def _give_up(node: RealtimeNode) -> NoReturn:
 
 
 def schedule_threads(name: str, priority: int) -> None:
-    """Give all threads of this process a scheduling class, the calling one a higher priority; `other` changes nothing.
+    """Set a scheduling class for all threads of this process, with a higher priority for the calling thread.
 
-    The others matter: they bring the messages, and one that has the interpreter keeps the calling thread waiting.
-    Raises `InputError` if this process may not; the text says what it needs.
+    The class `other` changes nothing. All threads need the class, because they deliver the messages, and one that holds
+    the interpreter blocks the calling thread. Raises `InputError` if the process lacks the permission; the text states
+    what it needs.
     """
     if name not in _CLASSES:
         return
@@ -179,25 +180,25 @@ def schedule_threads(name: str, priority: int) -> None:
     try:
         for entry in Path("/proc/self/task").iterdir():
             thread = int(entry.name)
-            with suppress(ProcessLookupError):  # it has ended meanwhile
+            with suppress(ProcessLookupError):  # the thread has ended in the meantime
                 os.sched_setscheduler(thread, _CLASSES[name], os.sched_param(priority - (thread != own)))
     except OSError as error:
         raise InputError(
-            f"parameter {SCHEDULING.name}: this process may not have {name} priority {priority} ({error.strerror}); "
-            f"allow it (systemd: LimitRTPRIO={priority}; otherwise the capability CAP_SYS_NICE), or give 'other'"
+            f"parameter {SCHEDULING.name}: this process may not use {name} priority {priority} ({error.strerror}); "
+            f"allow it (systemd: LimitRTPRIO={priority}; otherwise the capability CAP_SYS_NICE), or use 'other'"
         ) from error
 
 
 def lock_memory() -> None:
-    """Keep all memory of this process, present and future, from being paged out.
+    """Lock all current and future memory of this process, so that it is not paged out.
 
-    Raises `InputError` if this process may not; the text says what it needs.
+    Raises `InputError` if the process lacks the permission; the text states what it needs.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         raise InputError(
             f"parameter {LOCK_MEMORY.name}: this process may not lock its memory ({os.strerror(ctypes.get_errno())}); "
-            "allow it (systemd: LimitMEMLOCK=infinity; otherwise the capability CAP_IPC_LOCK), or give false"
+            "allow it (systemd: LimitMEMLOCK=infinity; otherwise the capability CAP_IPC_LOCK), or use false"
         )
 
 
@@ -214,13 +215,13 @@ class Server(threading.Thread):
         while not self._ending and self._node.context.ok():
             try:
                 self._executor.spin_once()
-            except Exception as error:  # noqa: BLE001 - the next request may be served well
+            except Exception as error:  # noqa: BLE001 - the next request may succeed
                 self._node.notes.error(f"a request failed: {one_line(error)}")
 
     def end(self) -> None:
-        """Serve no more, once what is being served is done; raises `RunError` if it does not end."""
+        """Stop serving after the current request; raises `RunError` if that does not end."""
         self._ending = True
         self._executor.wake()
         self.join(_ENDS_WITHIN)
         if self.is_alive():
-            raise RunError("a request that is being served does not end")
+            raise RunError("the current request does not end")

@@ -1,4 +1,4 @@
-"""The frame of every node's ``main``: parameters, endpoints, start signal, loop, exit code."""
+"""The common ``main`` of all nodes in lockstep: parameters, endpoints, start signal, loop, exit code."""
 
 from __future__ import annotations
 
@@ -31,24 +31,30 @@ if TYPE_CHECKING:
 
 COMMON = (
     *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
-    Parameter("receive", "wait_set", "how messages are waited for", choices=("wait_set", "executor")),
-    Parameter("stall_timeout", 5.0, "silence that is reported as a stall, s; 0: never", minimum=0.0),
+    Parameter("receive", "wait_set", "how the node waits for messages", choices=("wait_set", "executor")),
+    Parameter("stall_timeout", 5.0, "duration of a silence that is reported as a stall, s; 0: never", minimum=0.0),
     Parameter(
         "repeat_after", FIRST, "shortest wait for an answer before the last messages are sent again, s", above=0.0
     ),
-    Parameter("repeat_steps", WINDOW, "most steps whose messages are sent again at once", minimum=1, maximum=WINDOW),
+    Parameter(
+        "repeat_steps",
+        WINDOW,
+        "largest number of steps whose messages are sent again at once",
+        minimum=1,
+        maximum=WINDOW,
+    ),
     Parameter("match", (), "endpoints to wait for before the start, each 'TOPIC NUMBER'; none: start at once"),
 )
-"""Parameters that every node has."""
+"""Parameters that every node in lockstep has."""
 
-PACKED = Parameter("packed", default=False, description="whether robots hear the three broadcasts as one message")
+PACKED = Parameter("packed", default=False, description="whether robots receive the three broadcasts as one message")
 STEERED = Parameter(
-    "steered", default=False, description="whether the run is steered: each step begins with what is ordered for it"
+    "steered", default=False, description="whether the run is steered: each step starts with the order for it"
 )
 
 
 class Settings:
-    """Checked parameter values, read by name and type, and the namespace of the node, which is that of the swarm."""
+    """Checked parameter values, accessed by name and type, and the namespace of the node and the swarm."""
 
     def __init__(self, values: Mapping[str, Value], namespace: str = "/") -> None:
         self._values = values
@@ -67,7 +73,7 @@ class Settings:
         return cast("int", self._values[name])
 
     def text(self, name: str) -> str:
-        """Return a text."""
+        """Return a string."""
         return cast("str", self._values[name])
 
     def flag(self, name: str) -> bool:
@@ -79,11 +85,11 @@ class Settings:
         return cast("tuple[int, ...]", self._values[name])
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """Return texts."""
+        """Return strings."""
         return cast("tuple[str, ...]", self._values[name])
 
     def last_step(self) -> int | None:
-        """Return the step with which the run ends, None if it does not end by itself."""
+        """Return the last step of the run, None if it does not end by itself."""
         step = self.integer("last_step")
         return None if step < 0 else step
 
@@ -95,10 +101,10 @@ class Settings:
             raise InputError(f"parameter {error}") from error
 
     def endpoints(self, node: str, driver: Driver, *also: Option, robots: int | None = None) -> Endpoints:
-        """Return what a node publishes and reads that has these parameters, by its name in the graph.
+        """Return the publications and subscriptions of a node with these parameters, by its name in the graph.
 
-        The options `also` are asked for in addition to what the parameters say. `robots` is how many robots ever take
-        part, by default the members that the parameters name.
+        The options `also` apply in addition to those from the parameters. `robots` is the number of robots that ever
+        take part, by default that of the members in the parameters.
         """
         known = len(cast("tuple[int, ...]", self._values.get("members", ()))) if robots is None else robots
         return endpoints(node, driver, options_of(self._values) | {*also}, robots=known)
@@ -110,16 +116,16 @@ def run_node(
     make: Callable[[Settings, StatusChannel], NodeSpec],
     args: list[str] | None = None,
 ) -> int:
-    """Run a node in lockstep until it is told to stop (SIGINT, SIGTERM); return its exit code, as of `run_program`.
+    """Run a node in lockstep until it is told to stop (SIGINT, SIGTERM); return the exit code of `run_program`.
 
     Parameters
     ----------
     name : str
-        Its name in the graph, and its own where none is remapped.
+        Its name in the graph, and its node name unless remapped.
     table : tuple of Parameter or type
-        Its parameters beyond the common ones, and the declarations from which further ones follow.
+        Its parameters beyond the common ones, and declarations from which further ones follow.
     make : callable
-        Makes behaviour and endpoints from the parameters.
+        Creates behaviour and endpoints from the parameters.
     """
 
     def body(node: Node, status: StatusChannel) -> None:
@@ -182,7 +188,7 @@ def _expected(settings: Settings) -> dict[Topic, int]:
 
 
 def _matched(expected: Mapping[Topic, int], publishers: Mapping[Topic, Publisher], inbox: Receiver) -> bool:
-    """Tell whether every endpoint has met as many counterparts as it must."""
+    """Return whether every endpoint has matched the required number of counterparts."""
     return all(
         (publishers[topic].get_subscription_count() if topic in publishers else inbox.publisher_count(topic)) >= number
         for topic, number in expected.items()

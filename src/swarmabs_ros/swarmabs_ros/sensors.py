@@ -1,7 +1,7 @@
-"""Subscriptions to the sensors of a robot or a plane, and what their messages say.
+"""Subscriptions to the sensors of a robot or a plane, and conversion of their messages.
 
-They are no topics of the swarm: stock messages of ROS, from whoever measures. Nothing waits for them; what has arrived
-is taken when a step is made, so no executor is needed.
+Their topics are not part of the swarm's graph and use standard ROS messages from any sensor driver. Nodes do not wait
+for them but take what has arrived in each step, so no executor is needed.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 DEPTH = 50
-"""How many messages of a sensor may wait: those of a period at 100 Hz from a sensor of 5 kHz."""
+"""Queue depth for a sensor: the messages of a 5 kHz sensor in one period at 100 Hz."""
 
 SENSOR = QoSProfile(depth=DEPTH, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-"""What is asked of sensors; best effort hears both kinds of publishers, as ROS's own profile for sensor data."""
+"""QoS for sensors; best effort matches both kinds of publishers, like the sensor data profile of ROS."""
 
 TYPES: dict[str, Any] = {"odometry": OdometryMessage, "joint_state": JointState, "imu": ImuMessage}
 """Message by kind of source."""
 
 
 class SensorSubscription:
-    """What a sensor (``odometry``, ``joint_state`` or ``imu``) has said and nobody has taken yet.
+    """Subscription to a sensor (``odometry``, ``joint_state`` or ``imu``), with the readings not taken yet.
 
-    In the name of the topic ``~`` is the node. No executor may serve `group`; it would take the messages away. With
-    `arrival` a reading's stamp is the time of its arrival instead of its header's.
+    In the topic name, ``~`` is the node. No executor may serve `group`, because it would take the messages. With
+    `arrival`, readings are stamped on arrival instead of by their headers.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class SensorSubscription:
         self._subscription = node.create_subscription(self._type, topic, unheard, SENSOR, callback_group=group)
 
     def take(self) -> list[Reading]:
-        """Return what has arrived since the last call, in order; it does not wait."""
+        """Return the readings that have arrived since the last call, in order, without waiting."""
         found: list[Reading] = []
         while len(found) < DEPTH and (taken := self._subscription.handle.take_message(self._type, False)) is not None:
             message, info = taken
@@ -54,14 +54,14 @@ class SensorSubscription:
 
 
 def reading(message: Any, stamp: int | None = None) -> Reading:
-    """Return what a message of one of `TYPES` says, at a time (ns since 1970) if that is not its header's."""
+    """Convert a message of one of `TYPES`; `stamp` (ns since 1970) replaces that of its header."""
     if stamp is None:
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
     if isinstance(message, JointState):
         return Joints(stamp, tuple(message.name), tuple(message.position), tuple(message.velocity))
     frame = message.header.frame_id
     if isinstance(message, ImuMessage):
-        # By the message's definition, -1 as first covariance says that the quantity is not measured.
+        # According to the message's definition, -1 as first covariance means that the quantity is not measured.
         turned = None if message.orientation_covariance[0] == -1.0 else _quaternion(message.orientation)
         rate = None if message.angular_velocity_covariance[0] == -1.0 else _vector(message.angular_velocity)
         return Imu(stamp, frame, turned, rate)

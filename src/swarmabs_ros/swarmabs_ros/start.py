@@ -1,8 +1,8 @@
-"""The frame of every node's ``main``: the middleware, the node, errors as exit codes, the end.
+"""The common part of every node's ``main``: middleware, node, errors as exit codes, shutdown.
 
-A node enters the middleware by a Fast DDS profile that can be read, or not at all: Fast DDS goes on without a profile
-that it cannot read, and then listens on every interface. Drivers' own programs, which are none of these nodes, can ask
-beforehand: ``python -m swarmabs_ros.start`` ends with 2 and a line if it is so.
+A node starts only if its Fast DDS profile is readable: Fast DDS would ignore an unreadable profile and listen on every
+interface. Other programs, such as a vendor's drivers, can run the same check first: ``python -m swarmabs_ros.start``
+exits with 2 and an error line if a profile is unreadable.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 NodeT = TypeVar("NodeT", bound=Node)
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Variables by which Fast DDS finds its profile; which of them counts depends on its version."""
+"""Environment variables for the Fast DDS profile; which one is effective depends on its version."""
 
 
 class SwarmNode(Node):
-    """A node without those services and topics of its own that a lockstep run does not need."""
+    """A node without the standard services and topics that a lockstep run does not need."""
 
     def __init__(self, name: str) -> None:
         super().__init__(
@@ -49,11 +49,11 @@ def run_program(
     body: Callable[[NodeT, StatusChannel], None],
     args: list[str] | None = None,
 ) -> int:
-    """Run a node from the start of the middleware to its end.
+    """Run a node from the start of the middleware to its shutdown.
 
-    The node has this name where none is remapped, and ends when `body` returns. The exit code is 0 fine, 1 something
-    failed, 2 a parameter or the Fast DDS profile was refused. The reason goes to standard error and to whoever started
-    the node.
+    The node has this name unless remapped, and ends when `body` returns. Exit codes: 0 success, 1 failure, 2 invalid
+    parameter or Fast DDS profile. The reason is written to standard error and reported to the process that started the
+    node.
     """
     try:
         initialise(name, args)
@@ -75,20 +75,20 @@ def run_program(
 
 
 def initialise(name: str, args: list[str] | None) -> None:
-    """Start rclpy for a node that handles signals by itself.
+    """Initialise rclpy for a node that handles signals itself.
 
-    Raises `InputError`, which names the node, if the profile cannot be used, or the command line is not understood;
-    nothing has been started then.
+    Raises `InputError`, which names the node, if the profile or the command line is invalid; nothing is started in this
+    case.
     """
     check_profiles(os.environ)
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what the base of rclpy's own, not public errors is
+    except RuntimeError as error:  # the public base class of rclpy's errors
         raise InputError(f"command line of {name}: {' '.join(str(error).split())}") from error
 
 
 def check_profiles(environment: Mapping[str, str]) -> None:
-    """Raise `InputError` if a Fast DDS profile that an environment names cannot be read, or is no XML."""
+    """Raise `InputError` if a Fast DDS profile named in an environment cannot be read, or is not XML."""
     for variable in PROFILES:
         if path := environment.get(variable):
             _check(variable, Path(path))
@@ -106,8 +106,8 @@ def _check(variable: str, path: Path) -> None:
         ) from error
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise InputError(
-            f"{variable}: {path} is no XML: {' '.join(str(error).split())}, and {consequence}; "
-            "make it anew: start install.sh of the bundle again, or correct the variable"
+            f"{variable}: {path} is not XML: {' '.join(str(error).split())}, and {consequence}; "
+            "recreate it: start install.sh of the bundle again, or correct the variable"
         ) from error
 
 

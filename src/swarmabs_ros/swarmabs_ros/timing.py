@@ -1,4 +1,4 @@
-"""When a node's steps are due, how late they come, and what the system's clock does; no clock is read here."""
+"""Due times and lateness of a node's steps, and changes of the system clock; this module reads no clock itself."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.base import Schedule
 
 JUMP = 1_000_000
-"""Change of the system clock against the steady one, ns, that is a jump; the kernel slews by 0.5 us per ms at most."""
+"""Change of the system clock relative to the steady one, ns, that is a jump; the kernel slews at most 0.5 us per ms."""
 BINS = 32
-"""Bins of a histogram: the last one begins at 2^30 us, some 18 minutes."""
+"""Number of bins of a histogram: the last one starts at 2^30 us, about 18 minutes."""
 
 
 class Reading(NamedTuple):
-    """Two clocks at one time: the system's (ns since 1970) and a steady one (ns since any time)."""
+    """Two clocks at the same time: the system clock (ns since 1970) and a steady one (ns since an arbitrary time)."""
 
     system: int
     steady: int
@@ -41,7 +41,7 @@ class Lateness:
         self.longest = max(self.longest, late)
 
     def below(self, share: float) -> int:
-        """Return an upper bound, us, of this share of the values: a bin's edge, or the longest; 0 without values."""
+        """Return an upper bound, us, of a fraction of the values: a bin's edge, or the longest; 0 without values."""
         seen = 0
         for number, inside in enumerate(self._bins):
             seen += inside
@@ -55,29 +55,29 @@ class Lateness:
 
 
 class StepClock:
-    """Tells which step is due, each once, however the system's clock is set.
+    """Determines which step is due, each once, even if the system clock is set.
 
-    A clock that is set forward makes steps fall out, which are not made later. One that is set back a little is waited
-    for: nobody may make a step twice. One that is set back by more than `MOST_BACK` steps was wrong before; then a step
-    is due at once, so that the behaviour notices and is safe, and counting goes on from there.
+    If the clock is set forward, the skipped steps are dropped. If it is set back slightly, the next step waits for it,
+    because no step may be executed twice. If it is set back by more than `MOST_BACK` steps, it was wrong before: a step
+    is due at once, so that the behaviour detects this and enters a safe state, and counting continues from there.
 
     Parameters
     ----------
     schedule : Schedule
-        How time becomes steps.
+        Maps time to steps.
     phase : float
-        Share of the period that is over when a step is due.
+        Fraction of the period after which a step is due.
 
     Attributes
     ----------
     lateness : Lateness
-        How late steps were made.
+        Lateness of the executed steps.
     missed : int
-        Periods in which no step was made, those left out that a jump of the clock skipped.
+        Number of periods without a step, except for those skipped by a jump of the clock.
     jumps : int
-        How often the system's clock was set.
+        Number of times that the system clock was set.
     largest_jump : int
-        The largest change of these by size, ns.
+        The change with the largest magnitude, ns.
     """
 
     def __init__(self, schedule: Schedule, phase: float) -> None:
@@ -93,12 +93,12 @@ class StepClock:
         self.largest_jump = 0
 
     def start(self, now: Reading) -> None:
-        """Begin with the first step that is still to come; steps that were made before stay made."""
+        """Start with the next future step; steps that were executed before are not repeated."""
         self._notice(now)
         self._next = max(self._made, self._current(now)) + 1
 
     def due(self, now: Reading) -> int | None:
-        """Return the step to make now, None if none is due; it is taken as made."""
+        """Return the step to execute now, None if none is due; it counts as executed."""
         self._notice(now)
         late = now.system - self._schedule.begin(self._next, self._phase)
         if late < 0:
@@ -115,7 +115,7 @@ class StepClock:
         return max(0, self._schedule.begin(self._next, self._phase) - now.system)
 
     def values(self) -> tuple[tuple[str, str], ...]:
-        """Return the figures of timing for people."""
+        """Return the timing statistics in readable form."""
         late = self.lateness
         return (
             ("steps made", str(late.count)),
@@ -128,7 +128,7 @@ class StepClock:
         )
 
     def report(self) -> dict[str, object]:
-        """Return the figures of timing as a JSON document; the histogram by the upper edges of its bins, us."""
+        """Return the timing statistics as a JSON document, with the histogram by the upper edges of its bins, us."""
         return {
             "steps": self.lateness.count,
             "missed": self.missed,
@@ -142,7 +142,7 @@ class StepClock:
         return self._schedule.step(now.system - self._shift)
 
     def _notice(self, now: Reading) -> None:
-        """Look whether the system's clock was set since the last reading."""
+        """Detect whether the system clock was set since the last reading."""
         offset = now.system - now.steady
         jump = 0 if self._offset is None else offset - self._offset
         self._offset = offset

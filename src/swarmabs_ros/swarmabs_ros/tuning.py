@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     Tune = Callable[[Settings], Callable[[], None]]
 
 SIM_TIME = "use_sim_time"
-NO_SIM_TIME = f"parameter {SIM_TIME}: in real time the system's clock makes the steps; leave it out"
+NO_SIM_TIME = f"parameter {SIM_TIME}: in real time the system clock determines the steps; omit it"
 
 
 def gains_among(table: Iterable[Parameter], parts: tuple[str, ...]) -> tuple[Parameter, ...]:
-    """Return the parameters of a table that are named by one of the parts or below it, without choices of a type."""
+    """Return the parameters of a table with or below the names `parts`, except for those that select a type."""
 
     def tunable(name: str) -> bool:
         return not name.endswith(".type") and any(name == part or name.startswith(f"{part}.") for part in parts)
@@ -34,12 +34,12 @@ def gains_among(table: Iterable[Parameter], parts: tuple[str, ...]) -> tuple[Par
 
 
 class Tuning:
-    """What a node is made from, and the gains among it, which may be set until the node is active.
+    """The settings of a node, including gains, which may be set while the node is not active.
 
     Attributes
     ----------
     settings : Settings
-        The values that the node has now.
+        The current values.
     """
 
     def __init__(self, settings: Settings, gains: Iterable[Parameter]) -> None:
@@ -50,16 +50,16 @@ class Tuning:
         self._next: tuple[Settings, Callable[[], None] | None] = settings, None
 
     def configured(self, tune: Tune | None) -> None:
-        """Note how a behaviour takes new gains that was made from the settings as they are; None: there is none."""
+        """Register how a behaviour created from the current settings adopts new gains; None: no behaviour."""
         self._tune, self._install = tune, None
 
     def taken(self) -> Callable[[], None] | None:
-        """Return what has the behaviour use the gains that were set since it was made, None if none were."""
+        """Return a callable that installs the gains set since the behaviour was created, None if there are none."""
         install, self._install = self._install, None
         return install
 
     def serve(self, node: LifecycleNode, state: Callable[[], str]) -> None:
-        """Answer whoever sets parameters of a node, whose state of the lifecycle is asked for each time."""
+        """Register callbacks for parameter changes; `state` returns the node's lifecycle state."""
 
         def check(parameters: list[RosParameter]) -> SetParametersResult:
             try:
@@ -77,7 +77,7 @@ class Tuning:
         node.add_post_set_parameters_callback(adopt)
 
     def _check(self, name: str, state: str, parameters: list[RosParameter]) -> None:
-        """Raise `InputError` if the parameters cannot be set; `_next` holds what they lead to otherwise."""
+        """Raise `InputError` if the parameters cannot be set; otherwise store the result in `_next`."""
         new = {}
         for each in parameters:
             if each.name == SIM_TIME and each.value:

@@ -45,8 +45,11 @@ class PlaneConfig:
     last_step: int | None = same(Run, "last_step")
     seed: int = same(Run, "seed")
     actuator_lag: float = same(Run, "actuator_lag")
-    lies: tuple[Falsification, ...] = setting(
-        (), "falsified states of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'", make=Falsification.parse
+    falsifications: tuple[Falsification, ...] = setting(
+        (),
+        "falsified states of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'",
+        name="lies",
+        make=Falsification.parse,
     )
     torques: tuple[StepChange, ...] = setting(
         (),
@@ -101,7 +104,7 @@ class Plane:
         Raises
         ------
         StepAheadError, RunError
-            If it takes effect at a step that cannot have started yet, or that the plane has already computed with it.
+            If it takes effect at a step that cannot have started yet, or that the plane has computed with the robot.
         """
         membership, robot, step, now = self._membership, event.agent_id, event.step, self._gathering.step
         was_in = membership.publishes(robot, step)
@@ -141,8 +144,8 @@ class Plane:
         step = self._gathering.step
         stamp = step * config.period_ns
         states = self._gathering.take()
-        if config.lies:
-            states = [true_state(state, config.lies) for state in states]
+        if config.falsifications:
+            states = [true_state(state, config.falsifications) for state in states]
         events: list[SwarmEvent] = []
         if (torque := self._torques.changing(step)) is not None:
             events.append(SwarmEvent(stamp, step, 0, EventKind.STEERING, torque, DISTURBANCE))

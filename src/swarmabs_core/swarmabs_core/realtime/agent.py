@@ -113,9 +113,9 @@ class RealtimeAgent:
         self._leaving: int | None = None
 
     def tuned(self, config: RealtimeAgentConfig) -> Callable[[], None]:
-        """Return what has the robot use the law and the gains of a configuration, between two steps.
+        """Return a callable that installs the law and the gains of a configuration between two steps.
 
-        Raises `InputError` if the law refuses its settings.
+        Raises `InputError` if the settings of the law are invalid.
         """
         law = RealtimeLaw(config)
 

@@ -95,7 +95,7 @@ class RealtimeController:
         self._law_step = -1
 
     def tuned(self, make_law: Callable[[], ParentController]) -> Callable[[], None]:
-        """Return what has another law begin, between two steps; raises `InputError` if it refuses its settings."""
+        """Return a callable that starts a new law between two steps; raises `InputError` if its settings are wrong."""
         make_law()
 
         def install() -> None:

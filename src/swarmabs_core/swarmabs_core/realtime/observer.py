@@ -149,7 +149,7 @@ class RealtimeObserver:
         self._under_way_since: int | None = None
 
     def tuned(self, config: RealtimeObserverConfig) -> Callable[[], None]:
-        """Return what has the observer sum up with the gain of a configuration, between two steps."""
+        """Return a callable that installs the gain of a configuration between two steps."""
         sums = RealtimeSums(config)
 
         def install() -> None:
