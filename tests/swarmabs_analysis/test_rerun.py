@@ -125,7 +125,7 @@ def test_the_origin_is_told_in_one_line_and_may_be_missing(remake: Remake, origi
     assert str(error.value).isprintable() and len(str(error.value)) < 500
     messages = [message for _, _, message in open_bag(original).decoded()]
     bag = write_bag(tmp_path / "silent", messages, {"scenario.yaml": dump_scenario(SCENARIO).encode()})
-    unsaid = "the bag does not say with what it was made: its digest may not be reached"
+    unsaid = "the bag does not record its software versions: the digest may differ"
     assert recorded_run(bag).differences == (unsaid,)
 
 
@@ -147,7 +147,7 @@ def test_the_scenario_of_a_bag_that_holds_none_is_named(original: Path, again: C
         ({"driver": "realtime"}, r"was recorded in real time: .*; run the scenario.yaml"),
         ({"driver": "oracle"}, r"was made by 'oracle'"),
         ({"replay": {}}, r"is the replay of another bag"),
-        ({"schema": 2}, r"its provenance is of schema 2, this version reads 1; update swarmabs"),
+        ({"schema": 2}, r"its provenance has schema 2, but this version reads 1; update swarmabs"),
     ],
 )
 def test_what_cannot_be_repeated_is_refused(remake: Remake, tmp_path: Path, changes: Any, reason: str) -> None:

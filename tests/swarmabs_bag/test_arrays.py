@@ -111,7 +111,7 @@ def test_message_that_is_not_ours_is_named(payload: bytes, problem: str, tmp_pat
 def test_bags_without_a_topic_or_without_messages_and_payload_padded_by_dds(tmp_path: Path, run: list[Message]) -> None:
     with BagWriter(tmp_path / "missing", topics=MAIN_TOPICS[1:], attachments={}):
         pass
-    with pytest.raises(NotABagError, match=r"no bag of a swarm: it has no topic swarm/agent_state$"):
+    with pytest.raises(NotABagError, match=r"not the bag of a swarm: it lacks swarm/agent_state$"):
         load_arrays(tmp_path / "missing")
     with bag_writer(tmp_path / "empty"):
         pass

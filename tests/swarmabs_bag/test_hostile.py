@@ -73,22 +73,22 @@ def unpacked(compression: bytes, length: int) -> bytes:
     ("lie", "problem"),
     [
         (chunk(MESSAGE, size=2**40), "a chunk of 1099511627776 bytes when uncompressed"),
-        (chunk(MESSAGE, size=5), "its zstd frame says"),
+        (chunk(MESSAGE, size=5), "its zstd frame states"),
         (chunk(MESSAGE, crc=5), "CRC of the chunk is"),
         (chunk(MESSAGE, "rar"), "unknown compression 'rar'"),
         (unpacked(b"lz4", len(MESSAGE)), "the chunk cannot be uncompressed"),
         (unpacked(b"\xff", len(MESSAGE)), "malformed Chunk record"),
         (unpacked(b"", 3), "a chunk of 3 bytes in a record"),
-        (chunk(MESSAGE[:-1], ""), "reaches beyond its chunk"),
+        (chunk(MESSAGE[:-1], ""), "exceeds its chunk"),
         (chunk(MESSAGE + b"\x05", ""), "ends within the head of a record"),
         (chunk(record(Opcode.MESSAGE, b"short"), ""), "a message record is cut off"),
-        (chunk(bytes(2**16), "zstd", size=2**27, crc=0), "a chunk of 134217728 bytes when uncompressed, made from"),
-        (chunk(bytes(2**16), "lz4", size=2**27, crc=0), "a chunk of 134217728 bytes when uncompressed, made from"),
-        (chunk(schema(1, b"x", reaching=1)), "malformed Schema record: a field of 9 bytes, but 8 are left"),
-        (record(Opcode.CHUNK, b""), "malformed Chunk record: a field of 8 bytes, but 0 are left"),
+        (chunk(bytes(2**16), "zstd", size=2**27, crc=0), "a chunk of 134217728 bytes uncompressed, but"),
+        (chunk(bytes(2**16), "lz4", size=2**27, crc=0), "a chunk of 134217728 bytes uncompressed, but"),
+        (chunk(schema(1, b"x", reaching=1)), "malformed Schema record: a field of 9 bytes, but only 8 are left"),
+        (record(Opcode.CHUNK, b""), "malformed Chunk record: a field of 8 bytes, but only 0 are left"),
         (longer(record(Opcode.CHUNK, b""), 2**63), "a record of 9223372036854775808 bytes begins"),
         (record(Opcode.MESSAGE, b"short"), "a message record is cut off"),
-        (schema(1, b"x", reaching=1), "malformed Schema record: a field of 9 bytes, but 8 are left"),
+        (schema(1, b"x", reaching=1), "malformed Schema record: a field of 9 bytes, but only 8 are left"),
         (schema(1, b"x" * 2**24), "a Schema record of more than 16777216 bytes"),
         (record(Opcode.CHANNEL, struct.pack("<HHI", 1, 1, 2**32 - 1)), "malformed Channel record"),
         (record(Opcode.ATTACHMENT, bytes(16) + text(b"") * 2 + b"\xff" * 8), "malformed Attachment record"),
@@ -133,7 +133,7 @@ def test_index_has_an_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         file.write_bytes(MAGIC + HEADER + many + bytes(40))
         with pytest.raises(DamagedBagError, match=problem):
             open_bag(file)
-        with pytest.raises(DamagedBagError, match=rf"x\.mcap: at byte \d+: {problem}; nothing can be saved"):
+        with pytest.raises(DamagedBagError, match=rf"x\.mcap: at byte \d+: {problem}; nothing can be recovered"):
             repair_bag(file)
         assert [path.name for path in file.parent.iterdir()] == ["x.mcap"]
     file.write_bytes(sealed(MAGIC + HEADER + schema(1, b"x") * 20))
@@ -153,12 +153,12 @@ def number(name: str, value: int = 7) -> Change:
 @pytest.mark.parametrize(
     ("problem", "change"),
     [
-        *((f"the summary says {name} = 7, but it is", number(name)) for name in (
+        *((f"the summary states {name} = 7, but it is", number(name)) for name in (
             "message_count", "message_start_time", "message_end_time", "chunk_count", "attachment_count",
         )),
-        ("the summary says messages of channel 2 = 40, but it is 41",
+        ("the summary states messages of channel 2 = 40, but it is 41",
          lambda found: found.statistics.channel_message_counts.update({2: 40})),
-        ("the summary lists other chunks than the file has", lambda found: found.chunks.reverse()),
+        ("the summary lists other chunks than those in the file", lambda found: found.chunks.reverse()),
         ("the summary lists other attachments", lambda found: setattr(found.attachments[1], "data_size", 7)),
         ("the summary lists other metadata records", lambda found: setattr(found.metadata[0], "name", "x")),
         ("the summary describes other topics", lambda found: setattr(found.channels[2], "topic", "/x")),
@@ -187,7 +187,7 @@ def test_of_several_scenarios_info_and_repair_say_the_same(tmp_path: Path, whole
         report = repair_bag(tmp_path / f"{name}.mcap")
         assert (report.output is None) == (name == "whole")
         info = bag_info(report.output or tmp_path / f"{name}.mcap")
-        assert info.problem == report.undecided == "it holds several scenarios and does not say of which it is a run"
+        assert info.problem == report.undecided == "it contains several scenarios and does not state which one was run"
     same = joined(split(whole)) + attachment(b"run.log", b"another")
     (tmp_path / "same.mcap").write_bytes(sealed(same))
     assert repair_bag(tmp_path / "same.mcap").undecided is bag_info(tmp_path / "same.mcap").problem is None
@@ -219,14 +219,14 @@ def test_summary_or_attachment_that_is_elsewhere(whole: bytes, file: Path) -> No
         return change
 
     for change, problem in (
-        (elsewhere(0, 2**64 - 1), "18446744073709551615: a record is said to"),
-        (elsewhere(0, len(MAGIC)), "no attachment is here, although the summ"),
+        (elsewhere(0, 2**64 - 1), "18446744073709551615: a record should be here"),
+        (elsewhere(0, len(MAGIC)), "the summary states an attachment here"),
         (elsewhere(1), r"here is not 'scenario\."),
     ):
         file.write_bytes(sealed(joined(split(whole)), change))
         with pytest.raises(DamagedBagError, match=problem):
             open_bag(file).attachment("scenario.yaml")
-    for place, problem in ((2**60, "is said to begin at byte 1152921504606846976"), (9, "CRC of")):
+    for place, problem in ((2**60, "cannot begin at byte 1152921504606846976"), (9, "CRC of")):
         file.write_bytes(whole[:-28] + struct.pack("<Q", place) + whole[-20:])
         with pytest.raises(DamagedBagError, match=problem):
             open_bag(file)
@@ -240,7 +240,7 @@ def test_chunk_that_became_something_unknown_is_missed(
     place = [place for place, found in enumerate(records) if found.opcode == Opcode.CHUNK][1]
     records[place] = records[place]._replace(opcode=0x80)
     file.write_bytes(sealed(joined(records), number("message_count", len(run))))
-    with pytest.raises(DamagedBagError, match=f"the summary says message_count = {len(run)}, but it is "):
+    with pytest.raises(DamagedBagError, match=f"the summary states message_count = {len(run)}, but it is "):
         list(open_bag(file).messages())
     with pytest.raises(DamagedBagError, match="message_count"):
         load_arrays(file)

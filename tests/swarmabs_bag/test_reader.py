@@ -108,8 +108,8 @@ def files(*names: str) -> Callable[[Path], object]:
     [
         ("No such file or directory; name a run folder", files(), "missing"),
         ("null", files(), "a\0b"),
-        ("holds no bag", files("notes.txt"), ""),
-        ("holds no bag", lambda folder: (folder / "bag").symlink_to(folder), ""),
+        ("contains no bag", files("notes.txt"), ""),
+        ("contains no bag", lambda folder: (folder / "bag").symlink_to(folder), ""),
         ("holds 2 .mcap files: name one of them", files("a.mcap", "b.mcap"), ""),
         ("holds 2 .mcap files: name one of them", files("a_0.mcap", "b_1.mcap"), ""),
         ("does not begin as an MCAP file", lambda folder: (folder / "x").write_bytes(b"SQLite format 3\0"), "x"),
@@ -157,7 +157,7 @@ def test_wherever_a_file_is_cut_all_before_is_read_and_saved(file: Path, tmp_pat
         {0, 3, 8, 20, *anywhere, *(chunk.end for chunk in chunks), *(chunk.end - 1 for chunk in chunks)}
     ):
         file.write_bytes(data[:size])
-        damaged(file, f"has only {size} bytes: nothing was written into it" if size < len(MAGIC) else None)
+        damaged(file, f"has only {size} bytes: nothing was written to it" if size < len(MAGIC) else None)
         if size < chunks[0].end:
             continue
         reader = open_bag(file, damaged=True)

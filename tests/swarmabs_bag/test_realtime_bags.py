@@ -120,7 +120,7 @@ def test_what_was_lost_or_measured_is_not_checked_and_that_is_said(tmp_path: Pat
     found = BagToVerify(realtime_bag(tmp_path / "lost", change=lose)).verify()
     assert found.ok
     assert found.not_checkable == {
-        "the answer from which it goes on is not in the bag": 1,
+        "the answer from which it continues is not in the bag": 1,
         "the plane's state that it answers is not in the bag": 1,
     }
     found = BagToVerify(realtime_bag(tmp_path / "measured", robots=(1, 2), plane=False)).verify()
@@ -139,7 +139,7 @@ WORLD = {"period_ns": 10, "epoch_ns": 0, "simulated_robots": [], "simulated_plan
 def test_a_bag_without_its_time_base_is_refused(wrong: object, made: MakeBag, monkeypatch: pytest.MonkeyPatch) -> None:
     provenance = {"driver": "realtime", "realtime": wrong}
     monkeypatch.setattr("swarmabs_bag.realtime.attached_provenance", lambda _: provenance)
-    with pytest.raises(InputError, match="does not say how time became steps"):
+    with pytest.raises(InputError, match="lacks a valid entry realtime"):
         BagToVerify(made())
 
 

@@ -279,7 +279,7 @@ def test_what_is_heard_up_to_the_last_step_is_recorded(
     assert told.notices[0] == "READY=1\nSTATUS=records"
     assert 4 <= told.notices.count("WATCHDOG=1") <= 10
     assert told.health == ["records"]
-    assert "1 messages were malformed and are not recorded" in capfd.readouterr().err
+    assert "1 malformed messages were not recorded" in capfd.readouterr().err
 
 
 FALLEN = "t = 0.3 s, step 30: the plane's angle is 1.5 rad"
@@ -323,7 +323,7 @@ def test_the_recording_of_a_fleet_ends_when_it_is_told_to_and_a_run_fails_with_i
     assert [event for event, _ in told.reports][:2] == ["ready", "ready"]
     assert len(told.of("failed")) == (wait > 20)
     seconds = (told.now - EPOCH) // SECOND
-    assert told.health == (["records"] * 2 + ["hears nothing of the swarm"] * seconds)[: seconds + 1]
+    assert told.health == (["recording"] * 2 + ["receives no messages of the swarm"] * seconds)[: seconds + 1]
 
 
 def test_what_cannot_be_recorded_ends_the_node(
@@ -344,7 +344,7 @@ def test_what_cannot_be_recorded_ends_the_node(
 
 def test_another_period_than_the_scenarios_is_refused(recorded: Callable[..., int], told: Told, tmp_path: Path) -> None:
     assert recorded(period_ns="20000000") == 2
-    assert told.of("failed")[0]["reason"] == "parameter period_ns: the scenario's is 10000000 ns"
+    assert told.of("failed")[0]["reason"] == "parameter period_ns does not match the scenario: set it to 10000000"
     assert not (tmp_path / "bag").exists()
 
 

@@ -183,7 +183,7 @@ def test_a_chunk_that_is_damaged_is_named_with_its_times(copy: Path, tmp_path: P
     (plane,) = (topic for topic in report.topics if topic.name == "/plane/state")
     assert plane.messages + plane.lost == 41
     assert report.last_complete_step == index.message_start_time // PERIOD - 1 or plane.lost == 0
-    assert "1 place could not be saved" in (bag_info(tmp_path / "new").repaired or "")
+    assert "1 place could not be recovered" in (bag_info(tmp_path / "new").repaired or "")
 
 
 def without_indexes(file: Path) -> None:
@@ -205,8 +205,8 @@ def wrong_length(place: int) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("damage", "problem", "lost"),
     [
-        (without_indexes, "^{chunks} chunks without right message indexes or times$", ()),
-        (heads_of_messages, "outside of the chunks, where no CRC says that it is one", ()),
+        (without_indexes, "^{chunks} chunks with wrong or missing message indexes or times$", ()),
+        (heads_of_messages, "outside of the chunks, where no CRC confirms it", ()),
         (lambda file: overwrite(file, 0, b"\0\0"), "^at byte 0: the file does not begin as an MCAP file$", ()),
         (wrong_length(0), "", ("scenario.yaml",)),
         (wrong_length(-1), "", ("run.log",)),
@@ -258,7 +258,7 @@ def test_topics_that_nothing_describes_are_lost_and_named_once_for_a_chunk(tmp_p
     offset, later = (found.offset for found in in_records(data + record(Opcode.DATA_END, bytes(4)))[2:])
     lost = [(one.offset, one.bytes, one.problem) for one in report.files[0].lost]
     assert lost == [
-        (place, 0, f"messages of channel {number}, which nothing in the file describes")
+        (place, 0, f"messages of channel {number}, which the file does not describe")
         for place, number in ((offset, 7), (offset, 8), (later, 7))
     ]
 
@@ -278,7 +278,7 @@ def test_a_schema_that_was_lost_before_its_channel(tmp_path: Path, *, there: boo
         found = [(definition, one.data) for definition, _, one in make_reader(stream).iter_messages()]
     definition = Schema(3, b"8" * 8, "ros2msg", "std_msgs/msg/String") if in_summary else None
     assert found == [(definition, b"\0\1\0\0%04d" % number) for number in range(5)]
-    lacks = "1 topics whose definition is nowhere in the file"
+    lacks = "1 topics without a definition in the file"
     assert (lacks in report.files[0].problems) == (not in_summary)
     assert repair_bag(tmp_path / "x_repaired").output is None
 
@@ -321,7 +321,7 @@ def test_messages_of_another_writer_get_indexes_and_chunks_their_times(tmp_path:
         bag.writer.add_attachment(1, 2, "note.txt", "text/plain", b"keep me")
     report = repair_bag(path)
     assert (report.lost_bytes, report.attachments) == (0, ("note.txt",))
-    assert report.files[0].problems == ("50 messages outside of any chunk",)
+    assert report.files[0].problems == ("50 messages outside of chunks",)
     with (made / "x.mcap").open("rb") as file:
         found = [one.data[-4:] for _, _, one in make_reader(file, validate_crcs=True).iter_messages()]
     assert found == [b"%04d" % place for place in range(49, -1, -1)]
@@ -332,7 +332,7 @@ def test_messages_of_another_writer_get_indexes_and_chunks_their_times(tmp_path:
     report = repair_bag(path, tmp_path / "again")
     assert [(topic.name, topic.messages) for topic in report.topics] == [("/chatter", 50)]
     assert [one.problem for one in report.files[0].lost] == [
-        "record of no known kind: a record of kind 0x7f, which cannot be here"
+        "record of unknown kind: a record of kind 0x7f, which is not allowed here"
     ]
     with Recorded(path) as bag:
         number = bag.channel("/chatter")
@@ -340,7 +340,7 @@ def test_messages_of_another_writer_get_indexes_and_chunks_their_times(tmp_path:
             bag.message(number, b"data", time)
     overwrite(path, records(path, Opcode.CHUNK)[0].offset + HEAD_SIZE, b"\x04")
     assert repair_bag(path, tmp_path / "times").files[0].problems == (
-        "1 chunks without right message indexes or times",
+        "1 chunks with wrong or missing message indexes or times",
     )
     (index,) = open_bag(tmp_path / "times").index.chunks
     assert (index.message_start_time, index.message_end_time) == (5, 9)
@@ -362,7 +362,7 @@ def test_in_place_the_damaged_file_is_kept(copy: Path, tmp_path: Path, run: list
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
     os.truncate(file, 15_000)
     again = files_in(copy)
-    with pytest.raises(BagFolderError, match=r"bag_0\.mcap\.damaged is there from an earlier repair"):
+    with pytest.raises(BagFolderError, match=r"bag_0\.mcap\.damaged exists from an earlier repair"):
         repair_bag(copy, in_place=True)
     assert files_in(copy) == again
 
@@ -370,11 +370,11 @@ def test_in_place_the_damaged_file_is_kept(copy: Path, tmp_path: Path, run: list
 @pytest.mark.parametrize(
     ("cut_at", "problem"),
     [
-        (lambda _: 0, "nothing can be saved: .* has only 0 bytes"),
-        (lambda _: 8, "nothing can be saved: .* has only 8 bytes"),
-        (None, r"no message can be saved: at byte .* chunk: "),
+        (lambda _: 0, "nothing can be recovered: .* has only 0 bytes"),
+        (lambda _: 8, "nothing can be recovered: .* has only 8 bytes"),
+        (None, r"no message can be recovered: at byte .* chunk: "),
         # A scenario, but no message: no bag of a run can be made of that.
-        (lambda chunks: chunks[0].offset, r"no message can be saved: it ends before it says what it holds"),
+        (lambda chunks: chunks[0].offset, r"no message can be recovered: its end, with"),
     ],
 )
 def test_a_file_in_which_nothing_is_left_cannot_be_repaired(
@@ -404,7 +404,7 @@ def test_what_is_in_the_way_is_refused_or_kept(copy: Path, tmp_path: Path) -> No
     repair_bag(copy, tmp_path / "there")  # an empty folder is taken
     with pytest.raises(BagFolderError, match="there exists: name a new folder with -o"):
         repair_bag(copy, tmp_path / "there")
-    with pytest.raises(BagFolderError, match="leave out --in-place or -o"):
+    with pytest.raises(BagFolderError, match="--in-place and -o exclude each other"):
         repair_bag(copy, tmp_path / "new", in_place=True)
     repair_bag(copy)
     with pytest.raises(BagFolderError, match="bag_repaired exists"):
@@ -508,5 +508,5 @@ def test_what_is_no_file_is_not_waited_for_and_wrong_headers(split: Path, tmp_pa
     assert repaired(split, tmp_path / "again")[1] == payloads(run)
     (split / "bag_2.mcap").unlink()
     os.mkfifo(split / "bag_2.mcap")
-    with pytest.raises(NotABagError, match=r"bag_2\.mcap is no file: move it away"):
+    with pytest.raises(NotABagError, match=r"bag_2\.mcap is not a regular file: move it away"):
         repair_bag(split)

@@ -85,9 +85,9 @@ def test_replay_of_a_node_gives_a_bag_of_that_swarm(bag: Path, here: Path) -> No
 )
 def test_none_or_a_wrong_name_is_refused_with_those_that_there_are(bag: Path, words: tuple[str, ...]) -> None:
     command = [words[0], bag, *(word.format(bag=bag) for word in words[1:])]
-    assert "holds several swarms: choose one with --namespace: /east, /west" in refused(*command)
+    assert "contains several swarms; select one with --namespace: /east, /west" in refused(*command)
     wrong = refused(*command, "--namespace", "/north\x1b")
-    assert r"holds no swarm in the namespace /north\x1b, but in /east, /west" in wrong
+    assert r"contains no swarm in the namespace /north\x1b; its swarms: /east, /west" in wrong
 
 
 def test_of_different_scenarios_none_is_taken_for_that_of_a_swarm(run: Path, here: Path) -> None:
@@ -96,7 +96,7 @@ def test_of_different_scenarios_none_is_taken_for_that_of_a_swarm(run: Path, her
     same = rewritten(run, here / "a.mcap", namespaces=SWARMS, more={"scenario.yaml": text})
     ran("verify", same, "--namespace", "/east")
     two = rewritten(run, here / "b.mcap", namespaces=SWARMS, more={"scenario.yaml": other})
-    assert "holds several scenarios" in refused("verify", two, "--namespace", "/east")
+    assert "contains several scenarios" in refused("verify", two, "--namespace", "/east")
 
 
 def test_info_says_which_swarms_there_are_and_a_run_is_of_one(bag: Path) -> None:
@@ -104,5 +104,5 @@ def test_info_says_which_swarms_there_are_and_a_run_is_of_one(bag: Path) -> None
     assert (found["namespace"], found["swarms"]) == (None, ["/east/", "/west/"])
     assert re.search(r"^swarms in +/east, /west *$", ran("info", bag).out, re.MULTILINE)
     for command in ("run", "simulate"):
-        assert "holds several swarms, and a run is of one; run the scenario.yaml" in refused(command, bag)
+        assert "contains several swarms, but a run has only one; run the scenario.yaml" in refused(command, bag)
     assert document("scenario", "show", bag)["name"] == "pd_het_4"

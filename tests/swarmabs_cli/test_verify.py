@@ -80,7 +80,7 @@ def test_a_bag_with_two_scenarios_is_refused(run: Path, tmp_path: Path) -> None:
         ["markers", other, "-o", "again"],
         ["scenario", "show", other],
     ):
-        assert "other.mcap holds several scenarios and does not say of which it is a run" in refused(*words)
+        assert "other.mcap contains several scenarios and does not state which one was run" in refused(*words)
     assert "several scenarios" in " ".join(ran("info", other, code=1).out.split())
 
 
@@ -197,17 +197,17 @@ def test_what_cannot_be_verified_is_refused(run: Path, tmp_path: Path) -> None:
     def with_attachment(name: str, data: bytes | None) -> Path:
         return rewritten(run, tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", attachments={name: data})
 
-    assert "holds no scenario" in refused("verify", with_attachment("scenario.yaml", None))
+    assert "contains no scenario" in refused("verify", with_attachment("scenario.yaml", None))
     assert re.search(
         r"scenario\.yaml:2: .*plne", refused("verify", with_attachment("scenario.yaml", b"schema: 1\nplne: 1"))
     )
     assert "is not UTF-8 text" in refused("verify", with_attachment("scenario.yaml", b"\xff"))
-    for driver, said in (("gazebo", "recorded by driver 'gazebo'"), ("realtime", "does not say how time became steps")):
+    for driver, said in (("gazebo", "recorded by driver 'gazebo'"), ("realtime", "lacks a valid entry realtime")):
         provenance = f'{{"driver": "{driver}"}}'.encode()
         assert said in refused("verify", with_attachment("provenance.json", provenance))
     assert len(refused("verify", with_attachment("provenance.json", b'{"driver": "' + b"x" * 9999 + b'"}'))) < 500
     plane_only = rewritten(run, tmp_path / "plane.mcap", lambda topic, _, data: data if "plane" in topic else None)
-    assert "it has no topic swarm/agent_state" in refused("verify", plane_only)
+    assert "it lacks swarm/agent_state" in refused("verify", plane_only)
     assert "is not a bag" in refused("verify", Path(__file__))
     assert "nowhere" in refused("verify", tmp_path / "nowhere")
 
@@ -217,7 +217,7 @@ def test_a_bag_without_a_scenario_is_verified_and_reported_with_a_named_one(tmp_
     bare = copied(tmp_path / "run" / "bag", tmp_path / "bare.mcap", attachments=False)
     given = ("--scenario", tmp_path / "run" / "scenario.yaml")
     refused = swarm(("verify", bare), tmp_path)
-    assert (refused.code, "holds no scenario" in refused.err) == (2, True)
+    assert (refused.code, "contains no scenario" in refused.err) == (2, True)
     assert swarm(("verify", bare, *given), tmp_path).code == 0
     assert swarm(("report", bare, *given, "--html", tmp_path / "x.html"), tmp_path).code == 0
-    assert "leave --scenario out" in swarm(("verify", tmp_path / "run", *given), tmp_path).err
+    assert "leave out --scenario" in swarm(("verify", tmp_path / "run", *given), tmp_path).err

@@ -71,13 +71,13 @@ def test_something_is_said_every_second() -> None:
 
 def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
     live = view_of(3)
-    live.look(0.0)
+    live.refresh(0.0)
     assert live.phase == "running"
-    live.look(SILENCE)
+    live.refresh(SILENCE)
     assert (live.phase, live.text) == ("silent", "no step since 3")
     for message in make_step(4):
         live.add(message)
-    live.look(SILENCE + 0.2)
+    live.refresh(SILENCE + 0.2)
     assert live.phase == "running"
 
 
@@ -119,7 +119,7 @@ def test_step_rate_is_that_of_the_last_seconds() -> None:
     live = view_of()  # while no page is open, only the window is kept
     for look in range(3000):
         live.add(PlaneState(look * 10**7, look, 0.0, 0.0))
-        live.look(look / 100)
+        live.refresh(look / 100)
     assert len(live.rate) <= RATE_WINDOW * 100 + 2
     assert live.rate.at(29.99) == pytest.approx(100.0)
 
@@ -227,14 +227,14 @@ def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
 def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
         watch = ProcessWatch({"child": child.pid, "nobody": 2**22 + 1})
-        until(lambda: watch.look().processes[0].state == "sleeping", "the child waits")
-        alive, nobody = watch.look().processes
+        until(lambda: watch.health().processes[0].state == "sleeping", "the child waits")
+        alive, nobody = watch.health().processes
         assert (alive.name, alive.pid) == ("child", child.pid)
         assert alive.memory == pytest.approx(psutil.Process(child.pid).memory_info().rss, rel=0.2)
         assert (nobody.state, nobody.memory) == ("gone", None)
         child.kill()
         child.wait()
-        assert watch.look().processes[0].state == "gone"
+        assert watch.health().processes[0].state == "gone"
 
 
 def point(step: int) -> Instant:
@@ -263,7 +263,7 @@ def test_the_beginning_comes_later_and_whole() -> None:
 
 def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
     live = view_of(20)
-    live.look(0.0)
+    live.refresh(0.0)
     session = LiveSession(live)
     session.hello()
     (found,) = told(session.poll(0.0), protocol.Positions)

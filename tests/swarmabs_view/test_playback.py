@@ -123,7 +123,7 @@ def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(tmp_path: Path, 
     recording = open_recording(bag)
     assert 0 < len(recording) < 41
     (state,) = told(PlaybackSession(recording).poll(0.0), State)
-    assert state.text.startswith("damaged: the bag has lost its end")
+    assert state.text.startswith("damaged: the end of the bag is missing")
     assert len(recording.curves.time) == len(recording)
     for row in range(len(recording)):  # also with robots of which nothing is left
         assert len(recording.frame(row).robots.position) == 3

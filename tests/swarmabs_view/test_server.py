@@ -165,7 +165,7 @@ def test_other_hosts_and_origins_are_refused_everywhere(served: Served) -> None:
             status, _, body = answer(served, path, **headers)
             assert status == 403
             assert b"<" not in body
-    assert answer(served, "/socket", Origin=served.url.rstrip("/"))[::2] == (400, b"this address is for a WebSocket\n")
+    assert answer(served, "/socket", Origin=served.url.rstrip("/"))[::2] == (400, b"this address is a WebSocket\n")
     with pytest.raises(WSServerHandshakeError) as caught:
         asyncio.run(hear(served, origin="http://evil.example"))
     assert caught.value.status == 403

@@ -105,7 +105,7 @@ def test_a_run_is_shown_from_before_its_start_into_its_bag(folder: RunFolder, mo
 
     async def work(page: Page) -> None:
         assert (page.last(Hello).title, page.last(Hello).robots) == ("run", [])
-        assert page.last(State) == State(phase="waiting", text="the processes start")
+        assert page.last(State) == State(phase="waiting", text="the processes are starting")
         folder.logs.mkdir()
         await eventually(lambda: page.last(Hello).robots == [], "the scenario is not there yet")
         folder.scenario.write_text(SCENARIO)
@@ -199,7 +199,7 @@ def test_who_is_served_what(folder: RunFolder, served: list[tuple[Any, ...]], mo
     ProgressFile(folder.logs).over()
     with pytest.raises(InputError, match="this run is over; view its bag without --live"):
         show_live(str(folder.path), listener, print)
-    with pytest.raises(InputError, match=r"--live some/swarm: neither the folder of a run nor a namespace such as"):
+    with pytest.raises(InputError, match=r"--live some/swarm is neither a run folder nor a namespace"):
         show_live("some/swarm", listener, print)
 
 

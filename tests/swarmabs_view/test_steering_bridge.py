@@ -145,7 +145,7 @@ def test_a_page_hears_what_holds_and_its_answers_and_no_other(tmp_path: Path) ->
         assert new(one) == new(other) == []
         for number in range(MOST_WAITING + 1):
             one.control(steer(request=str(number)))
-        assert new(one) == [Answer(request=str(MOST_WAITING), ok=False, text="too many requests wait already")]
+        assert new(one) == [Answer(request=str(MOST_WAITING), ok=False, text="too many requests waiting; try again")]
         await asyncio.sleep(0)  # they wait for their turns
         await bridge.ask(steer())  # whose turn is after theirs
         answers = [Answer(request=str(n), ok=True, text="from step 12 on, 0.12 s") for n in range(MOST_WAITING)]

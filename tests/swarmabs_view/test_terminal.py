@@ -47,7 +47,7 @@ def test_numbers_and_what_is_asked_of_the_plane() -> None:
     lines = drawn(progress(400))
     assert "pd_het_4: step 400 of 1000" in lines[0]
     assert "40%" in lines[1]
-    assert line(lines, "angle") == "+0.5000 rad, wanted +0.2500 rad, error -0.2500 rad"
+    assert line(lines, "angle") == "+0.5000 rad, reference +0.2500 rad, error -0.2500 rad"
     assert line(lines, "speed") == "250 steps/s, 2.5 x real time"
     assert line(lines, "robots") == "2 active, 1 in safe stop, 1 silent"
     assert line(lines, "events") == "step 1: robot 2 dead"
@@ -67,7 +67,7 @@ def test_every_robot_stands_at_its_place_in_its_lane() -> None:
 def test_who_is_out_is_told_apart(encoding: str, sign: str) -> None:
     seen = SwarmSummary({"?": 1, "A": 1, "D": 1, "L": 1}, "DLA?", [-1000, 0, 500, 1000], [])
     lines = drawn(progress(400, seen=seen), width=82, encoding=encoding)
-    assert line(lines, "robots") == "1 active, 1 left, 1 dead, 1 not heard"
+    assert line(lines, "robots") == "1 active, 1 left, 1 dead, 1 no data"
     lanes = [set(line(lines, str(robot))) for robot in (1, 2, 3, 4)]
     empty = lanes[1]
     assert lanes[0] - empty == {sign}
@@ -108,7 +108,7 @@ def test_it_fits(width: int, height: int) -> None:
         (only,) = lines
         assert only.rstrip("…") == ONE_LINE[: len(only.rstrip("…"))]
     else:
-        assert any("wanted" in text for text in lines)
+        assert any("reference" in text for text in lines)
 
 
 def test_starting_and_closing() -> None:

@@ -98,7 +98,7 @@ def test_markers_that_fail_are_told_of_when_the_run_is_over(
         ["ros:=true", "clock:=false", "foxglove_port:=-1"],
         ["ros:=false", "clock:=true", "foxglove_port:=8765"],
     ]
-    warning = f"warning: the markers have failed; see {tmp_path}/logs/{MARKERS_LOG}\n"
+    warning = f"warning: the process for RViz and Foxglove failed; see {tmp_path}/logs/{MARKERS_LOG}\n"
     assert capfd.readouterr().err == (warning if code > 0 else "")
     assert [viewer.calls for viewer in started] == [["close"]] * 2
 

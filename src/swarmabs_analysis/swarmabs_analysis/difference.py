@@ -1,4 +1,4 @@
-"""How two messages differ, for all who ask: what is recorded and what is recomputed, replayed, or in another bag."""
+"""Differences of two messages: a recorded one against the recomputed, the replayed, or one in another bag."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ if TYPE_CHECKING:
 
 Side = Literal["A", "B"]
 Value: TypeAlias = "float | int | str | dict[str, float | int | str] | None"
-"""A field, a whole message by field, or None for a message that is not there."""
+"""A field, a whole message by field, or None for a missing message."""
 
 LOG_TIME = "log_time"
-"""Stands for a field where the bag's own time of a message, in ns, is wrong."""
+"""Pseudo-field: the log time of a message in the bag, ns, is wrong."""
 PUBLISH_TIME = "publish_time"
-"""Stands for a field where the time at which the bag says that a message was published, in ns, is wrong."""
+"""Pseudo-field: the publish time of a message in the bag, ns, is wrong."""
 PADDING = "padding"
-"""Stands for a field where all fields are right, but the bytes between them are not those of canonical CDR."""
+"""Pseudo-field: all fields are correct, but the bytes between them are not those of canonical CDR."""
 PAYLOAD = "payload"
-"""Stands for a field where the bytes are no message at all."""
+"""Pseudo-field: the bytes are not a message."""
 MESSAGE = "message"
-"""Stands for a field where a message is missing, or one is too many; also for what it says, where that is not told."""
+"""Pseudo-field: a message is missing or surplus; also the value of such a message where its fields are not given."""
 
 _CAUSES_FIRST = (
     *("step", "stamp", "agent_id", "kind", "mass", "damping"),
     *("status", "broadcast_step", "command", "velocity", "position"),
 )
-"""Fields of a robot's state in the order in which they are judged: a wrong command also moves the robot elsewhere."""
+"""Fields of a robot's state in the order of judgement, causes first: a wrong command also changes the position."""
 
 _LONGEST = 512
 
 
 class Difference(NamedTuple):
-    """Where two runs differ, A and B: a recorded one from the recomputed one, its replay, or another recorded one.
+    """A difference between two runs, A and B: recorded against recomputed, replayed, or another recording.
 
-    ``step`` and ``agent`` say where the message belongs. ``a`` is None for a message that A lacks, ``b`` for one that B
-    lacks.
+    ``step`` and ``agent`` are the place of the message. ``a`` is None for a message missing in A, ``b`` for one missing
+    in B.
     """
 
     topic: str
@@ -56,7 +56,7 @@ class Difference(NamedTuple):
 
     @classmethod
     def of(cls, message: Message, field: str, a: Value, b: Value, reason: str = "") -> Difference:
-        """Return a difference in the place to which a message belongs."""
+        """Return a difference at the place of a message."""
         return cls(TOPIC_OF[type(message)].name, message.step, agent_id_of(message) or None, field, a, b, reason)
 
     @property
@@ -67,12 +67,12 @@ class Difference(NamedTuple):
         return "A" if self.a is None else "B"
 
     def to_dict(self, a: str, b: str) -> dict[str, Any]:
-        """Return the difference for JSON, with names for what A and B say; numbers that are not finite become text."""
+        """Return the difference for JSON, with names for the values of A and B; non-finite numbers become strings."""
         names = {"a": a, "b": b}
         return {names.get(name, name): plain(value) for name, value in self._asdict().items()}
 
     def __str__(self) -> str:
-        """Return how A, which is recorded, differs from B, which is recomputed."""
+        """Describe the difference with A as recorded and B as recomputed."""
         place = f"/{self.topic}" if self.step is not None else self.topic
         if self.step is not None:
             place += f", step {self.step}"
@@ -84,11 +84,11 @@ class Difference(NamedTuple):
         if self.a is None:
             return f"{self.field} is missing"
         if self.b is None:
-            return f"{self.field} should not be there"
+            return f"{self.field} is not expected"
         return f"{self.field} is {self.a!r}, recomputed {self.b!r}"
 
     def side_by_side(self) -> str:
-        """Return how A and B, which are both recorded, differ."""
+        """Describe the difference with both A and B as recorded."""
         agent = f" agent {self.agent}" if self.agent else ""
         where = f"/{self.topic} step {self.step}{agent}"
         if self.missing is not None:
@@ -97,7 +97,7 @@ class Difference(NamedTuple):
 
 
 def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name and both values of the fields in which two messages of a topic differ, in their order.
+    """Yield name and both values of the fields in which two messages of a topic differ, in order.
 
     A number of `a` may differ from the x of `b` by ``tolerance * (1 + |x|)``; with 0 every bit counts.
     """
@@ -107,10 +107,10 @@ def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator
 
 
 def judge(stored: Record, expected: Message, tolerance: float, time: int | None = None) -> Difference | None:
-    """Return the first field by which a recorded message differs from the expected one, None if there is none.
+    """Return the first field in which a recorded message differs from the expected one, or None.
 
-    The tolerance is as of `differing_fields`. A time is the log time that it should have, ns, and that of its
-    publication, if it is known; by default none is judged.
+    The tolerance is that of `differing_fields`. `time` is the expected log time and, if recorded, publish time, ns; by
+    default times are not judged.
     """
     payload = encode(expected)
     if stored.payload == payload and (time is None or (stored.time == time and stored.published in {None, time})):
@@ -127,7 +127,7 @@ def judge(stored: Record, expected: Message, tolerance: float, time: int | None 
 
 
 def wrong_padding(stored: Record, payload: bytes | None = None) -> Difference | None:
-    """Return that bytes are not canonical, or not the right ones, though their fields are right; None if they are."""
+    """Return a difference if bytes are not canonical, or not `payload`, although their fields are correct."""
     right = payload or canonical(stored.topic.message, stored.payload)
     if stored.payload == right:
         return None
@@ -135,24 +135,24 @@ def wrong_padding(stored: Record, payload: bytes | None = None) -> Difference | 
 
 
 def missing(expected: Message) -> Difference:
-    """Return that a message is not there."""
+    """Return the difference for a missing message."""
     return Difference.of(expected, MESSAGE, None, expected._asdict())
 
 
 def surplus(stored: Record, step: int, reason: str) -> Difference:
-    """Return that a message is there, among those of a step, which should not be."""
+    """Return the difference for a message that is not expected among those of a step."""
     message = stored.message
     found = Difference.of(message, MESSAGE, message._asdict(), None, reason)._replace(step=step)
-    return found._replace(agent=message.agent_id) if isinstance(message, AgentState) else found  # also where it is 0
+    return found._replace(agent=message.agent_id) if isinstance(message, AgentState) else found  # even if it is 0
 
 
 def in_hex(payload: bytes) -> str:
-    """Return bytes as text, shortened where they are more than any message of a swarm has."""
+    """Return bytes in hexadecimal, shortened if they exceed every message of a swarm."""
     return payload.hex() if len(payload) <= _LONGEST else f"{payload[:_LONGEST].hex()}... ({len(payload)} bytes)"
 
 
 def plain(value: Any) -> Any:
-    """Return data for JSON: enumerations become numbers, numbers that are not finite texts."""
+    """Return data for JSON: enumerations become numbers, non-finite numbers strings."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -163,7 +163,7 @@ def plain(value: Any) -> Any:
 
 
 def _same(a: Any, b: Any, tolerance: float) -> bool:
-    """Tell whether a value a counts as the value b: NaN equals itself, 0.0 is not -0.0, infinity is near no number."""
+    """Return whether a equals b: NaN equals itself, 0.0 differs from -0.0, infinity is close to no number."""
     if not isinstance(a, float) or isinstance(b, str):
         return bool(a == b)
     if struct.pack("<d", a) == struct.pack("<d", b):

@@ -1,4 +1,4 @@
-"""A bag that is run again: whether it can be, what is different from its time, and whether its digest is reached."""
+"""Repetition of a recorded run: whether it is possible, what has changed, and whether the digest is the same."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ _REMEDY = "run the scenario.yaml of its folder instead"
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedRun:
-    """The run that a bag holds.
+class RepeatableRun:
+    """A recorded run that can be repeated.
 
-    The scenario has the changes for the new run. Digest and last step are those of its messages, None and -1 if there
-    are none; it is complete if that step is the last one of its scenario, and none before it is missing. The
-    differences say what is not as it was when it was made, or cannot be repeated, in a sentence each.
+    The scenario includes the changes for the new run. Digest and last step are those of the messages, None and -1 if
+    there are none; the run is complete if that step is the last one of the scenario and no step is missing. Each of the
+    `differences` is a sentence on what has changed since the recording, or cannot be repeated.
     """
 
     bag: Path
@@ -62,9 +62,9 @@ class RecordedRun:
     differences: tuple[str, ...]
 
     def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, Any]:
-        """Return what came of running it again, for ``rerun_of`` in ``summary.json``.
+        """Return the result of the repetition, for ``rerun_of`` in ``summary.json``.
 
-        The new run's bag need not be there. Nothing is claimed where the scenario was changed.
+        The bag of the new run may be missing. Runs of a `changed` scenario are not compared.
         """
         same: bool | None = None
         compared: Literal["digest", "prefix"] | None = None
@@ -86,14 +86,14 @@ class RecordedRun:
             return (None, None) if outcome.status == "interrupted" else (False, "digest")
         try:
             same = self._continued_by(open_bag(bag))
-        except (NotABagError, DamagedBagError):  # there is none, or the disk was full
+        except (NotABagError, DamagedBagError):  # there is no bag, or the disk was full
             return None, None
         return (None, None) if same is None and outcome.status == "interrupted" else (bool(same), "prefix")
 
     def _continued_by(self, bag: BagReader) -> bool | None:
-        """Say whether another bag has the messages that are here, None if it ends before them.
+        """Return whether another bag contains the messages of this one, None if it ends before them.
 
-        Where the bag breaks off, or was repaired, messages of a step may be missing, and whole steps.
+        Messages and steps may be missing here, if the bag is incomplete or was repaired.
         """
         for step, other in side_by_side(_main_steps(open_bag(self.bag)), _main_steps(bag)):
             if step is None:
@@ -105,21 +105,23 @@ class RecordedRun:
         return True
 
 
-def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: str | None = None) -> RecordedRun:
-    """Find out what a bag holds of a run that is to be repeated; a `scenario` is named of a bag that holds none.
+def recorded_run(
+    path: Path | str, overrides: Sequence[str] = (), *, scenario: str | None = None
+) -> RepeatableRun:
+    """Read the recorded run that is to be repeated from its bag; `scenario` supplies the one that a bag lacks.
 
     Raises
     ------
     NotABagError
-        If it is no bag.
+        If it is not a bag.
     InputError
-        If its run cannot be repeated; the text says why. Also if a change is not valid.
+        If the run cannot be repeated, with the reason; or if a change is invalid.
     DamagedBagError
-        If it has lost its end.
+        If the end of the bag is missing.
     """
     bag = open_bag(path, several=True)
     if len(bag.swarms) > 1:
-        raise InputError(f"{bag.path} holds several swarms, and a run is of one; {_REMEDY}")
+        raise InputError(f"{bag.path} contains several swarms, but a run has only one; {_REMEDY}")
     supply_scenario(bag, scenario)
     recorded = attached_scenario(bag)
     changed = attached_scenario(bag, overrides) if overrides else recorded
@@ -137,10 +139,10 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: s
                 last_step = step.step
                 steps += 1
     except DamagedBagError as error:
-        differences.append(f"only a part of the bag can be compared: {error}")
+        differences.append(f"the bag can only be compared in part: {error}")
     there = set(configure.members(changed))
     ends = [end for end in ends if end.agent_id in there and 0 <= end.step <= changed.steps]
-    return RecordedRun(
+    return RepeatableRun(
         Path(path),
         as_planned(changed, (), ends=ends, source=str(bag.path)),
         digest.hexdigest() if last_step >= 0 else None,
@@ -154,13 +156,13 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
     schema, driver = provenance.get("schema", SCHEMA_VERSION), provenance.get("driver", _REPEATABLE[0])
     if schema != SCHEMA_VERSION:
         raise InputError(
-            f"{bag.path}: its provenance is of schema {show(schema)}, this version reads {SCHEMA_VERSION}; "
+            f"{bag.path}: its provenance has schema {show(schema)}, but this version reads {SCHEMA_VERSION}; "
             "update swarmabs"
         )
     if is_realtime(bag):
         raise InputError(
-            f"{bag.path} was recorded in real time: what each robot heard depended on the wall clock, "
-            f"which cannot be repeated; {_REMEDY}"
+            f"{bag.path} was recorded in real time: the messages that each robot received depended on the wall clock "
+            f"and cannot be repeated; {_REMEDY}"
         )
     if driver not in _REPEATABLE:
         raise InputError(f"{bag.path} was made by {show(driver)}, which run and simulate cannot repeat; {_REMEDY}")
@@ -169,9 +171,9 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
 
 
 def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Iterator[str]:
-    """Yield what happened to a run that its scenario does not say, and note ends of robots that were not planned.
+    """Yield disturbances of a run that its scenario does not contain, and collect unplanned ends of robots.
 
-    What was done from outside is part of the scenario already, unless the run could not be steered.
+    Requests from outside are already part of the scenario, unless the run was not steerable.
     """
     steered = was_steered(bag)
     for event in step.events:
@@ -184,14 +186,14 @@ def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Ite
         if end is not None:
             ends.append(end)
             yield (
-                f"in the bag robot {event.agent_id} fell silent at step {event.step} and was taken out, "
-                "which the scenario does not say: now it is killed at the step before"
+                f"in the bag robot {event.agent_id} fell silent at step {event.step} and was dropped, "
+                "which is not part of the scenario: the repetition kills it at the step before"
             )
 
 
 def _differences(provenance: Mapping[str, Any], scenario: Scenario) -> Iterator[str]:
     if not provenance:
-        yield "the bag does not say with what it was made: its digest may not be reached"
+        yield "the bag does not record its software versions: the digest may differ"
         return
     here: dict[str, Any] = {"machine": platform.machine(), "byte order": sys.byteorder}
     there = {"machine": provenance.get("machine"), "byte order": provenance.get("byte_order")}
@@ -202,17 +204,17 @@ def _differences(provenance: Mapping[str, Any], scenario: Scenario) -> Iterator[
     for name, value in there.items():
         if value is not None and value != here[name]:
             made = f"{_text(name)} {_text(value)}"
-            yield f"the bag was made with {made}, here it is {here[name]}: its digest may not be reached"
+            yield f"the bag was made with {made}, here it is {here[name]}: the digest may differ"
     fingerprint = provenance.get("libm_fingerprint")
     if fingerprint not in libm_fingerprints():
         yield (
-            f"the bag was made with a mathematical library of fingerprint {_text(fingerprint)}, "
-            f"here it is {libm_fingerprints()[0]}: its digest may not be reached"
+            f"the bag was made with a math library of fingerprint {_text(fingerprint)}, "
+            f"here it is {libm_fingerprints()[0]}: the digest may differ"
         )
 
 
 def _text(value: object) -> str:
-    """Return what a file says such that it fits into a line."""
+    """Return text from a file as one short printable line."""
     return printable(shorten(str(value)))
 
 

@@ -1,4 +1,4 @@
-"""Verifying a bag: what it holds follows from its scenario, message by message."""
+"""Verification of a bag: each message must follow from the scenario and the messages before it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import Verdict
+from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.attached import (
@@ -39,22 +39,22 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
 
 DRIVERS = ("lockstep", "simulate", REALTIME.value)
-"""What moved the state machines of a bag that can be verified, as its provenance says."""
-NOT_VERIFIED = "events, and when within its step a robot was measured, do not follow from other messages"
-"""What is never verified of a run in real time."""
+"""The drivers, as recorded in the provenance, whose bags can be verified."""
+NOT_VERIFIED = "not checked: events, and the time within its step at which a robot was measured"
+"""Data that is never verified in a run in real time."""
 
 
 class BagToVerify:
-    """A bag that was opened, and has what is needed to verify it; of several swarms in it, that of a namespace.
+    """An open bag with everything needed to verify it.
 
-    A bag without a scenario is verified with the one named `scenario`.
+    `namespace` selects a swarm if the bag contains several; `scenario` supplies the one that a bag lacks.
 
     Raises
     ------
     InputError
-        If it is no bag of a swarm, has no scenario, or it is not known how its messages were made.
+        If it is not the bag of a swarm, has no scenario, or comes from an unknown driver.
     DamagedBagError
-        If nothing of it can be read.
+        If it is unreadable.
     """
 
     def __init__(self, path: Path, *, namespace: str | None = None, scenario: str | None = None) -> None:
@@ -62,21 +62,21 @@ class BagToVerify:
         supply_scenario(self._bag, scenario)
         missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
         if missing and not self._bag.problem:
-            raise NotABagError(f"{self._bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
+            raise NotABagError(f"{self._bag.path} is not the bag of a swarm: it lacks {', '.join(missing)}")
         self.scenario, self._from_outside = _scenario(self._bag)
         self._provenance = attached_provenance(self._bag)
         driver = self._provenance.get("driver", REALTIME.value if is_realtime(self._bag) else DRIVERS[0])
         if driver not in DRIVERS:
             raise InputError(
-                f"{self._bag.path} was recorded by driver {show(driver)}, and it is not known how its messages follow "
-                f"from each other; this version knows {', '.join(DRIVERS)}"
+                f"{self._bag.path} was recorded by driver {show(driver)}, which cannot be verified; "
+                f"this version verifies {', '.join(DRIVERS)}"
             )
         self._realtime = realtime_world(self._bag) if driver == REALTIME.value else None
 
-    def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> Verdict:
-        """Verify the bag; damage does not raise, it is part of the answer.
+    def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> VerificationResult:
+        """Verify the bag; damage does not raise but is part of the result.
 
-        At every message `on_step` is told the first step that is not verified yet.
+        After each message `on_step` receives the first step that is not verified yet.
         """
         verification: Verification = (
             LockstepVerification(self.scenario, tolerance=tolerance)
@@ -103,8 +103,8 @@ class BagToVerify:
         return found
 
     def _not_recomputed(self) -> tuple[str, ...]:
-        """Return what of a run in real time is not verified."""
-        assert self._realtime is not None  # noqa: S101 - asked only of such a run
+        """Return notes on what is not verified in a run in real time."""
+        assert self._realtime is not None  # noqa: S101 - called only for such runs
         notes = [NOT_VERIFIED]
         if measured := sorted(set(configure.members(self.scenario)) - set(self._realtime.robots)):
             notes.append(f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured")
@@ -113,7 +113,7 @@ class BagToVerify:
         return tuple(notes)
 
     def _follow(self, verification: Verification, on_step: Callable[[int], None] | None) -> str | None:
-        """Hand the bag's messages over, as long as they matter; return what is wrong with the file."""
+        """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
         try:
             topics = RECORDED if self._realtime else (*MAIN_TOPICS, EVENTS)
             for topic, time, published, payload in self._bag.published(topics):
@@ -127,20 +127,19 @@ class BagToVerify:
         return self._bag.problem
 
     def _unsaid(self) -> tuple[str, ...]:
-        """Return what the bag does not say of its origin."""
+        """Return a note if the bag has no provenance."""
         if self._provenance:
             return ()
-        what = f"the bag has no {PROVENANCE_FILE} that can be read"
-        return (f"{what}: it does not say with what it was made, and was taken for a run in lockstep",)
+        return (f"the bag has no readable {PROVENANCE_FILE}: its versions are unknown, and lockstep is assumed",)
 
     def _elsewhere(self) -> tuple[str, ...]:
-        """Return what was different where the bag was recorded and may explain a difference."""
+        """Return notes on versions that differ from those of the recording and may explain a difference."""
         notes = []
         recorded, here = self._provenance.get("libm_fingerprint"), libm_fingerprints()
         if recorded is not None and recorded not in here:
             notes.append(
-                f"the bag was recorded with another mathematical library (fingerprint {recorded}, here {here[0]}): "
-                "bits may differ for that alone; --tolerance 1e-9 compares numbers instead"
+                f"the bag was recorded with another math library (fingerprint {recorded}, here {here[0]}), which alone "
+                "may change bits; use --tolerance 1e-9 to compare numbers instead"
             )
         then = self._provenance.get("versions")
         if isinstance(then, dict):
@@ -153,28 +152,30 @@ class BagToVerify:
         return tuple(notes)
 
 
-def open_to_verify(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> BagToVerify | Verdict:
-    """Open a bag; a file so damaged that nothing can be compared is a verdict already. Parameters as of `BagToVerify`.
+def open_to_verify(
+    path: Path, *, namespace: str | None = None, scenario: str | None = None
+) -> BagToVerify | VerificationResult:
+    """Open a bag, or return the result for one that is too damaged to compare. Parameters as for `BagToVerify`.
 
     Raises
     ------
     InputError
-        As of `BagToVerify`.
+        As for `BagToVerify`.
     """
     try:
         return BagToVerify(path, namespace=namespace, scenario=scenario)
     except DamagedBagError as error:
-        return Verdict(str(path), problem=str(error))
+        return VerificationResult(str(path), problem=str(error))
 
 
 def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
-    """Return the scenario of a bag, and a note on what of it was done from outside, which nothing can recompute."""
+    """Return the scenario of a bag, and a note on requests from outside, which cannot be recomputed."""
     if bag.problem is not None and bag.attachment(SCENARIO_FILE) is None:
-        raise DamagedBagError(f"{bag.path}: {bag.problem}; with its end it has lost its scenario")
+        raise DamagedBagError(f"{bag.path}: {bag.problem}; its scenario is lost with its end")
     planned = attached_scenario(bag, steered=False)
     try:
         scenario = attached_scenario(bag)
-    except InputError:  # the events contradict the scenario: the first that does is a difference
+    except InputError:  # the events contradict the scenario: the first of them will be a difference
         return planned, ()
     done = [fault for fault in scenario.faults if fault not in planned.faults]
     trees = ({"kind": fault.kind, **tree_of(fault)} for fault in done[:20])
@@ -182,11 +183,11 @@ def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
         " ".join(f"{name} {value}" for name, value in each.items() if value is not None) for each in trees
     )
     more = f" and {len(done) - 20} more" if len(done) > 20 else ""
-    return scenario, (f"from outside, by the events in the bag: {shown}{more}",) if done else ()
+    return scenario, (f"requests from outside, taken from the events in the bag: {shown}{more}",) if done else ()
 
 
 def _other_digest(bag: BagReader, digest: str) -> Difference | None:
-    """Return that the summary of the run, if the bag lies in its folder, tells another digest."""
+    """Return a difference if the bag is in a run folder whose summary has another digest."""
     summary = bag.path.parent.parent / "summary.json"
     if bag.path.parent.name != "bag" or not summary.is_file():
         return None
@@ -194,7 +195,7 @@ def _other_digest(bag: BagReader, digest: str) -> Difference | None:
         found = json.loads(summary.read_bytes())
         said = found["digest"]
     except (OSError, ValueError, RecursionError, KeyError, TypeError):
-        return Difference("summary.json", None, None, "digest", None, digest, "it cannot be read")
+        return Difference("summary.json", None, None, "digest", None, digest, "the file cannot be read")
     if said is None or said == digest:
         return None
     return Difference("summary.json", None, None, "digest", str(said), digest)

@@ -1,1 +1,1 @@
-"""Bags: the MCAP file of a run, written so that ROS tools open it, and read with nothing taken on trust."""
+"""Bags: MCAP files of runs, written for ROS tools, and read without trusting their content."""

@@ -1,4 +1,4 @@
-"""A recorded run as numpy arrays, and the digest of them."""
+"""A recorded run as numpy arrays, and its digest."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ MOST_ABSENT = 50_000_000
 
 
 _MEMORY_FACTOR = 2.5
-"""Memory that loading takes at its peak, in parts of the messages' size."""
+"""Peak memory of loading, as a multiple of the size of the messages."""
 _EVENT_BYTES = 500
-"""Memory that an event takes, without a long text."""
+"""Memory of an event without a long text, bytes."""
 
 _GROUP = Path("/sys/fs/cgroup")
 _STEP = struct.Struct("<28xQ")
@@ -43,20 +43,20 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
     Parameters
     ----------
     namespace : str, optional
-        Which swarm to read if the bag holds several.
+        Which swarm to read if the bag contains several.
     damaged : bool
-        Whether a bag without its end is loaded too, as far as it can be read.
+        Whether to load a bag without its end, as far as it can be read.
     every : int
         Only the steps that are multiples of it are loaded; the others take no memory. All events are loaded.
 
     Raises
     ------
     BagTooLargeError
-        If there is not enough memory for the arrays; nothing has been read then.
+        If there is not enough memory for the arrays, before anything is read.
     NotABagError
-        If it is no bag, or has not all five main topics.
+        If it is not a bag, or lacks a main topic.
     DamagedBagError
-        If the bag is damaged, or a message is not as the contract says.
+        If the bag is damaged, or a message violates its definition.
     """
     bag = open_bag(path, namespace=namespace, damaged=damaged)
     return arrays_since(bag, load_messages(bag, every=every))[0]
@@ -92,7 +92,7 @@ def load_messages(bag: BagReader, *, every: int = 1) -> LoadedMessages:
     """
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
-        raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic {', '.join(missing)}")
+        raise NotABagError(f"{bag.path} is not the bag of a swarm: it lacks {', '.join(missing)}")
     _check_memory(bag, every)
     sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
@@ -142,7 +142,7 @@ def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void]) -> None:
 
 
 def _check_density(bag: BagReader, tables: Tables) -> None:
-    """Refuse a bag whose arrays would be out of all proportion to its messages."""
+    """Raise an error for a bag whose arrays would be far larger than its messages."""
     steps = len(np.unique(np.concatenate([table["step"] for table in tables.values()])))
     states = tables[AGENT_STATE]
     agents = len(np.unique(states["agent_id"]))
@@ -153,9 +153,9 @@ def _check_density(bag: BagReader, tables: Tables) -> None:
 
 
 def digest_of(tables: Tables) -> str:
-    """Return the digest (docs/reference/bag.md) of a run whose messages are given in any order.
+    """Return the digest (docs/reference/bag.md) of a run from messages in any order.
 
-    Padding counts as 0, whatever another recorder has left there: the digest is one of canonical payloads.
+    Padding counts as 0, because the digest covers canonical payloads.
     """
     found = sha256()
     topics = sorted(MAIN_TOPICS, key=lambda topic: topic.name)
@@ -180,7 +180,7 @@ def digest_of(tables: Tables) -> str:
 
 
 def available_memory(group: Path = _GROUP) -> int:
-    """Return the bytes that this process may still take: of the machine, its control group and its limits."""
+    """Return the memory available to this process, bytes: the least of machine, control group and limits."""
     left = [int(psutil.virtual_memory().available)]
     with suppress(OSError, ValueError):  # ValueError: the text "max"
         most, used = ((group / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))

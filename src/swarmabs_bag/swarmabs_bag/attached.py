@@ -1,4 +1,4 @@
-"""What is attached to a bag about its run: the scenario, and the provenance, which says with what it was made."""
+"""Attachments that describe the run of a bag: the scenario, and the provenance with versions and machine."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ SCENARIO_FILE = "scenario.yaml"
 """Name of the attachment with the resolved scenario."""
 
 PROVENANCE_FILE = "provenance.json"
-"""Name of the attachment that says with what the run was made."""
+"""Name of the attachment with versions, machine and driver of the run."""
 
 SCHEMA_VERSION = 1
-"""Version of the provenance's fields; bags without one are of version 1 too (docs/reference/compatibility.md)."""
+"""Version of the provenance's fields; bags without it have version 1 (docs/reference/compatibility.md)."""
 
 _DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that a run's result may depend on; those not installed as distributions are left out."""
+    """Return the versions that may affect the result of a run, of all packages installed as distributions."""
     found = {"python": platform.python_version()}
     for name in _DISTRIBUTIONS:
         try:
@@ -51,7 +51,7 @@ def versions() -> dict[str, str]:
 
 
 def plugin_versions(scenario: Scenario) -> dict[str, str]:
-    """Return the versions of the packages that bring the scenario's parent controller and swarm law."""
+    """Return the versions of the packages that provide the scenario's parent controller and swarm law."""
     packages = (CONTROLLERS.package(scenario.controller.type), LAWS.package(scenario.swarm.law.type))
     return dict(package for package in packages if package is not None)
 
@@ -69,13 +69,13 @@ def provenance(
     Parameters
     ----------
     driver : str
-        What moved the state machines: ``lockstep``, ``simulate`` or ``realtime``.
+        What drove the state machines: ``lockstep``, ``simulate`` or ``realtime``.
     replay : mapping, optional
-        What was replayed from which bag, if this is the bag of a replay.
+        Nodes and source bag of a replay.
     realtime : mapping, optional
-        How time became steps, and what was simulated, of a run in real time.
+        Mapping from time to steps, and the simulated parts, of a run in real time.
     steered : bool
-        Whether the run could be steered: then its events say what was done to it, and its scenario does not.
+        Whether the run was steerable: then requests are in its events, and not in its scenario.
     """
     own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
@@ -95,18 +95,18 @@ def provenance(
 
 
 def attachments(scenario: Scenario, made: Mapping[str, object]) -> dict[str, bytes]:
-    """Return what is attached when a bag is opened: the scenario and its `provenance`."""
+    """Return the attachments of a new bag: the scenario and its `provenance`."""
     text = json.dumps(made, indent=2, sort_keys=True)
     return {SCENARIO_FILE: dump_scenario(scenario).encode(), PROVENANCE_FILE: text.encode() + b"\n"}
 
 
 def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
-    """Load the scenario that a user has named: a built-in one, a YAML file, or that of a bag.
+    """Load a scenario given by a user: a built-in one, a YAML file, or that of a bag.
 
     Raises
     ------
     InputError
-        If there is no such thing, or it is not valid.
+        If it does not exist or is not valid.
     """
     if names_bag(named):
         return attached_scenario(open_bag(Path(named), several=True), overrides)
@@ -114,63 +114,63 @@ def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
 
 
 def supply_scenario(bag: BagReader, named: str | None) -> None:
-    """Take the scenario that a user has named for that of a bag without one, as other recorders write it.
+    """Supply a scenario for a bag without one, as written by other recorders.
 
     Raises
     ------
     InputError
-        If the bag holds a scenario, or there is none of this name, or it is not valid.
+        If the bag contains a scenario, or the named one does not exist or is not valid.
     """
     if named is None:
         return
     if bag.attachment(SCENARIO_FILE) is not None:
-        raise InputError(f"{bag.path} holds its own scenario; leave --scenario out")
+        raise InputError(f"{bag.path} contains a scenario; leave out --scenario")
     bag.supplied[SCENARIO_FILE] = dump_scenario(find_scenario(named).resolved()).encode()
 
 
 def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
-    """Return the scenario that a bag holds, of several swarms in it that of all.
+    """Return the scenario of a bag; several swarms must share it.
 
-    Of a run that was steered it is the one in which all that was done from outside is planned: the recorded run follows
-    from it. With ``steered=False`` it is the one that was started.
+    For a steered run, it includes all requests as planned faults, so that the recorded run follows from it. With
+    ``steered=False`` it is the scenario at the start.
 
     Raises
     ------
     InputError
-        If there is none, it is not valid, there are different ones, or what was done from outside contradicts it.
+        If it is missing, invalid, ambiguous, or contradicted by the recorded requests.
     DamagedBagError
         If its bytes are damaged.
     """
     text = bag.attachment(SCENARIO_FILE)
     if text is None:
         raise InputError(
-            f"{bag.path} holds no scenario, so it is not known what it is a run of; if you have its file, "
-            "verify, report, run and simulate take it with --scenario"
+            f"{bag.path} contains no scenario; if you have its file, give it to verify, report, run or simulate with "
+            "--scenario"
         )
     if bag.contradicts_itself(SCENARIO_FILE):
-        of = "which of its swarms each is of" if len(bag.swarms) > 1 else "of which it is a run"
-        raise InputError(f"{bag.path} holds several scenarios and does not say {of}")
+        of = "which swarm each belongs to" if len(bag.swarms) > 1 else "which one was run"
+        raise InputError(f"{bag.path} contains several scenarios and does not state {of}")
     source = f"{bag.path}:{SCENARIO_FILE}"
     acted = steered and was_steered(bag) and len(bag.swarms) <= 1
     try:
         scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides)
     except UnicodeDecodeError as error:
-        raise InputError(f"{source} is not UTF-8 text, so it is not known what it is a run of") from error
+        raise InputError(f"{source} is not UTF-8 text, so its scenario is unknown") from error
     return as_planned(scenario, _events(bag), source=source, overrides=overrides) if acted else scenario
 
 
 def contradiction(bag: BagReader) -> str | None:
-    """Return what is wrong with the attachments of a whole bag, which no repair can decide; errors as of `attachments`.
+    """Return a contradiction between the attachments of an intact bag, which no repair can resolve.
 
-    A bag of several swarms may hold the scenario of each.
+    A bag of several swarms may contain a scenario for each. Errors as for `attachments`.
     """
     if len(bag.swarms) <= 1 and bag.contradicts_itself(SCENARIO_FILE):
-        return "it holds several scenarios and does not say of which it is a run"
+        return "it contains several scenarios and does not state which one was run"
     return None
 
 
 def step_period(bag: BagReader) -> int | None:
-    """Return the control period of a bag's run in lockstep, ns; None in real time, and where it is not known."""
+    """Return the control period of a bag's run in lockstep, ns; None in real time, or if unknown."""
     if is_realtime(bag):
         return None
     try:
@@ -186,21 +186,22 @@ def event_time(bag: BagReader) -> Callable[[SwarmEvent], float]:
 
 
 def is_realtime(bag: BagReader) -> bool:
-    """Tell whether a bag was recorded in real time: its provenance says so, else only such runs have a topic of inputs.
+    """Return whether a bag was recorded in real time, according to its provenance.
 
-    A bag of another recorder, or a converted one, has no provenance.
+    A bag of another recorder, or a converted one, has no provenance; then the topic of inputs decides, which only runs
+    in real time have.
     """
     made = attached_provenance(bag)
     return bool(made["driver"] == REALTIME.value) if "driver" in made else BASIS in bag.topics()
 
 
 def was_steered(bag: BagReader) -> bool:
-    """Say whether a bag's run could be steered."""
+    """Return whether the run of a bag was steerable."""
     return attached_provenance(bag).get("steered") is True
 
 
 def _events(bag: BagReader) -> Iterator[SwarmEvent]:
-    """Yield the events of a bag, as far as they can be read: what is damaged, others tell."""
+    """Yield the readable events of a bag; other readers report the damage."""
     with suppress(DamagedBagError):
         for _, _, message in bag.decoded((EVENTS,)):
             if isinstance(message, SwarmEvent):
@@ -208,7 +209,7 @@ def _events(bag: BagReader) -> Iterator[SwarmEvent]:
 
 
 def attached_provenance(bag: BagReader) -> dict[str, Any]:
-    """Return the provenance that a bag holds, empty if there is none that can be read."""
+    """Return the provenance of a bag, empty if missing or unreadable."""
     try:
         found = json.loads(bag.attachment(PROVENANCE_FILE) or b"{}")
     except (DamagedBagError, ValueError, RecursionError):

@@ -1,6 +1,6 @@
-"""One MCAP file of a bag: opened, read in file order, and compared with every length, CRC and number in it.
+"""A single MCAP file of a bag, read in file order, with every length, CRC and count checked.
 
-What is not as the file says raises `DamagedBagError`; all that was before it has been yielded then.
+A contradiction raises `DamagedBagError` after everything before it has been yielded.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BagFile:
-    """An MCAP file with its size in bytes and what it says it holds; nothing stays open between calls."""
+    """An MCAP file with its size in bytes and its index; nothing stays open between calls."""
 
     path: Path
     size: int
@@ -48,8 +48,8 @@ class BagFile:
     def stored(self) -> Iterator[StoredMessage]:
         """Yield every message in file order."""
         index, latest, count = self.index, 0, 0
-        said = index.statistics.message_count
-        most = math.inf if index.problem else said
+        stated = index.statistics.message_count
+        most = math.inf if index.problem else stated
         with self._opened(lambda: f"; the messages before it, up to {latest / 1e9:.9g} s, can be read") as stream:
             for message in self._messages(stream):
                 if message.channel_id not in index.channels:
@@ -61,16 +61,16 @@ class BagFile:
                 if count > most:
                     break
                 yield message
-        if index.problem is None and count != said:
+        if index.problem is None and count != stated:
             counted = f"at least {count}" if count > most else str(count)
-            raise DamagedBagError(f"{self.path}: the summary says message_count = {said}, but it is {counted}")
+            raise DamagedBagError(f"{self.path}: the summary states message_count = {stated}, but it is {counted}")
 
     def _messages(self, stream: BinaryIO) -> Iterator[StoredMessage]:
         index = self.index
         if index.data_end <= len(MAGIC):
             return
         crc = zlib.crc32(MAGIC)
-        # A damaged file ends at data_end; a complete one has a DataEnd record there, which ends the loop.
+        # A damaged file ends at data_end; in a complete one, the DataEnd record there ends the loop.
         for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
             if record.opcode == Opcode.CHUNK:
                 yield from inner_messages(uncompress(record), record.offset)
@@ -89,12 +89,12 @@ class BagFile:
                 with self._opened() as stream:
                     attachment = read_attachment(read_record(stream, entry.offset, self.size))
                     if attachment.name != name:
-                        raise RecordError(entry.offset, f"the attachment here is not {show(name)}, as the summary says")
+                        raise RecordError(entry.offset, f"the attachment is not {show(name)}, as the summary states")
                 yield attachment.data
 
     def description(self) -> str:
-        """Return rosbag2's description of the bag as YAML text, empty if the file has none."""
-        for entry in reversed(self.index.metadata):  # rosbag2 writes one at opening, too
+        """Return rosbag2's description of the bag as YAML text, or an empty string."""
+        for entry in reversed(self.index.metadata):  # rosbag2 also writes one at the beginning
             if entry.name == RECORD_NAME:
                 with self._opened() as stream:
                     record: Metadata = parse(Metadata, read_record(stream, entry.offset, self.size))
@@ -102,7 +102,7 @@ class BagFile:
         return ""
 
     def check(self) -> None:
-        """Read the whole file and compare it with every CRC and with what its summary says."""
+        """Read the whole file and compare it with every CRC and with its summary."""
         with self._opened() as stream:
             found = scan_index(stream, self.size)
             if found.problem is not None:
@@ -114,7 +114,7 @@ class BagFile:
 
     @contextmanager
     def _opened(self, remedy: Callable[[], str] = str) -> Iterator[BinaryIO]:
-        """Open the file; what is wrong in it is told with its name, and with what can be done all the same."""
+        """Open the file; add its name and a remedy to errors."""
         try:
             with self.path.open("rb") as stream:
                 yield stream
@@ -125,7 +125,7 @@ class BagFile:
 
 
 def open_file(path: Path, *, damaged: bool) -> BagFile:
-    """Open an MCAP file; parameters and errors as of `open_bag`."""
+    """Open an MCAP file; parameters and errors as for `open_bag`."""
     try:
         with path.open("rb") as stream:
             size = stream.seek(0, 2)
@@ -134,7 +134,7 @@ def open_file(path: Path, *, damaged: bool) -> BagFile:
             if not MAGIC.startswith(magic):
                 raise NotABagError(f"{path} is not a bag: it does not begin as an MCAP file")
             if len(magic) < len(MAGIC):
-                raise DamagedBagError(f"{path} has only {size} bytes: nothing was written into it")
+                raise DamagedBagError(f"{path} has only {size} bytes: nothing was written to it")
             try:
                 index = read_index(stream, size)
             except RecordError as error:
@@ -157,9 +157,10 @@ def _readable(index: FileIndex) -> str:
 
 
 def _check_crc(end: Record, crc: int) -> None:
-    """Compare the CRC of the data section with what its end says."""
+    """Compare the CRC of the data section with the stated one."""
     stated: DataEnd = parse(DataEnd, end)
     if stated.data_section_crc not in {0, crc}:
         raise RecordError(
-            end.offset, f"CRC of the data section is {crc:#010x}, but the file says {stated.data_section_crc:#010x}"
+            end.offset,
+            f"the CRC of the data section is {crc:#010x}, but the file states {stated.data_section_crc:#010x}",
         )

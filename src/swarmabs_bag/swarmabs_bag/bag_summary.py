@@ -1,4 +1,4 @@
-"""What the run in a bag comes to, and which angle was desired in it, by the arithmetic of the recorder."""
+"""Summary and desired angle of the run in a bag, by the arithmetic of the recorder."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 
 def desired_angle(bag: BagReader) -> Callable[[int], float]:
-    """Return the desired angle (rad) of a bag's run by step, with its offsets.
+    """Return the desired angle (rad) of a bag's run as a function of the step, including offsets.
 
-    It is NaN where the bag has no valid scenario, and in real time where the parent controller has not answered.
+    It is NaN if the bag has no valid scenario, and in real time at steps without an answer of the parent controller.
     """
     scenario = _scenario(bag)
     if scenario is None:
@@ -38,14 +38,14 @@ def desired_angle(bag: BagReader) -> Callable[[int], float]:
 
 
 def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
-    """Return the summary of a bag's run (`RunArrays.summary`), also of one without its end, in one pass through it.
+    """Return the summary of a bag's run (`RunArrays.summary`), even if its end is missing, in a single pass.
 
-    The figures of a run whose messages are far out of order are None.
+    If the messages are far out of order, all figures are None.
 
     Raises
     ------
     NotABagError
-        If the bag is no longer there.
+        If the bag no longer exists.
     DamagedBagError
         If the bag is damaged.
     """

@@ -1,4 +1,4 @@
-"""The topics of a bag: what they are, of which swarm, and whether the definitions of their messages can be read."""
+"""The topics of a bag: type, swarm, and whether their message definitions are readable."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ READABLE = {
     "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
     "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
 }
-"""Hashes of the recorded types, that of today last. None is ever taken out (docs/reference/compatibility.md)."""
+"""Hashes of the recorded types, the current one last. None is ever removed (docs/reference/compatibility.md)."""
 
 
 def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) -> BagChannel:
-    """Return what a file says of a channel, which is that of a topic."""
+    """Return the description of a channel in a file, with its topic of the swarm if any."""
     return BagChannel(
         name=channel.topic,
         ros_type=_ros_type(channel, index),
@@ -48,7 +48,7 @@ def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) 
 
 
 def bag_topics(indexes: Iterable[FileIndex]) -> list[BagChannel]:
-    """Return the topics of several files with their numbers of messages."""
+    """Return the topics of several files with their message counts."""
     found: dict[str, BagChannel] = {}
     for index in indexes:
         for _, one in sorted(index.channels.items()):
@@ -60,15 +60,15 @@ def bag_topics(indexes: Iterable[FileIndex]) -> list[BagChannel]:
 
 
 def swarm_topics(index: FileIndex) -> dict[int, tuple[str, Topic]]:
-    """Return the channels that are of a swarm: by number the namespace, with its last slash, and the topic."""
+    """Return the channels of swarms: namespace, with trailing slash, and topic by channel number."""
     found = ((number, _swarm_topic(channel, index)) for number, channel in index.channels.items())
     return {number: topic for number, topic in found if topic is not None}
 
 
 def chosen_swarm(path: Path, swarms: Sequence[str], namespace: str | None) -> str | None:
-    """Return which of the swarms is read, None if there is none, or none of several is named.
+    """Return the swarm to read, None if there is none, or several and no namespace.
 
-    Raises `NotABagError` if there is no swarm of that name.
+    Raises `NotABagError` if there is no swarm in that namespace.
     """
     if namespace is None:
         return swarms[0] if len(swarms) == 1 else None
@@ -76,12 +76,13 @@ def chosen_swarm(path: Path, swarms: Sequence[str], namespace: str | None) -> st
     chosen = f"/{name}/" if name else "/"
     if chosen not in swarms:
         wanted = printable(shorten(namespace))
-        raise NotABagError(f"{path} holds no swarm in the namespace {wanted}, but in {named_swarms(swarms) or 'none'}")
+        there = named_swarms(swarms) or "none"
+        raise NotABagError(f"{path} contains no swarm in the namespace {wanted}; its swarms: {there}")
     return chosen
 
 
 def named_swarms(swarms: Sequence[str]) -> str:
-    """Return the namespaces of swarms for people, such that text from a file cannot steer the terminal."""
+    """Return the namespaces of swarms as text that is safe for the terminal."""
     more = [f"{len(swarms) - _MOST_NAMED} more"] if len(swarms) > _MOST_NAMED else []
     return ", ".join([*(printable(shorten(name.rstrip("/") or "/")) for name in swarms[:_MOST_NAMED]), *more])
 
@@ -100,9 +101,9 @@ def _swarm_topic(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None
 
 
 def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
-    """Refuse a bag whose messages have definitions that are not known, with `UnknownTypeError`.
+    """Raise `UnknownTypeError` for a bag with unknown message definitions.
 
-    A channel without a hash passes: its messages are read as those of today, and their sizes checked.
+    A channel without a hash passes: its messages are read with the current definition, and their sizes checked.
     """
     for channel in channels:
         known = READABLE.get(channel.ros_type)

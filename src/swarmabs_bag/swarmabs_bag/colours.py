@@ -1,9 +1,9 @@
-"""The colour of each quantity and status, wherever a swarm is shown.
+"""The colour of each quantity and status in all views of a swarm.
 
-Reports, the pictures of sweeps, the markers of RViz and the models use these values; the style sheet of the page, the
-layout of Foxglove and the model in `swarmabs_bringup` repeat them. Six of the colours are Okabe and Ito's, which people
-with any colour vision tell apart. Only the figures that reproduce those of the paper have colours of their own
-(`swarmabs_analysis.figures`), because they are compared with the printed ones.
+Reports, pictures of sweeps, RViz markers and models use these values; the style sheet of the page, the Foxglove layout
+and the model in `swarmabs_bringup` repeat them. Six of the colours are those of Okabe and Ito, distinct with any colour
+vision. Only the figures that reproduce those of the paper (`swarmabs_analysis.figures`) use other colours, because they
+are compared with the printed ones.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 PLANE = "#0072b2"
 """The plane: its angle and rate."""
 REFERENCE = "#000000"
-"""What a quantity is compared with, drawn dashed: the reference of the angle, the desired abstract state."""
+"""Desired values, drawn dashed: the reference of the angle, the desired abstract state."""
 ERROR = "#d55e00"
 TORQUE = "#009e73"
 INERTIA = "#cc79a7"
@@ -41,6 +41,6 @@ def parts(colour: str) -> tuple[float, float, float]:
 
 
 def tint(colour: str, share: float) -> str:
-    """Return a colour mixed with white, of which it has a share from 0 to 1."""
+    """Return a mix of white and a colour, with a share of the colour from 0 to 1."""
     mixed = [round(255.0 * (1.0 - share * (1.0 - part))) for part in parts(colour)]
     return f"#{bytes(mixed).hex()}"

@@ -10,7 +10,7 @@ from swarmabs_core.errors import InputError, RunError
 if TYPE_CHECKING:
     from pathlib import Path
 
-# By the errors that are those of the disk or the machine, and not of what was named.
+# Errors of the disk or the machine, not of the path given.
 REMEDIES = {
     errno.ENOSPC: "free space on that disk, or record to another one with -o",
     errno.EDQUOT: "free some of your quota, or record to another disk with -o",
@@ -21,16 +21,16 @@ REMEDIES = {
 }
 
 CONVERT = "convert it with ros2 bag convert (docs/how-to/ros.md)"
-"""What to do about a bag of rosbag2 in a form that is not read."""
+"""Remedy for a rosbag2 bag in an unsupported format."""
 
 
 def remedy(cause: OSError) -> str:
-    """Return what to do about an error of a file."""
+    """Return the remedy for a file error."""
     return REMEDIES.get(cause.errno or 0, "check that disk, or record to another one with -o")
 
 
 def repair_command(bag: Path | str) -> str:
-    """Return what to do about a damaged bag."""
+    """Return the remedy for a damaged bag."""
     return f"repair it with ./scripts/swarm repair {bag}"
 
 
@@ -39,11 +39,11 @@ class BagFolderError(InputError):
 
 
 class UnknownTypeError(InputError):
-    """The definition of a message type is not installed, or not known."""
+    """The definition of a message type is not installed or unknown."""
 
 
 class BagWriteError(RunError):
-    """Writing a bag failed; what was written before is kept."""
+    """Writing a bag failed; everything written before is kept."""
 
     def __init__(self, path: Path, cause: OSError) -> None:
         super().__init__(f"cannot write {path}: {cause.strerror or cause}; {remedy(cause)}")
@@ -51,12 +51,12 @@ class BagWriteError(RunError):
 
 
 class NotABagError(InputError):
-    """What was named is no bag of a swarm, or there is nothing of that name."""
+    """The path does not exist, or is not the bag of a swarm."""
 
 
 class BagTooLargeError(InputError):
-    """There is not enough memory for what was asked of a bag."""
+    """There is not enough memory to load a bag."""
 
 
 class DamagedBagError(RunError):
-    """A bag is cut off or changed; the text says where, and what can still be read."""
+    """A bag is truncated or corrupted; the text says where, and what can still be read."""

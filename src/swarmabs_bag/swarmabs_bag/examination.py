@@ -1,4 +1,4 @@
-"""The state of a damaged bag: its files, what can be saved of each, what is wrong with it, and the steps it holds."""
+"""Examination of a damaged bag: its files, what can be recovered from each, the damage, and the recorded steps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Part:
-    """A file of the bag, its name afterwards, what can be saved (None if nothing was ever in it), and what is wrong."""
+    """A file of the bag, its new name, what can be recovered (None if nothing was ever written), and its problems."""
 
     path: Path
     name: str
@@ -47,7 +47,7 @@ class Part:
 
     @property
     def index(self) -> FileIndex:
-        """What the file holds afterwards."""
+        """The index of the new file."""
         return FileIndex() if self.found is None else self.found.index
 
     def custom_data(self) -> dict[str, str]:
@@ -55,21 +55,21 @@ class Part:
         return custom_texts(load_yaml("" if self.found is None else self.found.description))
 
     def rebuild(self, output: RecordFile | None = None, custom: Mapping[str, str] | None = None) -> Rebuilt:
-        """Find out what can be saved, and write it to a new file if there is one."""
+        """Determine what can be recovered, and write it to `output` if given."""
         with self.path.open("rb") as stream:
             self.found = Rebuilt(stream, self.size, output, definitions=self.definitions, name=self.name, custom=custom)
             return self.found
 
 
 def examine(bag: Path) -> tuple[list[Part], list[str]]:
-    """Return the files of a bag with what can be saved of them, and what is wrong with the bag as a whole."""
+    """Return the files of a bag, examined, and the problems of the bag as a whole."""
     files = (split_files(bag.glob(f"*{SUFFIX}")) or {}) if bag.is_dir() else {0: bag}
     if not files:
         raise NotABagError(f"{bag} is a folder without .mcap files: name a run folder, its bag/, or an .mcap file")
     problems = missing_files(files) if bag.is_dir() else []
     for path in files.values():
-        if not path.is_file() and path.exists():  # it opens only when somebody writes into it, or never ends
-            raise NotABagError(f"{path} is no file: move it away, or name one of the files beside it")
+        if not path.is_file() and path.exists():  # opening a pipe or device may block for ever
+            raise NotABagError(f"{path} is not a regular file: move it away, or name one of the other files")
     definitions = _definitions(files.values()) if len(files) > 1 else None
     parts: list[Part] = []
     for path in files.values():
@@ -88,18 +88,18 @@ def _examined(path: Path, definitions: FileIndex | None) -> Part:
             if not _begins_as_mcap(stream, part.size):
                 raise NotABagError(f"{path} is not a bag: it does not begin as an MCAP file")
         if part.size <= len(MAGIC):
-            part.problems.append(f"{path.name} has only {part.size} bytes: nothing was written into it")
+            part.problems.append(f"{path.name} has only {part.size} bytes: nothing was written to it")
         else:
             part.problems += _problems(part.rebuild())
     except OSError as error:
         raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
     except RecordError as error:
-        raise DamagedBagError(f"{path}: {error}; nothing can be saved") from error
+        raise DamagedBagError(f"{path}: {error}; nothing can be recovered") from error
     return part
 
 
 def _begins_as_mcap(stream: BinaryIO, size: int) -> bool:
-    """Tell whether a file begins as one of MCAP, which may be cut off, or have lost nothing but its first bytes."""
+    """Return whether a file begins as an MCAP file, even if it is truncated there or its first bytes are damaged."""
     stream.seek(0)
     if MAGIC.startswith(stream.read(len(MAGIC))):
         return True
@@ -112,7 +112,7 @@ def _begins_as_mcap(stream: BinaryIO, size: int) -> bool:
 
 
 def _definitions(files: Iterable[Path]) -> FileIndex | None:
-    """Return schemas and channels from any file of a bag of this project, whose files all number them alike."""
+    """Return schemas and channels from any file of a bag by this project, where all files share their numbers."""
     for path in files:
         try:
             with path.open("rb") as stream:
@@ -125,32 +125,32 @@ def _definitions(files: Iterable[Path]) -> FileIndex | None:
 
 
 def _problems(found: Rebuilt) -> list[str]:
-    """Return what is wrong with a file; nothing if it is whole."""
+    """Return the problems of a file; empty if it is intact."""
     problems = [f"at byte {part.offset}: {part.problem}" for part in found.damage]
     if found.end is None:
-        problems.append("it ends before it says what it holds")
+        problems.append("its end, with the summary of its content, is missing")
     if found.reindexed:
-        problems.append(f"{found.reindexed} chunks without right message indexes or times")
+        problems.append(f"{found.reindexed} chunks with wrong or missing message indexes or times")
     if found.unschemed:
-        problems.append(f"{len(found.unschemed)} topics whose definition is nowhere in the file")
+        problems.append(f"{len(found.unschemed)} topics without a definition in the file")
     if found.repacked and not found.damage:
-        problems.append(f"{found.repacked} messages outside of any chunk")
+        problems.append(f"{found.repacked} messages outside of chunks")
     wrong = None if problems else _summary_problem(found)
     return problems if wrong is None else [wrong]
 
 
 def _summary_problem(found: Rebuilt) -> str | None:
-    """Return where a file whose data section is whole contradicts what it says of it."""
+    """Return a contradiction between an intact data section and the summary of the file."""
     stated, there = found.stated, found.before
     if stated is None:
         return found.unstated
     if found.end is not None and found.end.data_section_crc not in {0, there.crc}:
-        return "CRC of the data section does not match"
+        return "the CRC of the data section does not match"
     return stated.contradicted_by(there)
 
 
 def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
-    """Return what is wrong with ``metadata.yaml``, as far as it would mislead a reader."""
+    """Return a problem of ``metadata.yaml`` that would mislead a reader, or None."""
     if not (folder / METADATA_FILE).exists():
         return f"{METADATA_FILE} is missing"
     try:
@@ -158,7 +158,7 @@ def metadata_problem(folder: Path, parts: Sequence[Part]) -> str | None:
     except ScenarioError:
         return f"{METADATA_FILE} cannot be read"
     if stated is None:
-        return f"{METADATA_FILE} is not rosbag2's"
+        return f"{METADATA_FILE} is not a description by rosbag2"
     counts = _counts(bag_topics(part.index for part in parts))
     listed = _listed(stated)
     right = (
@@ -175,21 +175,21 @@ def _counts(topics: Iterable[BagChannel]) -> dict[str, int]:
 
 
 def silent_topics(folder: Path) -> list[BagChannel]:
-    """Return the topics without messages of ``metadata.yaml``, the only place where a damaged bag may name them."""
+    """Return the topics without messages from ``metadata.yaml``, which may be their only record in a damaged bag."""
     with suppress(ScenarioError):
         return [topic for topic in _listed(_stated(folder) or {}) or () if topic.message_count == 0]
     return []
 
 
 def _stated(folder: Path) -> dict[str, Any] | None:
-    """Return what ``metadata.yaml`` says, None if it is not rosbag2's; a `ScenarioError` if it cannot be read."""
+    """Return the content of ``metadata.yaml``, None if it is not rosbag2's; raise `ScenarioError` if unreadable."""
     document = load_yaml(read_text(folder / METADATA_FILE, "description"))
     stated = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None
     return stated if isinstance(stated, dict) else None
 
 
 def _listed(stated: dict[str, Any]) -> list[BagChannel] | None:
-    """Return the topics that ``metadata.yaml`` lists with their numbers of messages, None if it has no such list."""
+    """Return the topics with message counts listed in ``metadata.yaml``, None if there is no such list."""
     try:
         return [listed_topic(entry) for entry in stated.get("topics_with_message_count") or ()]
     except (AttributeError, TypeError, KeyError):
@@ -198,16 +198,16 @@ def _listed(stated: dict[str, Any]) -> list[BagChannel] | None:
 
 @dataclass(frozen=True, slots=True)
 class RecordedSteps:
-    """How far a bag goes; where not even the first step is complete, the last one is that before it.
+    """The complete steps in a bag; if the first step is incomplete, the last complete one is the step before it.
 
     Attributes
     ----------
     last_planned : int
         Last step of the scenario.
     first : int
-        First complete step; not 0 in a later file of a split bag, or where the beginning is lost.
+        First complete step; not 0 in a later file of a split bag, or if the beginning is lost.
     last_complete, by_topic
-        Last step up to which, from the first one on, no message of a main topic is missing; the same for each of them.
+        Last step of the range from the first one without a missing message on any main topic, and on each.
     """
 
     last_planned: int
@@ -217,10 +217,10 @@ class RecordedSteps:
 
 
 def recorded_steps(path: Path | str) -> RecordedSteps | None:
-    """Find out how far a bag goes; None if it is not the bag of one swarm with its scenario."""
+    """Determine the complete steps of a bag; None if it is not the bag of a single swarm with its scenario."""
     try:
         bag = open_bag(path, damaged=True)
-        if is_realtime(bag):  # a step need not have all messages
+        if is_realtime(bag):  # steps may lack messages
             return None
         scenario = attached_scenario(bag, steered=False)
         members = configure.members(scenario)
@@ -246,7 +246,7 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
             missing.append(step if step <= last else scenario.steps + 1)
         return min(missing)
 
-    # The file may begin within a step, which then is not the first.
+    # The file may begin within a step, which then does not count as the first.
     first = max((spans.first for (topic, _), spans in found.items() if topic is not AGENT_STATE), default=0)
     first += first_missing(AGENT_STATE, first) == first and first_missing(AGENT_STATE, first + 1) > first + 1
     last = {topic: first_missing(topic, first) - 1 for topic in MAIN_TOPICS}
@@ -256,7 +256,7 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
 
 
 class _Spans:
-    """A set of steps that come nearly in order, kept as spans."""
+    """A set of nearly ordered steps, stored as spans."""
 
     def __init__(self) -> None:
         self._spans: list[tuple[int, int]] = []
@@ -273,7 +273,7 @@ class _Spans:
             self._spans.append((step, step))
 
     def first_missing(self, start: int) -> int:
-        """Return the first step from `start` on that is not there."""
+        """Return the first missing step from `start` on."""
         position = start
         for first, end in sorted(self._spans):
             if first > position:

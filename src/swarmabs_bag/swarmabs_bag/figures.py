@@ -1,4 +1,4 @@
-"""Figures of a run, computed while it is recorded or read: steps in order, or in real time whatever arrives."""
+"""Figures of a run, computed during recording or reading: from ordered steps, or in real time from messages."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     Reference = Callable[[float], float]
 
 TOLERANCE = 0.01
-"""Error, rad, below which the plane counts as settled."""
+"""Error below which the plane counts as settled, rad."""
 _PENDING = 100
-"""Steps for which a state of the plane waits for the answer of the parent controller, or the other way round."""
+"""Steps for which a state of the plane waits for the answer of the parent controller, or vice versa."""
 _ANSWERED = 10
-"""Steps of the plane without such an answer after which its angle is shown without an error."""
+"""Steps without such an answer after which the plane's angle is reported without an error."""
 
 
 class Latest(NamedTuple):
-    """What people watch of a running simulation: the angle and its error, rad; None where nothing is asked for."""
+    """The latest angle and its error, rad; the error is None without a reference."""
 
     step: int
     angle: float
@@ -46,12 +46,12 @@ class Latest(NamedTuple):
 
 
 class Figures:
-    """What a run comes to: how well the plane follows its reference, how far robots go, how many messages there are.
+    """Figures of a run: tracking of the reference, largest position, number of messages.
 
     Parameters
     ----------
     reference : callable
-        Angle (rad) that the plane should have at a time (s), in real time that of the law.
+        Reference of the plane's angle (rad) at a time (s), in real time that of the law.
 
     Attributes
     ----------
@@ -72,18 +72,18 @@ class Figures:
 
     @property
     def latest(self) -> Latest | None:
-        """What the run looks like now."""
+        """The latest angle and error."""
         return self._latest
 
     def reach(self, distance: float) -> None:
-        """Note how far a robot was from the axis, m."""
+        """Record the distance of a robot from the axis, m."""
         if self._max_abs_position is None or not distance <= self._max_abs_position:
-            self._max_abs_position = distance  # also if it is NaN
+            self._max_abs_position = distance  # even if it is NaN
 
     def follow(self, step: int, time: float, angle: float) -> None:
-        """Compare the plane's angle (rad) of a step with the reference at a time (s)."""
+        """Compare the plane's angle (rad) at a step with the reference at a time (s)."""
         error = self._reference(time) - angle
-        if not abs(error) < TOLERANCE:  # NaN is no small error
+        if not abs(error) < TOLERANCE:  # NaN does not count as small
             self._settled_at = None
         elif self._settled_at is None:
             self._settled_at = time
@@ -94,7 +94,7 @@ class Figures:
         self.newest = max(self.newest, step)
 
     def figures(self) -> dict[str, float | int | None]:
-        """Return the figures under their names in ``summary.json``; None where there is no finite one."""
+        """Return the figures by their names in ``summary.json``; None for unknown and non-finite ones."""
         rms_error = (self._squares / self._steps) ** 0.5 if self._steps else None
         return {
             "settled_at": self._settled_at,
@@ -110,7 +110,7 @@ def _finite(value: float | None) -> float | None:
 
 
 class RunFigures(Figures):
-    """Digest and figures of a run whose steps come in order."""
+    """Digest and figures of a run with ordered steps."""
 
     def __init__(self, reference: Reference) -> None:
         super().__init__(reference)
@@ -130,12 +130,12 @@ class RunFigures(Figures):
         return self._digest.hexdigest()
 
     def summary(self) -> dict[str, Any]:
-        """Return figures and digest; there is no digest of a run that recorded nothing."""
+        """Return figures and digest; the digest of a run without messages is None."""
         return {**self.figures(), "digest": self.digest() if self._latest is not None else None}
 
 
 class _Span:
-    """Steps of which there were messages: the first, the last, how many."""
+    """Steps with messages: first, last and count."""
 
     __slots__ = ("count", "first", "last")
 
@@ -151,12 +151,13 @@ class _Span:
 class RealtimeFigures(Figures):
     """Figures of a run in real time.
 
-    The error counts from the answer of the parent controller on with which its law's time has begun, and in this time.
+    The tracking error starts with the answer at which the time of the parent controller's law begins, and uses this
+    time.
 
     Attributes
     ----------
     fallen : str
-        When and why the swarm has lost the plane, and what helps; empty if it has not.
+        When and why the swarm lost control of the plane, and a remedy; empty if it has not.
     """
 
     def __init__(self, reference: Reference, schedule: Schedule) -> None:
@@ -172,14 +173,14 @@ class RealtimeFigures(Figures):
 
     @property
     def latest(self) -> Latest | None:
-        """What the run looks like now: without an error where the parent controller no longer answers the plane."""
+        """The latest angle and error; without an error if the parent controller no longer answers the plane."""
         plane, compared = self._plane, self._latest
         if plane is None or compared is None or abs(plane.step - compared.step) <= _ANSWERED:
             return compared
         return Latest(plane.step, plane.angle, None)
 
     def add(self, record: Record) -> None:
-        """Take a recorded message."""
+        """Add a recorded message."""
         message = record.message
         self._messages += 1
         if isinstance(message, SwarmEvent):
@@ -203,13 +204,13 @@ class RealtimeFigures(Figures):
             self._watch(message)
 
     def _watch(self, plane: PlaneState) -> None:
-        """Keep the plane's state, and notice the first in which the swarm has lost it."""
+        """Keep the plane's state, and detect the first one out of control."""
         self._plane = plane
         if not self.fallen and (problem := fallen(plane)):
             self.fallen = f"t = {plane.step * self._schedule.period_ns / 1e9:g} s, {problem}"
 
     def _follow(self, step: int) -> None:
-        """Compare the plane's angle with the reference once angle and time of the law are known."""
+        """Compare the plane's angle with the reference once both angle and time of the law are known."""
         if step in self._angles and step in self._begun:
             periods = step - self._begun.pop(step)
             self.follow(step, periods * self._schedule.period_ns / 1e9, self._angles.pop(step))
@@ -218,21 +219,21 @@ class RealtimeFigures(Figures):
                 del waiting[next(iter(waiting))]
 
     def summary(self) -> dict[str, Any]:
-        """Return all figures; there is no digest, since what arrives differs from run to run."""
+        """Return all figures; there is no digest, because received messages differ from run to run."""
         return {**self.figures(), "digest": None, "realtime": self.realtime()}
 
     def realtime(self) -> dict[str, object]:
-        """Return what only a run in real time has: received and missing messages, ages of broadcasts, safe stops.
+        """Return the figures specific to real time: received and missing messages, ages of broadcasts, safe stops.
 
-        A robot's states count from its first to its last. A message is missing if it was lost on its way to the
-        recorder, or never sent since its node missed the period.
+        A robot's states count from its first to its last. A message is missing if it was lost on the way to the
+        recorder, or never sent because its node missed the period.
         """
         losses = {}
         for topic in MAIN_TOPICS:
             spans = [span for (of, _), span in self._spans.items() if of is topic]
             received = sum(span.count for span in spans)
             expected = sum(span.last - span.first + 1 for span in spans)
-            # A mode that changes within a step gives two desired states of it.
+            # A change of mode within a step gives two desired states.
             losses[topic.name] = {"received": received, "missing": max(0, expected - received)}
         return {
             "losses": losses,

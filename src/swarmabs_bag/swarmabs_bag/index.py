@@ -1,8 +1,8 @@
-"""Where everything is in an MCAP file: its summary section, read, gathered by a scan, or written anew.
+"""The index of an MCAP file: its summary section, read, reconstructed by a scan, or written.
 
-The format lets a writer leave out the summary section, or any part of it: what is missing is gathered by a scan. A file
-whose writer was killed is read from the start, as far as its records are whole, and `tail` makes its end from that.
-What is not as the format says raises `RecordError` with its place in the file.
+The format allows a writer to omit the summary section or parts of it; a scan then reconstructs them. A file whose
+writer was killed is scanned from the start up to its last intact record, and `tail` creates its end. A violation of the
+format raises `RecordError` with its position in the file.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _FOOTER_HEAD = struct.Struct("<BQQQ")
 _DATA_END_SIZE = HEAD_SIZE + 4
 _PIECE = 2**20
 
-# What a summary section lists, and the number in its statistics that counts it.
+# The lists in a summary section, and the field of the statistics that counts each.
 _COUNTED = {
     "schemas": "schema_count",
     "channels": "channel_count",
@@ -68,10 +68,10 @@ _COUNTED = {
 }
 
 MOST_ENTRIES = 2**18
-"""Most chunks, attachments and metadata records, of each, that an index holds."""
+"""Most chunks, most attachments and most metadata records in an index."""
 
 MOST_DEFINITIONS = 2**26
-"""Most bytes of schemas and channels that an index holds."""
+"""Maximum total size of schemas and channels in an index, bytes."""
 
 
 def _no_statistics() -> Statistics:
@@ -81,20 +81,20 @@ def _no_statistics() -> Statistics:
 
 @dataclass(slots=True)
 class FileIndex:
-    """What an MCAP file holds, and where: schemas and channels by id, index records in file order.
+    """The contents of an MCAP file and their positions: schemas and channels by id, index records in file order.
 
     Attributes
     ----------
     data_end : int
-        Position behind the last record of the data section.
+        Position after the last record of the data section.
     crc : int
-        CRC-32 of the file up to `data_end`, or 0 if it is not known.
+        CRC-32 of the file up to `data_end`, or 0 if unknown.
     problem : str or None
-        Why the file is not complete; None if it is.
+        Why the file is incomplete; None if it is complete.
     definitions : int
         Size of all schemas and channels in bytes.
     unknown : int or None
-        Opcode of the last record that was passed over, since the format has none of its kind there.
+        Opcode of the last record that was skipped because the format does not allow it there.
     """
 
     header: Header = field(default_factory=lambda: Header(profile="", library=""))
@@ -111,7 +111,7 @@ class FileIndex:
     unknown: int | None = None
 
     def take(self, record: Record, data: bytes | None = None) -> None:
-        """Take over the record of the data section that stands at `data_end`; `data` is what a chunk holds."""
+        """Add the record of the data section at `data_end`; `data` is the content of a chunk."""
         opcode, statistics = record.opcode, self.statistics
         if opcode == Opcode.CHUNK:
             self._take_chunk(record, uncompress(record) if data is None else data)
@@ -147,7 +147,7 @@ class FileIndex:
         self.data_end = record.end
 
     def take_inner(self, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
-        """Take over a record that stands in a chunk or outside of any: its content is the span of the data."""
+        """Add a record from inside or outside of a chunk, whose content is the given span of the data."""
         begin, end = span
         if opcode == Opcode.MESSAGE:
             channel, _, log_time, _ = message_head(data, begin, end, offset)
@@ -164,7 +164,7 @@ class FileIndex:
             self.unknown = opcode
 
     def define(self, definition: Schema | Channel, offset: int) -> None:
-        """Take over a schema or a channel; what is repeated replaces what was before."""
+        """Add a schema or a channel; a repeated one replaces the previous."""
         known: dict[int, Any] = self.schemas if isinstance(definition, Schema) else self.channels
         if known.get(definition.id) != definition:
             self.definitions += len(encoded(definition))
@@ -174,11 +174,11 @@ class FileIndex:
             raise RecordError(offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
 
     def entries(self) -> dict[str, Sequence[McapRecord]]:
-        """Return the lists of index records by what they are of."""
+        """Return the lists of index records by kind."""
         return {"chunks": self.chunks, "attachments": self.attachments, "metadata records": self.metadata}
 
     def numbers(self) -> dict[str, int]:
-        """Return the numbers of messages, chunks and attachments, of channels only those that are not 0."""
+        """Return counts and times of messages, chunks and attachments, and the non-zero counts of channels."""
         statistics = self.statistics
         return {
             "message_count": statistics.message_count,
@@ -194,28 +194,28 @@ class FileIndex:
         }
 
     def contradicted_by(self, found: FileIndex) -> str | None:
-        """Return where this summary contradicts what a scan of the same file has found, None if it does not."""
-        said, counted = self.numbers(), found.numbers()
-        for name in {**counted, **said}:
-            if said.get(name, 0) != counted.get(name, 0):
-                return f"the summary says {name} = {said.get(name, 0)}, but it is {counted.get(name, 0)}"
+        """Return a contradiction between this summary and a scan of the same file, or None."""
+        stated, counted = self.numbers(), found.numbers()
+        for name in {**counted, **stated}:
+            if stated.get(name, 0) != counted.get(name, 0):
+                return f"the summary states {name} = {stated.get(name, 0)}, but it is {counted.get(name, 0)}"
         there = found.entries()
         for name, entries in self.entries().items():
             if entries != there[name]:
-                return f"the summary lists other {name} than the file has"
+                return f"the summary lists other {name} than those in the file"
         if not (found.channels.items() <= self.channels.items() and found.schemas.items() <= self.schemas.items()):
-            return "the summary describes other topics than the file has"
+            return "the summary describes other topics than those in the file"
         return None
 
     def check_number(self, offset: int) -> None:
-        """Refuse more entries than a file of any use has."""
+        """Raise `RecordError` for more entries than any useful file has."""
         for name, entries in self.entries().items():
             if len(entries) > MOST_ENTRIES:
                 raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
 
     def _take_chunk(self, record: Record, data: bytes) -> None:
         chunk: Chunk = parse(Chunk, record)
-        inner = FileIndex()  # whole, or an error: half a chunk must not be in the statistics
+        inner = FileIndex()  # complete or an error: a partial chunk must not be in the statistics
         for opcode, begin, end in inner_records(data, record.offset):
             inner.take_inner(opcode, data, (begin, end), record.offset)
         self.chunks.append(
@@ -240,7 +240,7 @@ class FileIndex:
 
 
 def add_messages(total: Statistics, found: Statistics, numbers: Mapping[int, int] | None = None) -> None:
-    """Add the messages of a part to those of the whole, where `numbers` gives the channels' other numbers there."""
+    """Add the messages of a part to the total; `numbers` maps the part's channels to those of the total."""
     if found.message_count:
         start = found.message_start_time
         total.message_start_time = min(total.message_start_time, start) if total.message_count else start
@@ -252,26 +252,25 @@ def add_messages(total: Statistics, found: Statistics, numbers: Mapping[int, int
 
 
 def read_attachment(record: Record) -> Attachment:
-    """Read an attachment, its CRC checked."""
+    """Read an attachment and check its CRC."""
     if record.opcode != Opcode.ATTACHMENT:
-        raise RecordError(record.offset, "no attachment is here, although the summary says so")
+        raise RecordError(record.offset, "the summary states an attachment here, but there is none")
     attachment: Attachment = parse(Attachment, record)
     crc = int.from_bytes(record.content[-4:], "little")
     if crc and zlib.crc32(memoryview(record.content)[:-4]) != crc:
-        raise RecordError(record.offset, f"CRC of the attachment {show(attachment.name)} does not match")
+        raise RecordError(record.offset, f"the CRC of the attachment {show(attachment.name)} does not match")
     return attachment
 
 
 def scan_index(stream: BinaryIO, size: int) -> FileIndex:
-    """Find out what the first `size` bytes of a file hold by reading them from the start.
+    """Build the index of the first `size` bytes of a file by reading them from the start.
 
-    The scan ends before the first record that is not whole or not as the format says; `FileIndex.problem`
-    tells of it. It also ends, without a problem, at the end of the data section. Only a file without even a header
-    raises `RecordError`.
+    The scan ends before the first damaged record, with the reason in `FileIndex.problem`, or without a problem at the
+    end of the data section. Only a file without a header raises `RecordError`.
     """
     stream.seek(0)
     if stream.read(len(MAGIC)) != MAGIC:
-        raise RecordError(0, "no MCAP file")
+        raise RecordError(0, "not an MCAP file")
     index = FileIndex(crc=zlib.crc32(MAGIC))
     first = read_record(stream, len(MAGIC), size)
     if first.opcode != Opcode.HEADER:
@@ -290,22 +289,22 @@ def scan_index(stream: BinaryIO, size: int) -> FileIndex:
 
 
 def read_index(stream: BinaryIO, size: int) -> FileIndex:
-    """Read the summary section at the end of a file of `size` bytes; what a writer may leave out of it, by a scan.
+    """Read the summary section at the end of a file of `size` bytes; scan for parts that the writer omitted.
 
-    A `RecordError` if the file has no end, a summary section that is not as it should be, or none and damaged data.
+    Raises `RecordError` if the end is missing, the summary section is malformed, or it is missing and the data damaged.
     """
     end_size = _FOOTER_SIZE + len(MAGIC)
     if size < end_size + len(MAGIC):
-        raise RecordError(size, "the file ends before it says what it holds")
+        raise RecordError(size, "the end of the file, with its summary, is missing")
     stream.seek(size - end_size)
     end = stream.read(end_size)
     if end[-len(MAGIC) :] != MAGIC or end[0] != Opcode.FOOTER:
-        raise RecordError(size, "the file ends before it says what it holds")
+        raise RecordError(size, "the end of the file, with its summary, is missing")
     footer: Footer = parse(Footer, read_record(stream, size - end_size, size))
     if footer.summary_start == 0:
         return _scanned(stream, size, size - end_size)
     if not len(MAGIC) <= footer.summary_start <= size - end_size:
-        raise RecordError(size - end_size, f"the summary section is said to begin at byte {footer.summary_start}")
+        raise RecordError(size - end_size, f"a summary section cannot begin at byte {footer.summary_start}")
     if size - footer.summary_start > MAX_SIZE:
         raise RecordError(footer.summary_start, f"a summary section of more than {MAX_SIZE} bytes")
     _check_summary_crc(stream, footer, size - end_size)
@@ -313,12 +312,12 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     index.data_end = footer.summary_start - _DATA_END_SIZE
     before = read_record(stream, index.data_end, size)
     if before.opcode != Opcode.DATA_END or before.end != footer.summary_start:
-        raise RecordError(index.data_end, "no end of the data section is where the summary section begins")
+        raise RecordError(index.data_end, "the data section does not end where the summary section begins")
     return _read_summary(index, stream, size, footer.summary_start)
 
 
 def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> FileIndex:
-    """Return the index with what the summary section from byte `start` on says, completed by a scan if need be."""
+    """Add the summary section from byte `start` on to the index, completed by a scan if necessary."""
     stated: Statistics | None = None
     listed: dict[int, tuple[Any, list[Any]]] = {
         Opcode.CHUNK_INDEX: (ChunkIndex, index.chunks),
@@ -341,7 +340,7 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
     try:
         found = _scanned(stream, size, start)
     except RecordError:
-        if stated is not None:  # whoever reads the file finds the damage where it is
+        if stated is not None:  # reading the file will report the damage at its position
             return index
         raise
     for kind in _COUNTED:
@@ -351,12 +350,12 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
 
 
 def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
-    """Return what a data section holds that is whole and ends at byte `end`."""
+    """Return the index of an intact data section that ends at byte `end`."""
     found = scan_index(stream, size)
     if found.problem is not None:
         raise RecordError(found.data_end, found.problem.removeprefix(f"at byte {found.data_end}: "))
     if found.data_end + _DATA_END_SIZE != end:
-        raise RecordError(found.data_end, f"the data section ends here and not at byte {end}, as the file says")
+        raise RecordError(found.data_end, f"the data section ends here and not at byte {end}, as stated")
     return found
 
 
@@ -372,11 +371,11 @@ def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> N
         left -= len(piece)
         crc = zlib.crc32(piece, crc)
     if crc != footer.summary_crc:
-        raise RecordError(footer.summary_start, "CRC of the summary section does not match")
+        raise RecordError(footer.summary_start, "the CRC of the summary section does not match")
 
 
 def ending(index: FileIndex, description: str) -> Iterator[bytes]:
-    """Yield what makes a complete bag of a file with these records: rosbag2's description, and the `tail`."""
+    """Yield the bytes that complete a file with these records: rosbag2's description and the `tail`."""
     record = encoded(Metadata(name=RECORD_NAME, metadata={RECORD_KEY: description}))
     index.take(Record(index.data_end, Opcode.METADATA, record[HEAD_SIZE:]))
     yield record
@@ -386,7 +385,7 @@ def ending(index: FileIndex, description: str) -> Iterator[bytes]:
 def tail(index: FileIndex) -> Iterator[bytes]:
     """Yield the end of a file with the records of `index`: end of the data section, summary section, footer.
 
-    It belongs at `FileIndex.data_end`.
+    Its position is `FileIndex.data_end`.
     """
     data_end = encoded(DataEnd(data_section_crc=index.crc))
     yield data_end

@@ -1,4 +1,4 @@
-"""What a bag is about, at a glance: for people as a table, for programs as a dictionary."""
+"""An overview of a bag, as a table for the terminal or as data for programs."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 _LONGEST_QOS = 200
 _CLOCK = 1e8
-"""Log time, s, from which on it is taken to be that of a clock, since 1970, and not that of a simulation."""
+"""Log time above which times count from 1970, not from the start of a simulation, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of a bag; `qos`: offered reliability, durability and depth, empty if they are not given."""
+    """A topic of a bag; `qos` is the offered reliability, durability and depth, empty if not recorded."""
 
     name: str
     type: str
@@ -44,7 +44,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioInfo:
-    """What the attached scenario says: name, seed, number of agents, duration and control period in s."""
+    """The attached scenario: name, seed, number of agents, duration and control period in s."""
 
     name: str
     seed: int
@@ -55,24 +55,24 @@ class ScenarioInfo:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """Everything `bag_info` finds out; sizes are in bytes, times in s.
+    """The result of `bag_info`; sizes are in bytes, times in s.
 
     Attributes
     ----------
     profile, library : str
-        What its writer says of itself.
+        Profile and library recorded by its writer.
     start, duration : float
-        Log time of the first message, and from it to the last one.
+        Log time of the first message, and from there to the last one.
     namespace : str or None
-        Namespace of the swarm, None if the bag has no topic of a swarm, or of several.
+        Namespace of the swarm, None if the bag contains none or several.
     attachments : dict
         Sizes by name.
     versions, fingerprint
-        Of what made the run and of its mathematical library, from the attached provenance.
+        Software versions of the run and fingerprint of its math library, from the attached provenance.
     complete : bool
-        Whether the file has its end and every CRC and number in it is right; else `problem` says what is wrong.
+        Whether the file has its end and every CRC and count is correct; otherwise `problem` says what is wrong.
     aborted, repaired : str or None
-        Why the run ended early; what a repair could not save.
+        Why the run ended early; what a repair could not recover.
     """
 
     file: str
@@ -99,16 +99,16 @@ class BagInfo:
 
 
 def bag_info(path: Path | str) -> BagInfo:
-    """Find out what a bag (a run folder, its ``bag/``, or an MCAP file) holds, and whether all of it is right.
+    """Describe a bag (a run folder, its ``bag/``, or an MCAP file) and check it completely.
 
-    The whole file is read once, chunk by chunk. Damage does not raise: it is what the answer is about.
+    The whole file is read once, chunk by chunk. Damage does not raise but is part of the result.
 
     Raises
     ------
     NotABagError
-        If there is nothing, or something that is no bag.
+        If there is nothing, or it is not a bag.
     DamagedBagError
-        If the file is so damaged that nothing can be said of it.
+        If the file is unreadable.
     """
     bag = open_bag(path, damaged=True, several=True)
     problem = bag.problem
@@ -183,7 +183,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "ended early": info.aborted,
         "repaired": info.repaired,
         "size": f"{info.size:,} bytes",
-        "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes without)",
+        "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes uncompressed)",
         "time": _times(info),
         "messages": f"{info.message_count:,}",
         "swarms in": named_swarms(info.swarms) if len(info.swarms) > 1 else "",
@@ -198,7 +198,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
 
 
 def _times(info: BagInfo) -> str:
-    """Return from when to when; times of a clock with their date."""
+    """Return the time span, with a date for times since 1970."""
     if info.start < _CLOCK:
         return f"{info.start:.9g} s to {info.start + info.duration:.9g} s"
     try:
@@ -209,7 +209,7 @@ def _times(info: BagInfo) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return text from a file such that it cannot steer the terminal."""
+    """Return text from a file, safe for the terminal."""
     return escape("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text))
 
 

@@ -1,4 +1,4 @@
-"""rosbag2's description of a bag, as ROS 2 Jazzy writes it: ``metadata.yaml``, version 9."""
+"""rosbag2's description of a bag in the format of ROS 2 Jazzy: ``metadata.yaml``, version 9."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
 
 METADATA_FILE = "metadata.yaml"
-"""Name of rosbag2's description beside the MCAP file."""
+"""Name of rosbag2's description in the folder of the MCAP file."""
 
 RECORD_NAME = "rosbag2"
-"""Name of the MCAP metadata record that holds the same description, under the key `RECORD_KEY`."""
+"""Name of the MCAP metadata record with the same description, under the key `RECORD_KEY`."""
 
 RECORD_KEY = "serialized_metadata"
 
 ABORTED_KEY = "swarmabs.aborted"
-"""Key under ``custom_data`` that says why a bag was aborted; absent from all others."""
+"""Key under ``custom_data`` with the reason why a bag was aborted; absent otherwise."""
 
 REPAIRED_KEY = "swarmabs.repaired"
-"""Key under ``custom_data`` that says what `repair_bag` could not save; absent from all others."""
+"""Key under ``custom_data`` that says what `repair_bag` could not recover; absent otherwise."""
 
 _LONGEST_YAML = 2**20
 _VERSION = 9
@@ -44,14 +44,14 @@ _DISTRO = "jazzy"
 
 @dataclass(frozen=True, slots=True)
 class BagChannel:
-    """A topic as a bag holds it: its name has the namespace; what the bag does not give is empty.
+    """A topic in a bag, with the namespace in its name; fields that the bag does not give are empty.
 
     Attributes
     ----------
     qos_profiles : str
-        YAML text of what the publishers offered.
+        QoS offered by the publishers, as YAML text.
     topic : Topic or None
-        Which topic of the swarm it is, None if it is another one.
+        The corresponding topic of the swarm, if any.
     """
 
     name: str
@@ -65,7 +65,7 @@ class BagChannel:
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """One file of a bag: name, log times of its first and last message in ns, 0 without any, and their number."""
+    """A file of a bag: name, log times of the first and last message in ns (0 without messages), number of messages."""
 
     name: str
     start: int
@@ -74,12 +74,12 @@ class FileRecord:
 
     @classmethod
     def of(cls, name: str, numbers: Statistics) -> Self:
-        """Return what the numbers of a file say of it."""
+        """Return the record of a file from its statistics."""
         return cls(name, numbers.message_start_time, numbers.message_end_time, numbers.message_count)
 
 
 def qos_profile(qos: Qos) -> dict[str, object]:
-    """Return the complete profile of an offered QoS, with rosbag2's keys and lower-case names."""
+    """Return the complete profile of an offered QoS, with the keys and lower-case names of rosbag2."""
     return {
         "history": "keep_last",
         "depth": qos.depth,
@@ -95,9 +95,9 @@ def qos_profile(qos: Qos) -> dict[str, object]:
 
 @lru_cache(maxsize=64)
 def _profiles(text: str) -> tuple[dict[str, object], ...]:
-    """Return complete profiles, as version 9 demands them, of what a channel says of its QoS in whichever version.
+    """Return complete profiles, as required by version 9, from the QoS text of a channel in any version.
 
-    What is missing or unknown is filled with the values of this project; anything but a list gives none.
+    Missing or unknown policies get the values of this project; anything but a list gives no profiles.
     """
     stated = load_yaml(text)
     if not isinstance(stated, list):
@@ -106,7 +106,7 @@ def _profiles(text: str) -> tuple[dict[str, object], ...]:
 
 
 def listed_topic(entry: Mapping[str, Any]) -> BagChannel:
-    """Return a topic as ``metadata.yaml`` lists it, in whichever version; a `KeyError` if it has no name."""
+    """Return a topic from its entry in ``metadata.yaml`` of any version; raise `KeyError` if it has no name."""
     stated = entry["topic_metadata"]
     profiles = stated.get("offered_qos_profiles")
     return BagChannel(
@@ -125,7 +125,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "durability": ("system_default", "transient_local", "volatile", "unknown"),
     "liveliness": ("system_default", "automatic", "", "manual_by_topic", "unknown"),
 }
-"""Names of the policies; older versions write their positions instead."""
+"""Names of the policies by index; older versions write the index."""
 
 
 def _completed(stated: Mapping[object, object]) -> dict[str, object]:
@@ -147,7 +147,7 @@ def _completed(stated: Mapping[object, object]) -> dict[str, object]:
 
 
 def _duration(seconds: float | None) -> dict[str, int]:
-    """Return a duration, or that which never ends: RMW_DURATION_INFINITE."""
+    """Return a duration, or RMW_DURATION_INFINITE."""
     sec, nsec = divmod(round(seconds * 1e9), 10**9) if seconds else (9223372036, 854775807)
     return {"sec": sec, "nsec": nsec}
 
@@ -160,7 +160,7 @@ def bag_metadata(
 ) -> dict[str, Any]:
     """Return rosbag2's description of a bag.
 
-    All topics are listed, also those without messages; names of files are relative to the bag's folder.
+    All topics are listed, even those without messages; file names are relative to the bag's folder.
     """
     filled = [file for file in files if file.message_count]
     start = min((file.start for file in filled), default=0)
@@ -202,12 +202,12 @@ def bag_metadata(
 
 
 def write_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, whole or not at all (`OSError`), also if power fails."""
+    """Write ``metadata.yaml`` completely or not at all (`OSError`), even if power fails."""
     write_whole(folder / METADATA_FILE, dump_yaml({"rosbag2_bagfile_information": metadata}).encode(), sync=True)
 
 
 def load_yaml(text: str) -> Any:
-    """Read YAML from a bag: plain data only; None if it is not YAML, or too long or too deep to be ours."""
+    """Read YAML from a bag as plain data; None if it is not YAML, or longer or deeper than this project writes."""
     if len(text) > _LONGEST_YAML:
         return None
     try:
@@ -217,7 +217,7 @@ def load_yaml(text: str) -> Any:
 
 
 def custom_texts(description: object) -> dict[str, str]:
-    """Return the entries under ``custom_data`` of rosbag2's description that are texts."""
+    """Return the text entries under ``custom_data`` of rosbag2's description."""
     custom = description.get("custom_data") if isinstance(description, dict) else None
     if not isinstance(custom, dict):
         return {}
@@ -225,5 +225,5 @@ def custom_texts(description: object) -> dict[str, str]:
 
 
 def dump_yaml(value: object) -> str:
-    """Return YAML in block style that keeps the order of keys, one entry per line."""
+    """Return YAML in block style, with the order of keys preserved and one entry per line."""
     return yaml.safe_dump(value, sort_keys=False, default_flow_style=False, allow_unicode=True, width=10_000)

@@ -1,4 +1,4 @@
-"""The file under a bag writer: it holds whole records only, and disk space is kept back for its end."""
+"""The file under a bag writer, which always ends with a complete record, and the disk space reserved for its end."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _RESERVE_STEP = 2**16
 
 
 class RecordFile:
-    """A new file as output stream of an MCAP writer that collects what is written until `commit`.
+    """A new file as the output stream of an MCAP writer, which buffers writes until `commit`.
 
-    A commit that fails is undone: the file is cut back to where the commit before ended. So between two
-    commits it always ends behind a whole record, also when the process is killed. A file that exists, or cannot be
-    created, raises `OSError`.
+    A failed commit is undone by truncating the file to the previous one. Between two commits the file therefore always
+    ends with a complete record, even if the process is killed. A file that exists, or cannot be created, raises
+    `OSError`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -28,7 +28,7 @@ class RecordFile:
         self.committed = 0
 
     def write(self, data: bytes) -> int:
-        """Take over the bytes of one or more complete records."""
+        """Buffer the bytes of one or more complete records."""
         if data:
             self._pending.append(data)
             self._pending_size += len(data)
@@ -36,18 +36,18 @@ class RecordFile:
 
     @property
     def pending(self) -> bool:
-        """Whether something waits for `commit`."""
+        """Whether there are uncommitted writes."""
         return bool(self._pending)
 
     def tell(self) -> int:
-        """Return the position behind all that was written, committed or not."""
+        """Return the position after all writes, committed or not."""
         return self.committed + self._pending_size
 
     def flush(self) -> None:
-        """Do nothing: only `commit` reaches the disk."""
+        """Do nothing: only `commit` writes to the file."""
 
     def commit(self) -> None:
-        """Hand all that was written to the operating system; after an `OSError` nothing of it is in the file."""
+        """Pass all buffered writes to the operating system; after an `OSError` none of them is in the file."""
         data = memoryview(b"".join(self._pending))
         self._pending.clear()
         self._pending_size = 0
@@ -62,7 +62,7 @@ class RecordFile:
         self.committed += len(data)
 
     def cut(self, end: int) -> None:
-        """Cut the file off at `end`, as far as the disk still allows."""
+        """Truncate the file at `end`, if the disk still allows it."""
         self._pending.clear()
         self._pending_size = 0
         self.committed = end
@@ -70,18 +70,18 @@ class RecordFile:
             self.raw.truncate(end)
 
     def sync(self) -> None:
-        """Wait until all that was committed is on the disk."""
+        """Wait until all committed data is on the disk."""
         os.fsync(self.raw.fileno())
 
     def close(self) -> None:
-        """Close the file; what was not committed is lost."""
+        """Close the file; uncommitted writes are lost."""
         self.raw.close()
 
 
 class Reserve:
-    """Disk space held back in the folder of a file, to be given up when the disk is full.
+    """Disk space reserved in a folder, to be released when the disk is full.
 
-    It is held by a file without a name, so nothing of it is left behind, however the process ends.
+    An unnamed file reserves it, so nothing remains however the process ends.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -89,13 +89,13 @@ class Reserve:
         self._size = 0
 
     def hold(self, size: int) -> None:
-        """Hold at least `size` bytes, in steps of 64 KiB; after an `OSError` what was held before still is."""
+        """Reserve at least `size` bytes, in steps of 64 KiB; after an `OSError` the previous reservation remains."""
         if size <= self._size:
             return
-        wanted = -(-size // _RESERVE_STEP) * _RESERVE_STEP
-        os.posix_fallocate(self._file.fileno(), 0, wanted)
-        self._size = wanted
+        rounded = -(-size // _RESERVE_STEP) * _RESERVE_STEP
+        os.posix_fallocate(self._file.fileno(), 0, rounded)
+        self._size = rounded
 
     def release(self) -> None:
-        """Give the space back."""
+        """Release the space."""
         self._file.close()

@@ -1,7 +1,7 @@
-"""Reading bags: file order, bounded memory, and every length, CRC and type checked on the way.
+"""Reading bags in file order and bounded memory, with every length, CRC and type checked.
 
-A bag is read from its MCAP files alone; ``metadata.yaml`` is a copy for rosbag2. What is not as the format
-says raises `DamagedBagError` with its position in the file, and never anything else.
+A bag is read from its MCAP files alone; ``metadata.yaml`` is a copy for rosbag2. Any violation of the format raises
+`DamagedBagError` with its position in the file.
 """
 
 from __future__ import annotations
@@ -37,31 +37,31 @@ T = TypeVar("T")
 
 
 class BagReader:
-    """A bag of one or several files, open for reading; made by `open_bag`.
+    """A bag of one or several files, created by `open_bag`.
 
-    Nothing stays open between calls, and several iterations may go on at once. Where a file is damaged, they raise
-    `DamagedBagError`; all before it has been yielded then.
+    Nothing stays open between calls, and several iterations may run at the same time. They raise `DamagedBagError` at a
+    damaged place, after everything before it has been yielded.
 
     Attributes
     ----------
     path : Path
         The MCAP file, or the folder of a split bag.
     files : tuple of BagFile
-        The files that can be read, in order; `size` is that of all, in bytes.
+        The readable files, in order; `size` is their total size in bytes.
     index : FileIndex
-        What they say they hold; of several files, channels have the same number in all of them.
+        Their merged index, in which channels have common numbers.
     start, end : int
         Log times of the first and last message in ns, 0 without messages.
     channels : tuple of BagChannel
         Its topics in the order of their ids.
     swarms : tuple of str
-        Namespaces of all swarms in it, with their last slash.
+        Namespaces of all its swarms, with trailing slash.
     namespace : str or None
-        Namespace of the swarm that is read, None if there is no topic of one, or none of several was chosen.
+        Namespace of the swarm that is read, None if there is none, or several and none was chosen.
     supplied : dict
-        Attachments by name that are read in place of those in the files.
+        Attachments by name that replace those in the files.
     problem : str or None
-        Why the bag has no end, if it was opened with ``damaged=True``; None for a complete one.
+        Why the end of the bag is missing, if opened with ``damaged=True``; None for a complete bag.
     """
 
     def __init__(self, path: Path, files: Sequence[BagFile], problem: str | None, namespace: str | None) -> None:
@@ -87,22 +87,22 @@ class BagReader:
         self.namespace = chosen
 
     def topics(self) -> tuple[Topic, ...]:
-        """Return the topics of the swarm that the bag has."""
+        """Return the topics of the swarm in the bag."""
         return tuple(channel.topic for channel in self.channels if channel.topic is not None)
 
     def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
-        """Yield every message of the bag in file order, also those on topics that are not of the swarm."""
+        """Yield every message of the bag in file order, including those on topics outside of the swarm."""
         channels = self._channels
         for message in self._stored():
             yield channels[message.channel_id], message
 
     def messages(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, bytes]]:
-        """Yield topic, log time in ns and CDR payload of the swarm's messages on some topics, or all, in file order.
+        """Yield topic, log time in ns and CDR payload of the swarm's messages on some or all topics, in file order.
 
         Raises
         ------
         UnknownTypeError
-            If messages have a definition that this version does not know.
+            If a message definition is unknown to this version.
         """
         wanted = self._wanted(topics)
         for message in self._stored():
@@ -111,7 +111,7 @@ class BagReader:
                 yield topic, message.log_time, message.payload
 
     def published(self, topics: Collection[Topic]) -> Iterator[tuple[Topic, int, int, bytes]]:
-        """Yield topic, log time and publish time in ns, and payload; parameters and errors as of `messages`."""
+        """Yield topic, log time and publish time in ns, and payload; parameters and errors as for `messages`."""
         wanted = self._wanted(topics)
         for message in self._stored():
             topic = wanted.get(message.channel_id)
@@ -119,11 +119,11 @@ class BagReader:
                 yield topic, message.log_time, message.publish_time, message.payload
 
     def records(self, topics: Collection[Topic] | None = None) -> Iterator[Record]:
-        """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as of `messages`."""
+        """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as for `messages`."""
         return self._each(self.messages(topics), lambda topic, payload, _: Record.heard(topic, payload))
 
     def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
-        """Yield topic, log time in ns and message, in file order; parameters and errors as of `messages`."""
+        """Yield topic, log time in ns and message, in file order; parameters and errors as for `messages`."""
         return self.decode(self.messages(topics))
 
     def decode(self, messages: Iterable[tuple[Topic, int, bytes]]) -> Iterator[tuple[Topic, int, Message]]:
@@ -141,7 +141,7 @@ class BagReader:
             yield found
 
     def _wanted(self, topics: Collection[Topic] | None) -> dict[int, Topic]:
-        """Return the topics of the swarm to be read, by the numbers of their channels."""
+        """Return the topics of the swarm to be read, by channel number."""
         check_definitions(self.path, self._channels.values())
         return {
             number: channel.topic
@@ -158,11 +158,11 @@ class BagReader:
                     yield message._replace(channel_id=numbers[message.channel_id])
 
     def attachment(self, name: str) -> bytes | None:
-        """Return the content of the first attachment of a name, None if there is none; errors as of `attachments`."""
+        """Return the content of the first attachment with a name, or None; errors as for `attachments`."""
         return next(self.attachments(name), None)
 
     def attachments(self, name: str) -> Iterator[bytes]:
-        """Yield the contents of all attachments of a name, file by file."""
+        """Yield the contents of all attachments with a name, file by file."""
         if name in self.supplied:
             yield self.supplied[name]
             return
@@ -170,24 +170,24 @@ class BagReader:
             yield from file.attachments(name)
 
     def contradicts_itself(self, name: str) -> bool:
-        """Tell whether there are different attachments of a name; errors as of `attachments`."""
+        """Return whether there are different attachments with a name; errors as for `attachments`."""
         return len(set(self.attachments(name))) > 1
 
     def rosbag2_metadata(self) -> dict[str, Any]:
-        """Return rosbag2's description in the last file, which says how the run ended; empty without one."""
+        """Return rosbag2's description in the last file, which records how the run ended; empty without one."""
         found = load_yaml(self.files[-1].description())
         return found if isinstance(found, dict) else {}
 
     def custom_data(self) -> dict[str, str]:
-        """Return the texts under ``custom_data`` of rosbag2's description; errors as of `rosbag2_metadata`."""
+        """Return the texts under ``custom_data`` of rosbag2's description; errors as for `rosbag2_metadata`."""
         return custom_texts(self.rosbag2_metadata())
 
     def aborted(self) -> str | None:
-        """Return why the bag ends before its run was over, None if it does not."""
+        """Return why the run in the bag ended early, or None."""
         return self.custom_data().get(ABORTED_KEY)
 
     def check(self) -> None:
-        """Read all files and compare them with every CRC and with what their summaries say."""
+        """Read all files and compare them with every CRC and with their summaries."""
         for file in self.files:
             file.check()
 
@@ -200,18 +200,18 @@ def open_bag(
     Parameters
     ----------
     namespace : str, optional
-        Which swarm to read if the bag holds several.
+        Which swarm to read if the bag contains several.
     damaged : bool
-        Whether a bag without its end is opened too, to be read as far as its records are whole.
+        Whether to accept a bag without its end, which can be read up to its last intact record.
     several : bool
-        Whether a bag of several swarms is opened too if none of them is named; no topic is then that of a swarm.
+        Whether to accept a bag of several swarms without a namespace; then no topic belongs to a swarm.
 
     Raises
     ------
     NotABagError
-        If there is nothing, or something that is no bag, or it has no swarm of that name, or several.
+        If there is nothing, it is not a bag, or it contains no swarm of that name, or several.
     DamagedBagError
-        If the bag has lost its end; the text says what can still be read.
+        If the end of the bag is missing, with what can still be read.
     """
     found = find_bag(Path(path))
     row = split_files(found.glob(f"*{SUFFIX}")) if found.is_dir() else None
@@ -222,13 +222,15 @@ def open_bag(
         files, problems = _open_row(found, row, damaged=damaged)
         bag = BagReader(found, files, "; ".join(problems) or None, namespace)
     if namespace is None and len(bag.swarms) > 1 and not several:
-        raise NotABagError(f"{bag.path} holds several swarms: choose one with --namespace: {named_swarms(bag.swarms)}")
+        raise NotABagError(
+            f"{bag.path} contains several swarms; select one with --namespace: {named_swarms(bag.swarms)}"
+        )
     _check_compression(bag)
     return bag
 
 
 def _check_compression(bag: BagReader) -> None:
-    """Raise `NotABagError` if each message is compressed by itself, which only rosbag2's plugin can undo."""
+    """Raise `NotABagError` if messages are compressed individually, which only rosbag2's plugin can read."""
     with suppress(DamagedBagError):
         first = next(bag.stored_messages(), None)
         if first is not None and first[1].payload.startswith(ZSTD_MAGIC):
@@ -236,10 +238,10 @@ def _check_compression(bag: BagReader) -> None:
 
 
 def _open_row(folder: Path, row: dict[int, Path], *, damaged: bool) -> tuple[list[BagFile], list[str]]:
-    """Open the files of a split bag, as far as they can be read, and say what is wrong; errors as of `open_bag`."""
+    """Open the readable files of a split bag, and return them with the problems; errors as for `open_bag`."""
     problems = missing_files(row)
     if problems and not damaged:
-        raise DamagedBagError(f"{folder} is incomplete: {', '.join(problems)}; name one of its files to read that one")
+        raise DamagedBagError(f"{folder} is incomplete: {', '.join(problems)}; name one of its files to read only that")
     files = []
     for path in row.values():
         try:
@@ -258,7 +260,7 @@ def _open_row(folder: Path, row: dict[int, Path], *, damaged: bool) -> tuple[lis
 
 
 def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int]]]:
-    """Return the index of all files together, and for each file the new numbers of its channels."""
+    """Return the merged index of all files, and for each file the new numbers of its channels."""
     merged = FileIndex()
     known: dict[object, int] = {}
     renumbered = []
@@ -275,7 +277,7 @@ def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int
 
 
 def _number(channel: Channel, index: FileIndex, merged: FileIndex, known: dict[object, int]) -> int:
-    """Return the number of a channel in all files together; take it up there if it is new."""
+    """Return the number of a channel in the merged index; add it if it is new."""
     schema = index.schemas.get(channel.schema_id)
     text = (schema.name, schema.encoding, schema.data) if schema is not None else None
     key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), text)

@@ -1,4 +1,4 @@
-"""Recordings in real time: what is kept of all that arrives, and what a bag of it says of its clock and its world."""
+"""Recordings in real time: selection of the messages to record, and the provenance of clock and simulated parts."""
 
 from __future__ import annotations
 
@@ -35,28 +35,29 @@ _WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane", "own_l
 RECORDED = tuple(endpoints(RECORDER, REALTIME).subscriptions)
 """Topics of a recording in real time."""
 MEMORY = 1000
-"""Steps before and after the recorder's own within which messages are recorded, and copies of them recognised."""
+"""Steps around the recorder's current one within which messages are recorded, and duplicates recognised."""
 DIFFERENT = "two different messages of this step on "
-"""How the detail of an event begins that says of which topic only the first message is recorded."""
+"""Prefix of an event's detail that names a topic of which only the first message is recorded."""
 
 
 def conflict(event: SwarmEvent) -> str | None:
-    """Return the topic of which an event says that not all messages of its step are recorded; None if it does not."""
+    """Return the topic of which, according to an event, only the first message of the step is recorded, or None."""
     refused = event.kind == EventKind.REFUSED and event.detail.startswith(DIFFERENT)
     return event.detail.removeprefix(DIFFERENT) if refused else None
 
 
 class RealtimeCollector:
-    """Chooses from what arrives, in any order and any number of copies, what is recorded.
+    """Selects the messages to record, which may arrive in any order and repeatedly.
 
-    Recorded is the first message of a topic, a step and a robot. Of desired states it is the first of each mode, since
-    the parent controller may change its mind within a step. A copy is dropped; another message in its place is dropped
-    too, but an event says so. So is what cannot be of this swarm and time.
+    It records the first message of each topic, step and robot, and of desired states the first of each mode, because
+    the parent controller may change the mode within a step. Duplicates are dropped. Different messages for the same
+    place, and messages of another swarm or time, are dropped too, but reported by an event.
 
     Attributes
     ----------
     repeated, different, refused : int
-        Messages that were dropped: copies, others in the place of the first, and those of another swarm or time.
+        Numbers of dropped messages: duplicates, different messages for the same place, and those of another swarm or
+        time.
     """
 
     def __init__(self, members: Iterable[int], schedule: Schedule) -> None:
@@ -69,16 +70,16 @@ class RealtimeCollector:
 
     @property
     def refused(self) -> int:
-        """Messages of another swarm or time."""
+        """Number of messages of another swarm or time."""
         return self._refusals.total
 
     @property
     def remembered(self) -> int:
-        """Steps whose messages are remembered."""
+        """Number of steps whose messages are kept for comparison."""
         return len(self._known)
 
     def add(self, record: Record, now: int) -> tuple[Record, ...]:
-        """Take the record of a message that has arrived at a time (ns since 1970); return what is to be recorded."""
+        """Process a message received at a time (ns since 1970); return the records to write."""
         step = self._schedule.step(now)
         self._forget(step - MEMORY)
         problem = self._problem(record, step)
@@ -112,7 +113,7 @@ class RealtimeCollector:
         return ""
 
     def _forget(self, before: int) -> None:
-        """Forget the steps before one; that takes no time if the clock goes on as it should."""
+        """Drop the steps before one, quickly even if the clock has jumped."""
         if before - self._oldest > len(self._known):
             self._known = {step: known for step, known in self._known.items() if step >= before}
         else:
@@ -122,7 +123,7 @@ class RealtimeCollector:
 
 
 def part(record: Record) -> int:
-    """Return what tells the messages of a topic and a step apart."""
+    """Return the key of a message among those of its topic and step."""
     message = record.message
     if isinstance(message, DesiredAbstractState):
         return message.mode
@@ -131,7 +132,7 @@ def part(record: Record) -> int:
 
 @dataclass(frozen=True, slots=True)
 class RealtimeWorld:
-    """How time became steps, which robots' bodies were simulated, whether the plane was, who had limits of its own."""
+    """Mapping from time to steps, simulated robots, whether the plane was simulated, and robots with other limits."""
 
     schedule: Schedule
     robots: tuple[int, ...]
@@ -139,14 +140,14 @@ class RealtimeWorld:
     own_limits: tuple[int, ...] = ()
 
     def provenance(self) -> dict[str, object]:
-        """Return it as it stands in the provenance."""
+        """Return the entry for the provenance."""
         lists = sorted(self.robots), sorted(self.own_limits)
         values = (self.schedule.period_ns, self.schedule.epoch_ns, lists[0], self.plane, lists[1])
         return dict(zip(_WORLD, values, strict=True))
 
 
 def realtime_world(bag: BagReader) -> RealtimeWorld:
-    """Return what a bag that was recorded in real time says of its world; an `InputError` if it does not say it."""
+    """Return the recorded world of a bag in real time; raise `InputError` if it is missing."""
     found = attached_provenance(bag).get("realtime")
     said: Mapping[str, Any] = found if isinstance(found, dict) else {}
     period, epoch, robots, plane, limited = (said.get(name) for name in _WORLD)
@@ -159,13 +160,13 @@ def realtime_world(bag: BagReader) -> RealtimeWorld:
     ):
         return RealtimeWorld(Schedule(int(period), int(epoch or 0)), tuple(robots), plane, tuple(limited))
     raise InputError(
-        f"{bag.path}: its provenance does not say how time became steps (realtime: {', '.join(_WORLD)}), so it cannot "
-        "be verified"
+        f"{bag.path}: its provenance lacks a valid entry realtime ({', '.join(_WORLD)}), so it cannot be verified; "
+        "use a bag written by the recorder"
     )
 
 
 def law_begins(bag: BagReader) -> dict[int, int]:
-    """Return for every step that the parent controller has answered the step with which its law's time had begun."""
+    """Return, for every step answered by the parent controller, the step at which the time of its law began."""
     return {
         message.step: message.begun
         for _, _, message in bag.decoded((BASIS,))
@@ -174,9 +175,9 @@ def law_begins(bag: BagReader) -> dict[int, int]:
 
 
 def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
-    """Return the figures of a bag, by the same arithmetic as while it was recorded.
+    """Return the figures of a bag, by the same arithmetic as during the recording.
 
-    Raises `DamagedBagError` where the bag is damaged.
+    Raises `DamagedBagError` if the bag is damaged.
     """
     figures = RealtimeFigures(configure.parent_controller(scenario).reference, Schedule(scenario.step_ns))
     for record in bag.records(RECORDED):

@@ -1,4 +1,4 @@
-"""Writing what was saved of an MCAP file as a new file with every index and a summary section."""
+"""Writing the records recovered from an MCAP file to a new file with all indexes and a summary section."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.salvage import Saved
 
 OWN = "swarmabs"
-"""With what the name of the library begins in files of this project."""
+"""Prefix of the library name in files written by this project."""
 
 _PROFILE = "ros2"
 _CHUNK_TIMES = struct.Struct("<QQ")
@@ -41,38 +41,37 @@ _CHUNK_BYTES = 2**20
 
 
 class Rebuilt:
-    """What can be saved of a file of `size` bytes, and what becomes of it: whole chunks are taken over as they are.
+    """The records recovered from a file of `size` bytes, and the new file made of them; intact chunks are copied.
 
     Parameters
     ----------
     output : RecordFile, optional
-        Where the new one goes; without it nothing is written, and it is only found out what a repair would come to.
+        The new file; without it the result of a repair is determined, but nothing is written.
     definitions : FileIndex, optional
         Schemas and channels with the same numbers, for a file that has lost them.
     name, custom
-        Name of the new file and entries under ``custom_data``, for rosbag2's description.
+        Name of the new file and entries under ``custom_data`` for rosbag2's description.
 
     Attributes
     ----------
     index, before : FileIndex
-        What the new file holds, and what the old one holds before the first damage.
+        Contents of the new file, and of the old one before the first damage.
     stated : FileIndex or None
-        What the old file says it holds; if that cannot be read, `unstated` says why.
+        Summary section of the old file; if unreadable, `unstated` says why.
     damage : list of Damage
-        What was left out.
+        The parts that were left out.
     end : DataEnd or None
-        The end of the old file's data section, None if its writer had not ended it.
+        The end of the old file's data section, None if it was never written.
     reindexed : int
-        Chunks whose message indexes were missing or wrong, or whose stated times were wrong.
+        Chunks with missing or wrong message indexes, or wrong times.
     repacked : int
-        Messages that stand in a new chunk, since they were outside of any or in one that was cut off.
+        Messages in a new chunk, because they were outside of chunks or in a truncated one.
     unschemed : set of int
-        Numbers of the channels whose schema was nowhere, and which have none in the new file.
+        Channels whose schema was not found, and which have none in the new file.
     gaps : dict
-        Messages missing between those that are there, by number of the channel, from the sequence numbers that this
-        project's writer gives.
+        Messages missing between others, by channel, from the sequence numbers of this project's writer.
     description : str
-        rosbag2's description of the old file, of the new one if it was written.
+        rosbag2's description of the old file, or of the new one if it was written.
     """
 
     def __init__(
@@ -132,7 +131,7 @@ class Rebuilt:
         """Write the end of the file."""
         self._begin(Header(profile=_PROFILE, library=""))
         self._flush()
-        self._define()  # also topics without messages, which other writers describe in the summary section alone
+        self._define()  # even topics without messages, which other writers describe only in the summary section
         if self._output is None:
             return
         files = [FileRecord.of(name, self.index.statistics)]
@@ -147,7 +146,7 @@ class Rebuilt:
             self._put(Opcode.HEADER, encoded(header)[HEAD_SIZE:])
 
     def _put(self, opcode: int, content: bytes, data: bytes | None = None) -> None:
-        """Write a record; `data` is what a chunk holds."""
+        """Write a record; `data` is the content of a chunk."""
         record = Record(self.index.data_end, opcode, content)
         self.index.take(record, data)
         self._write(record.stored)
@@ -171,7 +170,7 @@ class Rebuilt:
                 self._put_other(opcode, data[begin:end])
 
     def _is_described(self, data: bytes, offset: int) -> bool:
-        """Tell whether the channels of all messages in a chunk, and the schemas of its channels, are known."""
+        """Return whether the channels of all messages in a chunk, and their schemas, are known."""
         known, schemas = set(self.index.channels), {0, *self.index.schemas}
         for opcode, begin, _ in inner_records(data, offset):
             number = int.from_bytes(data[begin : begin + 2], "little")
@@ -186,7 +185,7 @@ class Rebuilt:
         return True
 
     def _put_other(self, opcode: int, content: bytes) -> None:
-        """Write a record outside of a chunk; a channel whose schema is nowhere has none."""
+        """Write a record outside of chunks; a channel whose schema was not found gets none."""
         if opcode == Opcode.CHANNEL:
             channel: Channel = parse(Channel, Record(0, opcode, content))
             if not self._has_schema(channel):
@@ -204,7 +203,7 @@ class Rebuilt:
         if channel not in self.index.channels:
             self._define()
         if channel not in self.index.channels:
-            problem = f"messages of channel {channel}, which nothing in the file describes"
+            problem = f"messages of channel {channel}, which the file does not describe"
             last = self.damage[-1] if self.damage else None
             if last is None or (last.offset, last.problem) != (offset, problem):
                 self.damage.append(Damage(offset, 0, problem))
@@ -215,7 +214,7 @@ class Rebuilt:
             self._flush()
 
     def _define(self) -> None:
-        """Write the schemas and channels that only the summary section or another file of the bag describes."""
+        """Write the schemas and channels found only in the summary section or another file of the bag."""
         definitions, self._definitions = self._definitions, None
         if definitions is None:
             return
@@ -227,7 +226,7 @@ class Rebuilt:
                     self._put_other(content[0], content[HEAD_SIZE:])
 
     def _flush(self) -> None:
-        """Write the messages without a chunk into a new one."""
+        """Write the messages outside of chunks to a new chunk."""
         self.reindexed += bool(self._expected)
         self._expected = {}
         if not self._loose:
@@ -248,8 +247,8 @@ class Rebuilt:
         self._expected, self.reindexed = {}, reindexed
 
     def _put_chunk(self, record: Record, data: bytes) -> None:
-        """Write a chunk, its stated times put right, and its message indexes."""
-        entries: dict[int, bytearray] = {}  # the library's MessageIndex takes ten times the memory
+        """Write a chunk, with corrected times, and its message indexes."""
+        entries: dict[int, bytearray] = {}  # the library's MessageIndex needs ten times the memory
         start, end = 2**64, 0
         for opcode, begin, stop in inner_records(data, record.offset):
             if opcode == Opcode.MESSAGE:

@@ -52,14 +52,14 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 _DRAWABLE = 1e100
-"""Numbers beyond are not drawn: no axis of a picture holds them."""
+"""Numbers beyond this are not drawn, because no axis can show them."""
 
 
 @dataclass(frozen=True)
 class RecordedSwarm:
-    """A swarm as its bag holds it, with how the run ended, and its namespace if that tells it from others.
+    """A swarm read from its bag, how the run ended, and its namespace if there are several.
 
-    What cannot be drawn, such as infinity, is NaN in the arrays.
+    Values that cannot be drawn, such as infinity, are NaN in the arrays.
     """
 
     bag: Path
@@ -75,7 +75,7 @@ class RecordedSwarm:
 
     @cached_property
     def timeline(self) -> RobotHistory:
-        """Who is in, dead or gone by step, in the order of the scenario."""
+        """Membership of the robots by step, in the order of the scenario."""
         there = {agent.id for agent in self.scenario.initial_agents}
         robots = [agent.id for agent in self.scenario.agents]
         timeline = RobotHistory(robots, [robot for robot in robots if robot not in there], changes=None)
@@ -84,7 +84,7 @@ class RecordedSwarm:
         return timeline
 
     def time_of(self, event: SwarmEvent) -> float:
-        """Return the time of an event's step, s: the clock that has stamped it may be wrong."""
+        """Return the time of an event's step, s, because the clock of its sender may be wrong."""
         return event.step * self.scenario.period
 
     def timed_events(self) -> list[TimedEvent]:
@@ -92,7 +92,7 @@ class RecordedSwarm:
         return [TimedEvent(event, self.time_of(event)) for event in self.events]
 
     def instant(self, row: int) -> Instant:
-        """Return what is shown at a row of the arrays."""
+        """Return the state of the swarm to show at a row of the arrays."""
         arrays, time = self.arrays, float(self.arrays.time[row])
         stamp, step = round(time * 1e9), int(arrays.step[row])
         return instant_of(
@@ -104,7 +104,7 @@ class RecordedSwarm:
         )
 
     def shown_robots(self, row: int) -> list[ShownRobot]:
-        """Return what is shown of the robots at a row, in the order of the scenario."""
+        """Return the states of the robots to show at a row, in the order of the scenario."""
         step, latest = int(self.arrays.step[row]), self._latest[row]
         return [
             shown_robot(self.timeline.out(agent.id, step), self._state(column, latest), step)
@@ -112,26 +112,26 @@ class RecordedSwarm:
         ]
 
     def members(self, row: int) -> Members:
-        """Return who takes part at a row."""
+        """Return the robots that take part at a row."""
         return self.timeline.members(int(self.arrays.step[row]))
 
     def have_status(self, status: RobotStatus) -> Flags:
-        """Return which robots are shown with a status at each row, (n+1, N), in the order of the arrays."""
+        """Return which robots have a status at each row, (n+1, N), in the order of the arrays."""
         return np.asarray(self._membership[0] == STATUSES.index(status))
 
     @property
     def on_plane(self) -> Flags:
-        """Which robots weigh on the plane at each row, (n+1, N)."""
+        """Which robots are on the plane at each row, (n+1, N)."""
         return self._membership[1]
 
     @property
     def positions(self) -> Floats:
-        """Where they are, m, (n+1, N): a dead one where its event says; NaN of those who are not on the plane."""
+        """Positions of the robots, m, (n+1, N): of a dead robot that of its event; NaN for robots not on the plane."""
         return self._membership[2]
 
     @cached_property
     def _membership(self) -> tuple[NDArray[np.int8], Flags, Floats]:
-        """Status and place of all robots at all rows, as `shown_robot` has them of one; -1 is a robot not heard yet."""
+        """Status and position of all robots at all rows, as `shown_robot` has them for one; -1: no state yet."""
         step, agents = self.arrays.step, self.arrays.agents
         columns = np.arange(len(agents.ids))
         said = agents.status[self._latest, columns]
@@ -142,7 +142,7 @@ class RecordedSwarm:
         codes[is_silent(step[self._latest], step[:, None])] = STATUSES.index("silent")
         codes[said == Status.LEFT] = STATUSES.index("left")
         codes[self._latest < 0] = -1
-        # A robot that says that it leaves is on the plane in that step for the last time.
+        # The step in which a robot announces that it leaves is its last on the plane.
         there = (self._latest >= 0) & ~((said == Status.LEFT) & (self._latest < np.arange(len(self))[:, None]))
         for column, robot in enumerate(agents.ids.tolist()):
             changes = self.timeline.changes(robot)
@@ -156,20 +156,20 @@ class RecordedSwarm:
 
     @cached_property
     def _columns(self) -> list[int]:
-        """The column of the arrays of each robot of the scenario, -1 if the bag has nothing of it."""
+        """The column of each robot of the scenario in the arrays, -1 for a robot without messages."""
         ids = self.arrays.agents.ids
         place = {robot: column for column, robot in enumerate(ids.tolist())}
         return [place.get(agent.id, -1) for agent in self.scenario.agents]
 
     @cached_property
     def _latest(self) -> Integers:
-        """The row in which each robot was heard last, -1 before the first, (n+1, N)."""
+        """The row of the latest state of each robot, -1 before the first, (n+1, N)."""
         heard = self.arrays.agents.kind > 0
         rows = np.where(heard, np.arange(len(heard))[:, None], -1)
         return np.asarray(np.maximum.accumulate(rows, axis=0))
 
     def _state(self, column: int, latest: Integers) -> AgentState | None:
-        """Return what a robot has said last, None if nothing."""
+        """Return the latest state of a robot, or None."""
         row = -1 if column < 0 else int(latest[column])
         if row < 0:
             return None
@@ -187,9 +187,9 @@ class RecordedSwarm:
 
 
 def column_points(column: Integers, values: Floats) -> Integers:
-    """Return which points of a line stand for it in a picture, ascending, by the column in which each lies.
+    """Return the indices of the points that represent a line in a picture, given the pixel column of each point.
 
-    Columns ascend; NaN is a gap, whose borders are kept.
+    Columns must ascend; NaN is a gap, whose edges are kept.
     """
     begins = np.flatnonzero(np.diff(column, prepend=column[0] - 1))
     ends = np.append(begins[1:], len(column))
@@ -206,10 +206,10 @@ def column_points(column: Integers, values: Floats) -> Integers:
 
 
 def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
-    """Read the swarm of a bag, also of one that has lost its end, as far as it goes.
+    """Read the swarm of a bag, of an incomplete one as far as possible.
 
-    An `InputError` if it is no bag of a swarm, or holds no valid scenario; a `DamagedBagError` if it cannot be read,
-    or holds a robot of an unknown kind.
+    Raises `InputError` if it is not the bag of a swarm or contains no valid scenario, `DamagedBagError` if it cannot be
+    read or contains a robot of unknown kind.
     """
     bag = open_bag(path, namespace=namespace, damaged=True)
     messages = load_messages(bag)
@@ -217,7 +217,7 @@ def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
 
 
 def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: RunArrays) -> RecordedSwarm:
-    """Return the swarm of an open bag whose messages and arrays were loaded; errors as of `read_swarm`."""
+    """Return the swarm of an open bag whose messages and arrays are loaded; errors as for `read_swarm`."""
     scenario, tables = attached_scenario(bag), messages.tables
     _check_kinds(bag, tables)
     events = tuple(sorted(messages.events, key=lambda event: event.step))
@@ -248,12 +248,12 @@ def _check_kinds(bag: BagReader, tables: Tables) -> None:
     if len(wrong):
         first = wrong[0]
         raise DamagedBagError(
-            f"{bag.path}: agent {first['agent_id']} at step {first['step']}: {first['kind']} is no kind of robot"
+            f"{bag.path}: agent {first['agent_id']} at step {first['step']}: kind {first['kind']} is unknown"
         )
 
 
 def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmEvent, ...]:
-    """Return events at their times since the first message of a run, as the arrays have them."""
+    """Return events with times since the first message of a run, as in the arrays."""
     first = min(
         (int(rows["sec"][0]) * 10**9 + int(rows["nanosec"][0]) for rows in tables.values() if len(rows)), default=0
     )
@@ -261,9 +261,9 @@ def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmE
 
 
 def _ending(bag: BagReader, scenario: Scenario, states: int | None) -> tuple[str, str | None]:
-    """Return how the run ended; `states` of the plane are not counted where a step may have none."""
+    """Return how the run ended; `states` is the number of plane states, None if steps may lack one."""
     if bag.problem is not None:
-        return "damaged", f"the bag has lost its end: {bag.problem}"
+        return "damaged", f"the end of the bag is missing: {bag.problem}"
     reason = bag.aborted()
     if reason is not None:
         return ("interrupted" if reason.startswith("interrupted") else "failed"), reason
@@ -273,7 +273,7 @@ def _ending(bag: BagReader, scenario: Scenario, states: int | None) -> tuple[str
 
 
 def _drawable(run: RunArrays) -> RunArrays:
-    """Replace by NaN what no picture can show."""
+    """Replace values that cannot be drawn with NaN."""
     found = {field.name: getattr(run, field.name) for field in fields(run)}
     groups = {name: value for name, value in found.items() if isinstance(value, MessageArrays)}
     shown = {name: _finite(value) for name, value in found.items() if isinstance(value, np.ndarray)}
@@ -290,5 +290,5 @@ def _finite(column: Any) -> Any:
 
 
 def _fields(kind: type[AbstractState | DesiredAbstractState], columns: MessageArrays, row: int) -> list[Any]:
-    """Return the fields of a message behind stamp and step, at a row of its arrays."""
+    """Return the fields of a message after stamp and step, at a row of its arrays."""
     return [getattr(columns, name)[row].item() for name in kind._fields[2:]]

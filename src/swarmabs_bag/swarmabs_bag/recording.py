@@ -1,7 +1,7 @@
-"""Gathering of a whole run, step by step: what a recorder writes, in which order, and the digest of it.
+"""Collection of a run step by step: the order in which a recorder writes messages, and their digest.
 
-A run is complete when every message of the five main topics is there exactly once. Repeats are dropped if
-they are identical and refused if they are not.
+A run is complete when every message of the five main topics is present exactly once. Identical repeats are dropped;
+different ones are errors.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from swarmabs_core.membership import Change
 
 _COORDINATED = MAIN_TOPICS[1:]
-"""The main topics of which there is one message per step."""
+"""The main topics with one message per step."""
 
 
 class Step(Protocol):
-    """A complete step of a run, however its messages are kept."""
+    """A complete step of a run, independent of how its messages are stored."""
 
     @property
     def step(self) -> int:
@@ -52,7 +52,7 @@ class Step(Protocol):
 
     @property
     def plane(self) -> PlaneState | None:
-        """State of the plane; None of a step that only adds an event to one recorded before."""
+        """State of the plane; None for a late event of an earlier step."""
 
     @property
     def max_abs_position(self) -> float | None:
@@ -60,27 +60,27 @@ class Step(Protocol):
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
-        """What happened in it."""
+        """The events of the step."""
 
     def states(self) -> Iterable[AgentState]:
         """Return the robots' states."""
 
     def digest_text(self) -> bytes:
-        """Return what the step contributes to the digest of a run."""
+        """Return the contribution of the step to the digest of a run."""
 
     def stored(self) -> Iterable[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
 
 
 def digest_head(topic: Topic, size: int) -> bytes:
-    """Return what stands before a payload of this size in the digest: topic, zero, length."""
+    """Return the bytes before a payload of this size in the digest: topic, zero, length."""
     return b"%b\x00%b" % (topic.name.encode(), size.to_bytes(4, "little"))
 
 
 class RecordedStep(NamedTuple):
-    """All records of a step, in the order in which a bag holds them.
+    """All records of a step, in the order of a bag.
 
-    ``time`` (ns) is that of the step where no state of the plane tells it: a robot's clock may be wrong.
+    ``time`` (ns) is that of the step, for steps without a state of the plane: a robot's clock may be wrong.
     """
 
     step: int
@@ -94,7 +94,7 @@ class RecordedStep(NamedTuple):
 
     @property
     def plane(self) -> PlaneState | None:
-        """State of the plane; None of a step that only adds an event to one recorded before."""
+        """State of the plane; None for a late event of an earlier step."""
         return next((r.message for r in self.records if isinstance(r.message, PlaneState)), None)
 
     @property
@@ -104,8 +104,8 @@ class RecordedStep(NamedTuple):
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
-        """What happened in it."""
-        if not self.records or self.records[-1].topic is not EVENTS:  # they stand last
+        """The events of the step."""
+        if not self.records or self.records[-1].topic is not EVENTS:  # events are last
             return ()
         return tuple(r.message for r in self.records if isinstance(r.message, SwarmEvent))
 
@@ -114,7 +114,7 @@ class RecordedStep(NamedTuple):
         return (r.message for r in self.records if isinstance(r.message, AgentState))
 
     def digest_text(self) -> bytes:
-        """Return what the step contributes to the digest of a run."""
+        """Return the contribution of the step to the digest of a run."""
         main = [r for r in self.records if r.topic is not EVENTS]
         main.sort(key=lambda r: (r.topic.name, r.agent_id))
         return b"".join(digest_head(r.topic, len(r.payload)) + r.payload for r in main)
@@ -127,10 +127,10 @@ class RecordedStep(NamedTuple):
 
 
 class Digest:
-    """SHA-256 over the main topics of a run, steps in ascending order.
+    """SHA-256 over the main topics of a run, with steps in ascending order.
 
-    Every record contributes its topic's name without namespace, a zero byte, the length of its payload as
-    little-endian uint32 and the payload; within a step records are sorted by topic and robot.
+    Every record contributes the name of its topic without namespace, a zero byte, the length of its payload as
+    little-endian uint32, and the payload; within a step, records are sorted by topic and robot.
     """
 
     def __init__(self) -> None:
@@ -146,7 +146,7 @@ class Digest:
 
 
 class _Slot:
-    """What has arrived of one step."""
+    """The received messages of a step."""
 
     __slots__ = ("agents", "events", "main")
 
@@ -157,15 +157,15 @@ class _Slot:
 
 
 class RunCollector:
-    """Puts the messages of a run in order, whenever and however often they arrive.
+    """Orders the messages of a run, which may arrive at any time and repeatedly.
 
     Parameters
     ----------
     memory : int
-        How many steps back repeats are still compared with what was recorded.
+        Number of past steps for which repeats are compared with the recorded messages.
     steered : bool
-        Whether the run is steered. Then a step is complete only when it is known what was ordered for it, and when the
-        events that say so are there: what is recorded can always be repeated.
+        Whether the run is steerable. Then a step is complete only when its request is known and the events that
+        announce it have arrived, so that everything recorded can be repeated.
     """
 
     def __init__(
@@ -196,16 +196,16 @@ class RunCollector:
         return self._step > self._last_step
 
     def add(self, record: Record) -> list[RecordedStep]:
-        """Take the record of a message; return the steps that are complete with it.
+        """Add the record of a message; return the steps that it completes.
 
         Raises
         ------
         ConflictError
-            If it differs from the message that stands in its place.
+            If it differs from the message already in its place.
         UnknownAgentError
-            If it comes from a robot that is no member.
+            If it comes from a robot that is not a member.
         NegativeTimeError
-            If its time, by which a bag is ordered, is before the beginning of the run.
+            If its time, which determines the order in the bag, is before the beginning of the run.
         """
         topic, message = record.topic, record.message
         step = message.step
@@ -229,8 +229,8 @@ class RunCollector:
         return self._complete() if step == self._step else []
 
     def steer(self, order: Steering) -> tuple[list[Steering], list[RecordedStep]]:
-        """Take what is ordered for a step; return the orders that are known with it, and the steps complete with it."""
-        assert self._orders is not None  # noqa: S101 - nobody else listens to orders
+        """Add the request of a step; return the requests known up to now, and the steps that it completes."""
+        assert self._orders is not None  # noqa: S101 - only steerable runs receive requests
         found = self._orders.add(order)
         for known in found:
             if (change := change_of(known)) is not None:
@@ -259,14 +259,14 @@ class RunCollector:
             return []
         slot.events[record.payload] = record
         self._membership.apply(event.kind, event.agent_id, event.step, event.detail)
-        if event.step < self._step:  # its step is recorded already: it stands late, but it stands
+        if event.step < self._step:  # its step is already recorded, so the event follows late
             if self._is_void(event):
                 return []
             return [RecordedStep(event.step, (record,), slot.main[PLANE_STATE].message.stamp)]
         return self._complete()
 
     def missing(self) -> tuple[str, ...]:
-        """Return what is missing for the current step, for people."""
+        """Return human-readable names of what is missing for the current step."""
         if self.finished:
             return ()
         slot = self._slots.get(self._step, _Slot())
@@ -275,7 +275,7 @@ class RunCollector:
         return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
 
     def missing_agents(self) -> tuple[int, ...]:
-        """Return the robots whose state of the current step is missing."""
+        """Return the robots whose state is missing in the current step."""
         if self.finished:
             return ()
         slot = self._slots.get(self._step, _Slot())
@@ -304,7 +304,7 @@ class RunCollector:
         return steps
 
     def _announced(self, slot: _Slot, orders: Orders) -> bool:
-        """Tell whether the order of the current step is known, and announced by those whom it concerns."""
+        """Return whether the request of the current step is known, and announced by the nodes that it concerns."""
         if self._step > orders.known:
             return False
         events = [record.message for record in slot.events.values()]
@@ -317,7 +317,7 @@ class RunCollector:
         )
 
     def _is_void(self, event: Message) -> bool:
-        """Tell whether an event is what a robot that does not know that it is out says of itself."""
+        """Return whether an event comes from a robot that does not know that it no longer takes part."""
         if self._orders is None:
             return False
         publisher = publisher_of(event)

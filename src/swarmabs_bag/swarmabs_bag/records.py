@@ -1,6 +1,6 @@
-"""Records of an MCAP file in order; lengths are checked before anything is allocated.
+"""The records of an MCAP file in order; lengths are checked before memory is allocated.
 
-What is not as the format says raises `RecordError` with its place in the file.
+A violation of the format raises `RecordError` with its position in the file.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ MAGIC = b"\x89MCAP0\r\n"
 """First and last eight bytes of a complete file."""
 
 HEAD_SIZE = 9
-"""Bytes of a record before its content: opcode, length."""
+"""Bytes of a record before its content: opcode and length."""
 
 MAX_SIZE = 2**28
-"""Records and uncompressed chunks beyond this size in bytes are taken for damage."""
+"""Size, bytes, above which records and uncompressed chunks count as damaged."""
 
 MAX_PARSED = 2**24
-"""Records beyond this size in bytes that are neither chunk nor attachment are taken for damage."""
+"""Size, bytes, above which records other than chunks and attachments count as damaged."""
 
 MAX_RATIO = 1000
-"""Chunks of more than a MiB that are larger by this factor when uncompressed are taken for damage."""
+"""Compression ratio above which chunks of more than 1 MiB count as damaged."""
 
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
 """Errors of the mcap library's record classes."""
@@ -53,7 +53,7 @@ _MESSAGE_INDEX_ENTRY = 16
 
 
 class RecordError(Exception):
-    """Something in an MCAP file is not as the format says."""
+    """An MCAP file violates its format."""
 
     def __init__(self, offset: int, problem: str) -> None:
         super().__init__(f"at byte {offset}: {problem}")
@@ -61,7 +61,7 @@ class RecordError(Exception):
 
 
 class Record(NamedTuple):
-    """A record of the file: where it starts, its opcode and its content."""
+    """A record of the file: position, opcode and content."""
 
     offset: int
     opcode: int
@@ -69,22 +69,22 @@ class Record(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes it takes in the file."""
+        """Size in the file, bytes."""
         return HEAD_SIZE + len(self.content)
 
     @property
     def end(self) -> int:
-        """Position behind it."""
+        """Position after the record."""
         return self.offset + self.size
 
     @property
     def stored(self) -> bytes:
-        """The record as it stands in the file."""
+        """The record as bytes of the file."""
         return _HEAD.pack(self.opcode, len(self.content)) + self.content
 
 
 class StoredMessage(NamedTuple):
-    """A message as it stands in the file."""
+    """A message as stored in the file."""
 
     channel_id: int
     sequence: int
@@ -94,19 +94,19 @@ class StoredMessage(NamedTuple):
 
 
 def record_length(head: bytes) -> int:
-    """Return how long the content behind the head of a record is said to be."""
+    """Return the length of a record's content, as stated in its head."""
     return int(_HEAD.unpack_from(head)[1])
 
 
 def crc_with(crc: int, record: Record) -> int:
-    """Return the CRC-32 of what stands before a record and of the record."""
+    """Return the CRC-32 of the bytes before a record and of the record."""
     return zlib.crc32(record.content, zlib.crc32(_HEAD.pack(record.opcode, len(record.content)), crc))
 
 
 def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
-    """Read the record at `offset` of a file of `size` bytes, not one that is larger than `MAX_SIZE`."""
+    """Read the record at `offset` of a file of `size` bytes; reject one larger than `MAX_SIZE`."""
     if offset > size:
-        raise RecordError(offset, f"a record is said to be here, but the file has {size} bytes")
+        raise RecordError(offset, f"a record should be here, but the file has only {size} bytes")
     stream.seek(offset)
     head = stream.read(HEAD_SIZE)
     if len(head) < HEAD_SIZE:
@@ -128,7 +128,7 @@ def read_record(stream: BinaryIO, offset: int, size: int) -> Record:
 
 
 def read_records(stream: BinaryIO, offset: int, size: int) -> Iterator[Record]:
-    """Yield all records from `offset` until the file or the section that holds them ends.
+    """Yield all records from `offset` to the end of the file or section.
 
     The last record is ``DataEnd`` in the data section and ``Footer`` in the summary section.
     """
@@ -141,19 +141,19 @@ def read_records(stream: BinaryIO, offset: int, size: int) -> Iterator[Record]:
 
 
 class _Content(ReadDataStream):
-    """The content of a record, of which no field is taken that reaches beyond it."""
+    """The content of a record; reading a field beyond its end is an error."""
 
     def read(self, length: int) -> bytes:
         data = b""
         with suppress(EndOfFile):
             data = super().read(length)
         if len(data) < length:
-            raise ValueError(f"a field of {length} bytes, but {len(data)} are left")
+            raise ValueError(f"a field of {length} bytes, but only {len(data)} are left")
         return data
 
 
 def parse(record_class: Any, record: Record) -> Any:
-    """Read the content of a record, of up to `MAX_PARSED` bytes, with a record class of the mcap library."""
+    """Parse the content of a record, of up to `MAX_PARSED` bytes, with a record class of the mcap library."""
     if len(record.content) > MAX_PARSED and record_class not in {Attachment, Chunk}:
         raise RecordError(record.offset, f"a {record_class.__name__} record of more than {MAX_PARSED} bytes")
     try:
@@ -166,15 +166,15 @@ def parse(record_class: Any, record: Record) -> Any:
 
 
 def uncompress(record: Record) -> bytes:
-    """Return the records within a chunk, as large as `MAX_SIZE` and `MAX_RATIO` allow, its size and CRC checked."""
+    """Return the records in a chunk, within `MAX_SIZE` and `MAX_RATIO`, after checking its size and CRC."""
     chunk: Chunk = parse(Chunk, record)
     size, left = chunk.uncompressed_size, len(record.content) - _CHUNK_HEAD_SIZE - len(chunk.compression.encode())
     if len(chunk.data) != left:
-        raise RecordError(record.offset, f"a chunk of {len(chunk.data)} bytes in a record with {left}")
+        raise RecordError(record.offset, f"a chunk of {len(chunk.data)} bytes in a record with {left} bytes")
     if size > MAX_SIZE:
         raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, more than {MAX_SIZE}")
     if size > max(2**20, MAX_RATIO * len(chunk.data)):
-        raise RecordError(record.offset, f"a chunk of {size} bytes when uncompressed, made from {len(chunk.data)}")
+        raise RecordError(record.offset, f"a chunk of {size} bytes uncompressed, but {len(chunk.data)} compressed")
     try:
         data = uncompressed(chunk.compression, chunk.data, size)
     except UNCOMPRESSING as error:
@@ -182,17 +182,17 @@ def uncompress(record: Record) -> bytes:
     except MemoryError as error:
         raise RecordError(record.offset, f"a chunk of {size} bytes, for which there is not enough memory") from error
     if len(data) != size:
-        raise RecordError(record.offset, f"the chunk holds {len(data)} bytes, but says {size}")
+        raise RecordError(record.offset, f"the chunk contains {len(data)} bytes, but states {size}")
     stated = chunk.uncompressed_crc
     if stated and zlib.crc32(data) != stated:
-        raise RecordError(record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but says {stated:#010x}")
+        raise RecordError(record.offset, f"CRC of the chunk is {zlib.crc32(data):#010x}, but it states {stated:#010x}")
     return data
 
 
 def uncompressed(compression: str, data: bytes, size: int, *, cut_off: bool = False) -> bytes:
-    """Return what a chunk's data are without compression, of data that are cut off as far as they go.
+    """Return the uncompressed data of a chunk, of truncated data as far as possible.
 
-    Not many more than `size` bytes are made. The errors of the libraries are passed on.
+    The output is limited to little more than `size` bytes. Errors of the libraries propagate.
     """
     if compression == "":
         return data[:size] if cut_off else data
@@ -205,7 +205,7 @@ def uncompressed(compression: str, data: bytes, size: int, *, cut_off: bool = Fa
                 return whole.getvalue()
         stated = zstandard.frame_content_size(data)
         if stated not in {-1, size}:
-            raise ValueError(f"its zstd frame says {stated} bytes, the chunk {size}")
+            raise ValueError(f"its zstd frame states {stated} bytes, the chunk {size}")
         return decompressor.decompress(data, max_output_size=size)
     if compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1 - cut_off))
@@ -213,7 +213,7 @@ def uncompressed(compression: str, data: bytes, size: int, *, cut_off: bool = Fa
 
 
 def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the content of each record within a chunk, which starts at `offset`."""
+    """Yield opcode, begin and end of the content of each record in the chunk at `offset`."""
     position, size, unpack = 0, len(data), _HEAD.unpack_from
     while position < size:
         if position + HEAD_SIZE > size:
@@ -222,12 +222,12 @@ def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
         begin = position + HEAD_SIZE
         position = begin + length
         if position > size:
-            raise RecordError(offset, f"a record of {length} bytes reaches beyond its chunk")
+            raise RecordError(offset, f"a record of {length} bytes exceeds its chunk")
         yield opcode, begin, position
 
 
 def indexed_channel(record: Record) -> int:
-    """Return the channel of a message index, of which nothing else is needed than that its length is right."""
+    """Return the channel of a message index, checking only its length."""
     entries = len(record.content) - _MESSAGE_INDEX_HEAD.size
     channel, length = _MESSAGE_INDEX_HEAD.unpack_from(record.content) if entries >= 0 else (0, None)
     if length != entries or entries % _MESSAGE_INDEX_ENTRY:
@@ -243,7 +243,7 @@ def message_head(content: bytes, begin: int, end: int, offset: int) -> tuple[int
 
 
 def inner_messages(data: bytes, offset: int) -> Iterator[StoredMessage]:
-    """Yield the messages within a chunk; parameters and errors as of `inner_records`."""
+    """Yield the messages in a chunk; parameters and errors as for `inner_records`."""
     head_size, unpack = _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack_from
     for opcode, begin, end in inner_records(data, offset):
         if opcode == Opcode.MESSAGE:
@@ -254,7 +254,7 @@ def inner_messages(data: bytes, offset: int) -> Iterator[StoredMessage]:
 
 
 def encoded(record: McapRecord) -> bytes:
-    """Return a record as it stands in a file."""
+    """Return a record as bytes of a file."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.salvage import Damage
 
 CUT_OFF = "the recording was cut off"
-"""Reason under `ABORTED_KEY` of a bag whose writer did not come to its end."""
+"""Reason under `ABORTED_KEY` for a bag that its writer did not finish."""
 
 _KEPT_SUFFIX = ".damaged"
 _TEMPORARY = ".repairing"
@@ -42,7 +42,7 @@ _TEMPORARY = ".repairing"
 
 @dataclass(frozen=True, slots=True)
 class FileRepair:
-    """What became of one file; `repaired_as`: its new name, None if nothing of it was left or to be done."""
+    """Repair of a file; `repaired_as` is its new name, None if it was intact or nothing could be recovered."""
 
     file: str
     bytes: int
@@ -54,10 +54,10 @@ class FileRepair:
 
 @dataclass(frozen=True, slots=True)
 class TopicRepair:
-    """What there is of a topic: messages that were kept, and that are known to have been lost.
+    """Repair of a topic: numbers of messages kept, and known to be lost.
 
-    How many are lost at the end of a file without summary section nobody knows. `last_complete_step`: up to which step,
-    from the bag's first on, nothing is missing; None if it is no main topic of a swarm.
+    The number lost at the end of a file without summary section is unknown. `last_complete_step` is the last step up to
+    which no message is missing; None if it is not a main topic of a swarm.
     """
 
     name: str
@@ -68,22 +68,22 @@ class TopicRepair:
 
 @dataclass(frozen=True, slots=True)
 class RepairReport:
-    """What a repair has found and done.
+    """The result of a repair.
 
     Attributes
     ----------
     output : str or None
-        Where the whole bag is; None if there was nothing to do.
+        The repaired bag; None if there was nothing to do.
     problems : tuple of str
-        What was wrong with the bag as a whole.
+        Problems of the bag as a whole.
     lost_bytes : int
         Bytes of the files that were left out.
     attachments, lost_attachments : tuple of str
-        Names of the attachments that were kept, and of those that the summary names and that were not.
+        Names of the attachments that were kept, and of those listed in the summary that were lost.
     undecided : str or None
-        What is wrong with the whole bag all the same, since no repair can decide it.
+        A problem of the repaired bag that no repair can resolve.
     first_step, last_complete_step, last_planned_step : int or None
-        As of `RecordedSteps`; None without a scenario.
+        As for `RecordedSteps`; None without a scenario.
     """
 
     bag: str
@@ -102,28 +102,28 @@ class RepairReport:
 
 
 def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool = False) -> RepairReport:
-    """Make a whole bag of a damaged one: a run folder, its ``bag/``, or an MCAP file.
+    """Repair a damaged bag: a run folder, its ``bag/``, or an MCAP file.
 
-    Every chunk, attachment and other record that is whole is kept as it is, of a chunk that the file's end cuts off
-    the whole messages; all indexes, the summary section and ``metadata.yaml`` are made anew. A file that is whole
-    stays as it is, byte by byte.
+    Intact chunks, attachments and other records are kept unchanged; of a chunk truncated by the end of the file, the
+    complete messages are kept. All indexes, the summary section and ``metadata.yaml`` are rewritten. An intact file is
+    copied byte by byte.
 
     Parameters
     ----------
     output : Path, optional
-        Folder of the new bag, which must not exist or be empty; by default it is beside the damaged one, with
-        ``_repaired`` behind its name, and not made if there is nothing to do.
+        Folder of the new bag, new or empty; by default next to the damaged bag with ``_repaired`` appended to its name,
+        and not created if there is nothing to do.
     in_place : bool
-        Whether the new files take the names of the damaged ones, which are kept with ``.damaged`` behind theirs.
+        Whether the new files replace the damaged ones, which are kept with ``.damaged`` appended to their names.
 
     Raises
     ------
     NotABagError
-        If there is nothing, or something that is no bag.
+        If there is nothing, or it is not a bag.
     BagFolderError
         If the output exists, or a bag cannot be repaired in place.
     DamagedBagError
-        If no message can be saved.
+        If no message can be recovered.
     BagWriteError
         If the disk is full or fails; nothing is left behind.
     """
@@ -159,11 +159,11 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
 
 
 def _target(bag: Path, output: Path | None, *, in_place: bool, is_file: bool) -> Path:
-    """Return where the new bag goes, and refuse what is in its way."""
+    """Return the place of the new bag; raise `BagFolderError` if it is taken."""
     place = bag.resolve()
     if in_place:
         if output is not None:
-            raise BagFolderError("a bag is repaired either in place or into a new folder: leave out --in-place or -o")
+            raise BagFolderError("--in-place and -o exclude each other: leave out one of them")
         return place.parent if is_file else place
     target = output if output is not None else place.with_name(f"{place.stem if is_file else place.name}_repaired")
     try:
@@ -175,18 +175,18 @@ def _target(bag: Path, output: Path | None, *, in_place: bool, is_file: bool) ->
 
 
 def _worth_keeping(bag: Path, parts: Sequence[Part]) -> list[Part]:
-    """Return the files in which there is anything; an error if no message can be saved although something is lost."""
+    """Return the files with content; raise an error if there is damage and no message can be recovered."""
     kept = [part for part in parts if part.found is not None]
     if not kept:
-        raise DamagedBagError(f"{bag}: nothing can be saved: {parts[0].problems[0]}")
+        raise DamagedBagError(f"{bag}: nothing can be recovered: {parts[0].problems[0]}")
     broken = [part for part in kept if part.found is not None and (part.found.damage or part.found.end is None)]
     if broken and not any(part.index.statistics.message_count for part in kept):
-        raise DamagedBagError(f"{broken[0].path}: no message can be saved: {broken[0].problems[0]}")
+        raise DamagedBagError(f"{broken[0].path}: no message can be recovered: {broken[0].problems[0]}")
     return kept
 
 
 def _is_unfinished(bag: Path, parts: Sequence[Part], kept: Sequence[Part]) -> bool:
-    """Tell whether the writer did not come to its end: its last file has none, or was never begun."""
+    """Return whether the writer did not finish: its last file has no end, or was never begun."""
     last = kept[-1]
     if last is not parts[-1] or (last.found is not None and last.found.end is None):
         return True
@@ -197,11 +197,11 @@ def _is_unfinished(bag: Path, parts: Sequence[Part], kept: Sequence[Part]) -> bo
 
 
 def _refuse_earlier(parts: Sequence[Part], folder: Path) -> None:
-    """Refuse to replace what an earlier repair has kept."""
+    """Raise `BagFolderError` if files kept by an earlier repair would be replaced."""
     names = [part.path.name for part in parts if part.problems] + [METADATA_FILE]
     for kept in (folder / (name + _KEPT_SUFFIX) for name in names):
         if kept.exists() or kept.is_symlink():
-            raise BagFolderError(f"{kept} is there from an earlier repair: move it away, or name a folder with -o")
+            raise BagFolderError(f"{kept} exists from an earlier repair: move it away, or name a folder with -o")
     if (folder / METADATA_FILE).is_dir():
         raise BagFolderError(f"{folder / METADATA_FILE} is a folder: move it away, or name a folder with -o")
 
@@ -210,12 +210,12 @@ def _lost_text(damage: Sequence[Damage]) -> str:
     first = damage[0]
     places = "1 place" if len(damage) == 1 else f"{len(damage)} places"
     lost = sum(part.bytes for part in damage)
-    return f"{lost} bytes in {places} could not be saved, the first at byte {first.offset}: {first.problem}"
+    return f"{lost} bytes in {places} could not be recovered, the first at byte {first.offset}: {first.problem}"
 
 
 @contextmanager
 def _work_folder(target: Path) -> Iterator[Path]:
-    """Make a folder beside the target, which is gone afterwards unless it was renamed."""
+    """Create a folder next to the target, which is removed afterwards unless it was renamed."""
     place = target.resolve()
     work = place.with_name(f".{place.name}{_TEMPORARY}")
     made: list[Path] = []
@@ -239,7 +239,7 @@ def _work_folder(target: Path) -> Iterator[Path]:
 
 
 def _write(parts: Sequence[Part], work: Path, silent: Sequence[BagChannel], *, unfinished: bool) -> None:
-    """Write the new files and ``metadata.yaml``, which goes on listing what was silent."""
+    """Write the new files and ``metadata.yaml``, which also lists the topics without messages."""
     custom: dict[str, str] = {}
     for part in parts:
         if part.problems:
@@ -265,7 +265,7 @@ def _write(parts: Sequence[Part], work: Path, silent: Sequence[BagChannel], *, u
 
 
 def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata: bool) -> None:
-    """Put the new files in the places of the old ones, which keep their content under another name."""
+    """Move the new files to the places of the old ones, which are kept under other names."""
     for part in parts:
         kept = part.path.with_name(part.path.name + _KEPT_SUFFIX)
         if part.found is None:
@@ -275,7 +275,7 @@ def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata:
             (work / part.name).replace(part.path)
     if with_metadata:
         old = folder / METADATA_FILE
-        if old.exists() or old.is_symlink():  # a link that leads nowhere is kept too
+        if old.exists() or old.is_symlink():  # a dangling link is kept too
             os.link(old, old.with_name(METADATA_FILE + _KEPT_SUFFIX))
         (work / METADATA_FILE).replace(old)
 
@@ -283,7 +283,7 @@ def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata:
 def _report(
     named: Path, output: Path | None, result: Path, parts: Sequence[Part], problems: Sequence[str]
 ) -> RepairReport:
-    """Return the report of a repair whose whole bag will be at `output`, and is now at `result`."""
+    """Return the report of a repair whose bag will be at `output` and currently is at `result`."""
     kept = [part.found for part in parts if part.found is not None]
     lost: Counter[str] = Counter()
     lost_attachments: list[str] = []
@@ -330,7 +330,7 @@ def _report(
 
 
 def _lost_messages(found: Rebuilt) -> Counter[str]:
-    """Return how many messages are known to be lost by topic: from the summary section, else from the gaps."""
+    """Return the known losses by topic: from the summary section, otherwise from gaps in the sequence numbers."""
     lost: Counter[str] = Counter()
     kept = found.index.statistics.channel_message_counts
     for number, channel in found.index.channels.items():

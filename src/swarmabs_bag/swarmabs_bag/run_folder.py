@@ -1,4 +1,4 @@
-"""The folder of a run: ``bag/``, ``logs/``, ``scenario.yaml`` and ``summary.json``; where a bag is, and its files."""
+"""The folder of a run: ``bag/``, ``logs/``, ``scenario.yaml`` and ``summary.json``; finding a bag and its files."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ _OTHER_STORAGE = {
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """When a bag goes on in a new file, between two steps: at a size in bytes, or at a span of log time; 0: never."""
+    """When a bag continues in a new file, between two steps: at a size, bytes, or after a log time, ns; 0: never."""
 
     bytes: int = 0
     nanoseconds: int = 0
 
 
 ONE_FILE = Split()
-"""The bag stays one file."""
+"""The bag is a single file."""
 
 
 class RunFolder:
-    """Where a run's results go: the folders of bag and logs, the files of the resolved scenario and of the figures."""
+    """Paths of the results of a run: bag, logs, resolved scenario and summary."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -54,22 +54,22 @@ class RunFolder:
         self.summary = path / "summary.json"
 
     def fill(self, scenario: Scenario) -> None:
-        """Write the resolved scenario and make the folder of the logs."""
+        """Write the resolved scenario and create the folder for the logs."""
         self.logs.mkdir()
         self.scenario.write_text(dump_scenario(scenario), encoding="utf-8")
 
     def write_summary(self, summary: Mapping[str, object]) -> None:
-        """Write ``summary.json``, whole or not at all."""
+        """Write ``summary.json`` completely or not at all."""
         write_whole(self.summary, (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
 
 
 def write_whole(path: Path, content: bytes, *, mode: int = 0o666, sync: bool = False) -> None:
-    """Write a file, whole or not at all; with `sync` also if power fails.
+    """Write a file completely or not at all, with `sync` even if power fails.
 
     Raises
     ------
     OSError
-        If it cannot be written; what was there before is kept.
+        If it cannot be written; a previous file is kept.
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -92,7 +92,7 @@ def write_whole(path: Path, content: bytes, *, mode: int = 0o666, sync: bool = F
 
 
 def new_run_folder(path: Path) -> RunFolder:
-    """Make the folder that the user has named; an `InputError` if it is not empty, or cannot be made."""
+    """Create the folder named by the user; raise `InputError` if it is not empty or cannot be created."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
@@ -107,7 +107,7 @@ def new_run_folder(path: Path) -> RunFolder:
 
 
 def next_run_folder(parent: Path, name: str) -> RunFolder:
-    """Make the next free folder ``NAME-NNN`` under a parent; an `InputError` if it cannot be made."""
+    """Create the next free folder ``NAME-NNN`` in a parent; raise `InputError` if that fails."""
     try:
         parent.mkdir(parents=True, exist_ok=True)
         taken = {path.name for path in parent.iterdir()}
@@ -120,23 +120,23 @@ def next_run_folder(parent: Path, name: str) -> RunFolder:
                     return RunFolder(path)
             number += 1
     except OSError as error:
-        raise InputError(f"cannot make a run's folder in {parent}: {error.strerror}; name one with -o") from error
+        raise InputError(f"cannot create a run folder in {parent}: {error.strerror}; name one with -o") from error
 
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder to fill that becomes `folder` at the end of the block, and is removed if it fails."""
+    """Yield a folder to fill, which becomes `folder` at the end of the block, or is removed if the block fails."""
     place = folder.absolute()
     part = place.with_name(f".{place.name}.part")
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder} is there already; name another with -o, or remove it")
+            raise InputError(f"{folder} exists; name another folder with -o, or remove it")
         folder.parent.mkdir(parents=True, exist_ok=True)
         part.mkdir()
     except FileExistsError:
-        raise InputError(f"{part} is left of an export that was killed, or goes on; wait or remove it") from None
+        raise InputError(f"{part} exists: an export is running or was killed; wait, or remove it") from None
     except OSError as error:
-        raise InputError(f"{folder} cannot be made: {error.strerror}; name another with -o") from error
+        raise InputError(f"{folder} cannot be created: {error.strerror}; name another with -o") from error
     try:
         yield part
         part.replace(place)
@@ -147,12 +147,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def find_bag(path: Path) -> Path:
-    """Return the MCAP file of a run folder, of a bag's folder, or the file itself; of a split bag its folder.
+    """Return the MCAP file of a run folder or a bag folder, or the file itself; for a split bag, its folder.
 
     Raises
     ------
     NotABagError
-        If there is none, or more than one that do not belong together.
+        If there is none, or several that do not belong together.
     """
     try:
         mode = path.stat().st_mode
@@ -166,7 +166,7 @@ def find_bag(path: Path) -> Path:
             if len(files) > 1:
                 if split_files(files) is not None:
                     return folder
-                raise NotABagError(f"{folder} holds {len(files)} .mcap files: name one of them")
+                raise NotABagError(f"{folder} contains {len(files)} .mcap files: name one of them")
             if files:
                 mode = files[0].stat().st_mode
                 if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
@@ -174,21 +174,21 @@ def find_bag(path: Path) -> Path:
                 return files[0]
             for file in sorted(folder.iterdir()) if folder.is_dir() else ():
                 check_storage(file)
-    except (OSError, ValueError) as error:  # ValueError: the path has a NUL
+    except (OSError, ValueError) as error:  # ValueError: NUL in the path
         reason = error.strerror if isinstance(error, OSError) else error
         raise NotABagError(f"cannot read {path}: {reason}; name a run folder, its bag/, or an .mcap file") from error
-    raise NotABagError(f"{path} holds no bag: name a run folder, its bag/, or an .mcap file")
+    raise NotABagError(f"{path} contains no bag: name a run folder, its bag/, or an .mcap file")
 
 
 def check_storage(file: Path) -> None:
-    """Raise `NotABagError` if a file is a bag in another storage of rosbag2; the text says how to convert it."""
+    """Raise `NotABagError` if a file is a bag in another rosbag2 storage, with the command to convert it."""
     for ending, storage in _OTHER_STORAGE.items():
         if file.name.endswith(ending):
             raise NotABagError(f"{file} is {storage}; {CONVERT}")
 
 
 def split_files(files: Iterable[Path]) -> dict[int, Path] | None:
-    """Return the files of a split bag by number, None if they are not named ``NAME_0.mcap``, ``NAME_1.mcap``..."""
+    """Return the files of a split bag by number, None unless they are named ``NAME_0.mcap``, ``NAME_1.mcap``..."""
     found: dict[int, Path] = {}
     names = set()
     for file in files:
@@ -201,7 +201,7 @@ def split_files(files: Iterable[Path]) -> dict[int, Path] | None:
 
 
 def missing_files(files: dict[int, Path]) -> list[str]:
-    """Return what is missing in the row of a split bag's files; not more than the first few, of what may be many."""
+    """Return messages on missing files of a split bag, at most the first few."""
     name = next(iter(files.values())).stem.rpartition("_")[0]
     missing = (number for number in range(max(files)) if number not in files)
     return [f"{name}_{number}.mcap is missing" for number in islice(missing, _MOST_NAMED)]

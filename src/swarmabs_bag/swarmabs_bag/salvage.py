@@ -1,4 +1,4 @@
-"""What can be saved of a damaged MCAP file: its whole records, and the whole messages at the start of a cut chunk."""
+"""Recovery from a damaged MCAP file: intact records, and the complete messages at the start of a truncated chunk."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ _KINDS: dict[int, str] = {
     Opcode.DATA_END: "end of the data section",
 }
 
-# Where a chunk may begin; behind damage also an attachment, the end of the data section or (the last) a message: the
-# upper bytes of a length below MAX_SIZE are zero.
+# Where a chunk may begin; after damage also an attachment, the end of the data section or (the last pattern) a message.
+# The upper bytes of a length below MAX_SIZE are zero.
 _CHUNK_MARKS = re.compile(rb"(?=\x06[\s\S]{3}[\x00-\x10]\x00{4})")
 _MARKS = re.compile(rb"(?=[\x06\x09\x0f][\s\S]{3}[\x00-\x10]\x00{4})")
 _MARKS_WITHOUT_CHUNKS = re.compile(rb"(?=[\x05\x06\x09\x0f][\s\S]{3}[\x00-\x10]\x00{4})")
@@ -57,7 +57,7 @@ _MARKS_WITHOUT_CHUNKS = re.compile(rb"(?=[\x05\x06\x09\x0f][\s\S]{3}[\x00-\x10]\
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A part of a file that is lost: where, how many bytes, why, and its span of log times in s where it says one."""
+    """A lost part of a file: position, size in bytes, reason, and its span of log times, s, if stated."""
 
     offset: int
     bytes: int
@@ -67,7 +67,7 @@ class Damage:
 
 
 class Saved(NamedTuple):
-    """A whole record; `data` of a chunk are its records, of one that was cut off those that are whole."""
+    """An intact record; `data` are the records in a chunk, of a truncated chunk the complete ones."""
 
     record: Record
     data: bytes = b""
@@ -75,18 +75,18 @@ class Saved(NamedTuple):
 
 
 class Salvage:
-    """The whole records of a file's data section, in file order, each checked as far as the format allows.
+    """The intact records of a data section, in file order, each checked as far as the format allows.
 
-    Behind damage the search goes on at the next chunk, attachment, or end of the data section that is whole. Beside
-    chunks, a message outside of them is believed only if the CRC of the data section is right: no other CRC covers it,
-    and one wrong bit makes a message of a message index. The file has `size` bytes.
+    After damage the search continues at the next intact chunk, attachment, or end of the data section. In a file with
+    chunks, a message outside of them counts only if the CRC of the data section is correct: no other CRC covers it, and
+    a single wrong bit turns a message index into a message. The file has `size` bytes.
 
     Attributes
     ----------
     damage : list of Damage
-        What was left out so far.
+        The parts left out so far.
     before : FileIndex
-        What stands before the first damage.
+        The content before the first damage.
     end : DataEnd or None
         The end of the data section, None if it was not found.
     """
@@ -100,7 +100,7 @@ class Salvage:
         self.end: DataEnd | None = None
 
     def records(self) -> Iterator[Saved]:
-        """Yield what is whole."""
+        """Yield the intact records."""
         self._stream.seek(0)
         if self._stream.read(len(MAGIC)) != MAGIC:
             self.damage.append(Damage(0, len(MAGIC), "the file does not begin as an MCAP file"))
@@ -126,25 +126,25 @@ class Salvage:
             offset = saved.record.end
 
     def _checked(self, offset: int) -> Saved:
-        """Return the record at `offset`, or raise `RecordError` if it is not whole, or cannot be here."""
+        """Return the record at `offset`; raise `RecordError` if it is damaged or not allowed here."""
         record = read_record(self._stream, offset, self._size)
         if record.opcode == Opcode.DATA_END:
             parse(DataEnd, record)
             if not self._leads_on(record.end):
-                raise RecordError(offset, "an end of the data section behind which no summary section begins")
+                raise RecordError(offset, "an end of the data section without a summary section after it")
             return Saved(record)
         data = uncompress(record) if record.opcode == Opcode.CHUNK else b""
         found = FileIndex()
         found.take(record, data)
         if found.unknown is not None:
-            raise RecordError(offset, f"a record of kind {found.unknown:#04x}, which cannot be here")
+            raise RecordError(offset, f"a record of kind {found.unknown:#04x}, which is not allowed here")
         if record.opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
-            raise RecordError(offset, "outside of the chunks, where no CRC says that it is one")
+            raise RecordError(offset, "outside of the chunks, where no CRC confirms it")
         return Saved(record, data)
 
     @cached_property
     def _has_chunks(self) -> bool:
-        """Whether there is a whole chunk anywhere."""
+        """Whether the file contains an intact chunk."""
         with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
             for found in _CHUNK_MARKS.finditer(content, len(MAGIC)):
                 try:
@@ -156,7 +156,7 @@ class Salvage:
 
     @cached_property
     def _section_is_right(self) -> bool:
-        """Whether the data section has a CRC, and the right one."""
+        """Whether the data section has a correct CRC."""
         try:
             found = scan_index(self._stream, self._size)
             end: DataEnd = parse(DataEnd, read_record(self._stream, found.data_end, self._size))
@@ -165,7 +165,7 @@ class Salvage:
         return found.problem is None and end.data_section_crc == found.crc
 
     def _leads_on(self, offset: int) -> bool:
-        """Tell whether a record can begin here, or the file ends."""
+        """Return whether a record can begin here, or the file ends here."""
         if offset >= self._size:
             return offset == self._size
         self._stream.seek(offset)
@@ -174,7 +174,7 @@ class Salvage:
         return known and record_length(head) <= self._size - offset - HEAD_SIZE
 
     def _following(self, offset: int) -> int | None:
-        """Return where, behind a record that is not whole, the next one begins."""
+        """Return the position of the next record after a damaged one."""
         try:
             end = read_record(self._stream, offset, self._size).end
         except RecordError:
@@ -202,31 +202,31 @@ class Salvage:
         return Damage(offset, end - offset, self._named(offset, error), start_time, end_time)
 
     def _named(self, offset: int, error: RecordError) -> str:
-        """Return what is wrong with a record, and of which kind it seems to be."""
+        """Describe the problem of a record, and of which kind it seems to be."""
         self._stream.seek(offset)
-        kind = _KINDS.get(self._stream.read(1)[0], "record of no known kind")
+        kind = _KINDS.get(self._stream.read(1)[0], "record of unknown kind")
         return f"{kind}: {str(error).removeprefix(f'at byte {error.offset}: ')}"
 
     def _rest(self, offset: int, error: RecordError) -> Iterator[Saved]:
-        """Yield the whole records of a chunk with which the file breaks off."""
+        """Yield the complete records of a chunk that is truncated by the end of the file."""
         cut = _cut_chunk(self._stream, offset, self._size)
         if cut is None:
             self.damage.append(Damage(offset, self._size - offset, self._named(offset, error)))
             return
         data, start_time, end_time = cut
-        problem = "chunk: the file breaks off within it"
+        problem = "chunk: the file ends within it"
         self.damage.append(Damage(offset, self._size - offset, problem, start_time / 1e9, end_time / 1e9))
         if data:
             yield Saved(Record(offset, Opcode.CHUNK, b""), data, cut=True)
 
 
 def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, int] | None:
-    """Return the whole records at the start of a chunk that the file's end cuts off, and the times it states."""
+    """Return the complete records at the start of a chunk truncated by the end of the file, and its stated times."""
     stream.seek(offset)
     content = stream.read(min(size - offset, MAX_SIZE))
     if len(content) < HEAD_SIZE or content[0] != Opcode.CHUNK or record_length(content) <= size - offset - HEAD_SIZE:
         return None
-    try:  # the library takes what there is of the last field
+    try:  # the library accepts a truncated last field
         chunk = Chunk.read(ReadDataStream(BytesIO(content[HEAD_SIZE:])))
     except UNREADABLE:
         return None

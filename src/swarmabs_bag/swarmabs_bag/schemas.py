@@ -1,7 +1,7 @@
-"""Schemas of message types, as they stand in a bag: full definition text and RIHS01 hash of the type.
+"""Schemas of message types as stored in a bag: full definition text and RIHS01 hash of the type.
 
-Both come from what rosidl installs with every message package: ``share/PACKAGE/msg/TYPE.msg`` and beside it
-the type description ``TYPE.json`` (REP 2011), which also lists every nested type.
+Both come from the files that rosidl installs with every message package: ``share/PACKAGE/msg/TYPE.msg`` and the type
+description ``TYPE.json`` (REP 2011), which also lists every nested type.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _SEPARATOR = "=" * 80
 
 
 class MessageSchema(NamedTuple):
-    """Definition of a message type: its text in the encoding ``ros2msg``, and RIHS01 hash.
+    """Definition of a message type: text in the encoding ``ros2msg``, and RIHS01 hash.
 
-    Behind the text stand, after separator lines, the definitions of all types nested in it.
+    The text is followed by the definitions of all nested types, after separator lines.
     """
 
     name: str
@@ -56,7 +56,7 @@ def message_schema(ros_type: str) -> MessageSchema:
 
 
 def _read(ros_type: str, suffix: str) -> str:
-    """Return a file of a type from the first prefix of ROS packages that has it; ROS wheels install under Python's."""
+    """Return a file of a type from the first ROS prefix that has it; ROS wheels install below Python's prefix."""
     package, short = _split(ros_type)
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     for prefix in prefixes:

@@ -1,4 +1,4 @@
-"""The steps of a recorded run, put in order in bounded memory."""
+"""The steps of a recorded run, sorted in bounded memory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from swarmabs_core.record import Record
 
 WINDOW = 8
-"""How many steps a message may stand behind one of a later step: in bags of other recorders topics overlap."""
+"""Steps by which a message may be late: in bags of other recorders, topics overlap."""
 REALTIME_WINDOW = 300
 """The same in real time, where topics are received independently of each other."""
 ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
@@ -22,22 +22,22 @@ ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
 
 
 class DisorderError(DamagedBagError):
-    """A message is in a bag twice, or far behind those of later steps."""
+    """A message is duplicated in a bag, or far out of order."""
 
 
 def recorded_steps(
     records: Iterable[Record], name: str, *, realtime: bool = False, window: int | None = None
 ) -> Iterator[RecordedStep]:
-    """Yield the steps of a run in ascending order, and each event, which may be late, at once in a step of its own.
+    """Yield the steps of a run in ascending order, and each event, which may be late, immediately as a separate step.
 
-    Errors call the bag by `name`. In real time the first of two desired states of a step counts; their modes differ.
-    `window` replaces the number of steps by which a message may be late.
+    Errors refer to the bag by `name`. In real time the first of two desired states of a step, with different modes,
+    counts. `window` overrides the number of steps by which a message may be late.
 
     Raises
     ------
     DisorderError
-        If a message is there twice, or more than `WINDOW` steps late; all steps that are `WINDOW` before it have been
-        yielded then.
+        If a message is duplicated, or more than `WINDOW` steps late; all steps more than `WINDOW` before it have been
+        yielded.
     """
     waiting: dict[int, dict[tuple[int, int], Record]] = {}
     latest = -1
@@ -52,12 +52,12 @@ def recorded_steps(
             yield RecordedStep(step, (record,))
             continue
         if step <= latest - window:
-            raise DisorderError(f"{name}: {_place(record)} stands behind step {latest}, out of order")
+            raise DisorderError(f"{name}: {_place(record)} follows step {latest}, out of order")
         slot = waiting.setdefault(step, {})
         if (place, record.agent_id) in slot and realtime and topic is DESIRED_ABSTRACT_STATE:
             continue
         if (place, record.agent_id) in slot:
-            raise DisorderError(f"{name}: {_place(record)} is there twice")
+            raise DisorderError(f"{name}: {_place(record)} is duplicated")
         slot[place, record.agent_id] = record
         if step > latest:
             latest = step

@@ -1,8 +1,8 @@
-"""What is shown of a swarm: one projection of its messages, which every presenter reads.
+"""The state of a swarm for display: a projection of its messages, shared by all views.
 
-Terminal, page, RViz, Foxglove and reports show what is decided here: which robots are active, silent, dead or gone,
-where dead ones stand, which step is shown, what time the law has, and which angle is wanted. It has no clock and no
-network, and takes messages in any order and with gaps.
+It determines for terminal, page, RViz, Foxglove and reports which robots are active, silent, dead or gone, the
+positions of dead robots, the step to show, the time of the law, and the reference. It has no clock and no network, and
+accepts messages in any order and with gaps.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ if TYPE_CHECKING:
 RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent"]
 STATUSES: tuple[RobotStatus, ...] = get_args(RobotStatus)
 STATUS_NAMES: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
-"""What a robot says of itself, by `AgentState.status`."""
+"""The status that a robot publishes, by `AgentState.status`."""
 
 SILENT_STEPS = 50
-"""Whatever was last heard more steps before the one that is shown is silent: a robot, the observer, the controller."""
+"""Steps without a message after which a robot, the observer or the controller counts as silent."""
 MOST_EVENTS = 1000
-"""Events that are kept, the latest."""
+"""Most events that are kept, the latest."""
 MOST_ROBOTS = 4096
-"""Robots that are shown; a stranger in the network cannot fill the memory."""
+"""Most robots that are shown, so that a foreign node cannot fill the memory."""
 MOST_CHANGES = 16
-"""How often a robot is in and out that is remembered, the latest times."""
+"""Most changes of membership kept per robot, the latest."""
 PENDING = 256
-"""Steps that wait for the rest of their messages, and states of a robot that wait for the step that is shown."""
+"""Most incomplete steps, and most states per robot, that are kept."""
 CLOCK = 10**17
-"""Stamps beyond, ns, are those of a clock and not of steps: three years."""
+"""Stamps above this, three years in ns, come from a clock and not from steps."""
 
 
 class RobotIdentity(NamedTuple):
-    """What does not change of a robot: id, kind, mass (kg), damping (N s/m); whether it is absent until it joins."""
+    """Constant properties of a robot: id, kind, mass (kg), damping (N s/m), and whether it is absent until it joins."""
 
     id: int
     kind: Kind
@@ -71,23 +71,23 @@ class RobotIdentity(NamedTuple):
 
 
 class Out(NamedTuple):
-    """How a robot is out; `place` (m) is where the weight of a dead one stands."""
+    """Why a robot does not take part; `place` (m) is the position of a dead robot."""
 
     status: Literal["absent", "dead", "left"]
     place: float = 0.0
 
 
 class Members(NamedTuple):
-    """Ids of the robots that are commanded; ids and places (m) of those whose weights stand still on the plane."""
+    """Ids of the robots that are commanded, and ids and positions (m) of the dead robots on the plane."""
 
     moving: tuple[int, ...]
     standing: tuple[tuple[int, float], ...]
 
 
 class ShownRobot(NamedTuple):
-    """What is shown of a robot: position (m), velocity (m/s), command (m/s, of double integrators N), and status.
+    """State of a robot for display: position (m), velocity (m/s), command (m/s, double integrators N), and status.
 
-    None is what is not known or not finite; all is None of a robot that was not heard yet.
+    Unknown and non-finite values are None; all are None for a robot without a state.
     """
 
     position: float | None = None
@@ -97,17 +97,17 @@ class ShownRobot(NamedTuple):
 
 
 class Abstract(NamedTuple):
-    """An abstract state: torque (N m) and inertia (kg m^2); None where it is not known or not finite."""
+    """An abstract state: torque (N m) and inertia (kg m^2); None if unknown or not finite."""
 
     torque: float | None = None
     inertia: float | None = None
 
 
 class Instant(NamedTuple):
-    """What is shown of the whole swarm in a step.
+    """State of the whole swarm in a step, for display.
 
-    The stamp is in ns, the time in s, angle and reference in rad, the angular velocity in rad/s. The reference is the
-    angle wanted, with its offsets. None is what is not known or not finite.
+    The stamp is in ns, the time in s, angle and reference in rad, the angular velocity in rad/s. The reference includes
+    offsets. Unknown and non-finite values are None.
     """
 
     step: int
@@ -128,7 +128,7 @@ class TimedEvent(NamedTuple):
 
 
 def finite(value: float) -> float | None:
-    """Return a number that can be shown, None for others."""
+    """Return a finite number, otherwise None."""
     return value if isfinite(value) else None
 
 
@@ -137,14 +137,14 @@ def is_silent(heard: int, step: int) -> bool: ...
 @overload
 def is_silent(heard: Integers, step: Integers) -> Flags: ...
 def is_silent(heard: int | Integers, step: int | Integers) -> bool | Flags:
-    """Return whether what was last heard in step `heard` is silent in a step."""
+    """Return whether a node last heard in step `heard` is silent in a step."""
     return step - heard > SILENT_STEPS
 
 
 def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRobot:
-    """Return what is shown of a robot in a step: what it has said last up to then, unless it is out.
+    """Return the state of a robot to show in a step: its latest one up to then, unless it no longer takes part.
 
-    A dead one stands still at its place, whatever its process still says.
+    A dead robot stays at its place, whatever its process still publishes.
     """
     if out is not None and out.status == "dead":
         return ShownRobot(finite(out.place), 0.0, None, "dead")
@@ -164,7 +164,7 @@ def instant_of(
     time: float,
     reference: float | None,
 ) -> Instant:
-    """Return what is shown of the whole swarm by the messages of a step, its time (s) and the angle wanted (rad)."""
+    """Return the state of the whole swarm from the messages of a step, its time (s) and the reference (rad)."""
     return Instant(
         plane.step,
         plane.stamp,
@@ -178,14 +178,13 @@ def instant_of(
 
 
 class RobotHistory:
-    """What robots have said, and who of them is in, dead or gone, by step.
+    """States and membership of robots by step.
 
-    Events may come in any order, and more than once. Only the observer knows which robots are dead, and announces when
-    one is back. What a robot says of itself after its end changes nothing, except that it leaves and joins.
+    Events may arrive in any order and repeatedly. Only the observer knows which robots are dead, and announces their
+    return. After its end, messages of a robot change nothing, except that it leaves or joins.
 
-    Of the robots that are known beforehand some are `absent`: they take part only from when they have joined. The
-    latest `states` and `changes` (in or out) of a robot are kept; without a number of these, all of any number of
-    robots.
+    Robots listed as `absent` take part only after they join. The latest `states` and `changes` of membership are kept
+    per robot; if `changes` is None, all changes of any number of robots are kept.
     """
 
     def __init__(
@@ -205,7 +204,7 @@ class RobotHistory:
         self._members: dict[int, Members] = {}
 
     def add(self, state: AgentState) -> None:
-        """Take what a robot says."""
+        """Process the state of a robot."""
         known = self._states.setdefault(state.agent_id, [])
         if not known or known[-1].step < state.step:
             known.append(state)
@@ -216,7 +215,7 @@ class RobotHistory:
         del known[: -self._most_states]
 
     def take(self, event: SwarmEvent) -> None:
-        """Take an event; those that do not say who takes part change nothing, nor do those of too many strangers."""
+        """Process an event; ignore those that do not change the membership, and those of too many unknown robots."""
         if event.kind == EventKind.JOINED:
             out = None
         elif event.kind == EventKind.DEAD:
@@ -235,17 +234,17 @@ class RobotHistory:
         self._steps = None
 
     def out(self, robot: int, step: int) -> Out | None:
-        """Return how a robot is out in a step, None if it is in."""
+        """Return why a robot does not take part in a step, None if it does."""
         changes = self._changes.get(robot, [])
         place = bisect_right(changes, step, key=itemgetter(0))
         return changes[place - 1][1] if place else None
 
     def changes(self, robot: int) -> tuple[tuple[int, Out | None], ...]:
-        """Return the steps in which a robot goes out (how) or comes in (None), ascending."""
+        """Return the steps at which the membership of a robot changes, ascending; None means that it takes part."""
         return tuple(self._changes.get(robot, ()))
 
     def members(self, step: int) -> Members:
-        """Return who takes part in a step, of the robots that were known beforehand."""
+        """Return the robots that take part in a step, of those known in advance."""
         if self._steps is None:
             self._steps = sorted({step for known in self._changes.values() for step, _ in known})
             self._members.clear()
@@ -260,7 +259,7 @@ class RobotHistory:
         return found
 
     def shown(self, robot: int, step: int) -> ShownRobot:
-        """Return what is shown of a robot in a step."""
+        """Return the state of a robot to show in a step."""
         known = self._states.get(robot, [])
         place = bisect_right(known, step, key=attrgetter("step"))
         return shown_robot(self.out(robot, step), known[place - 1] if place else None, step)
@@ -268,7 +267,7 @@ class RobotHistory:
 
 @dataclass(slots=True)
 class _Step:
-    """What has come of a step."""
+    """The received messages of a step."""
 
     plane: PlaneState | None = None
     abstract: AbstractState | None = None
@@ -276,14 +275,14 @@ class _Step:
 
 
 class SwarmState:
-    """What is known of a swarm now.
+    """The current state of a swarm.
 
-    It shows the latest step of which plane, observer and controller were heard, with each robot as it was last heard
-    up to then. If observer or controller is silent, it shows the plane's latest step without it.
+    It shows the latest step with messages of plane, observer and controller, and each robot's latest state up to it. If
+    observer or controller is silent, it shows the plane's latest step without it.
 
-    Robots that are not known beforehand are added when they are heard. The reference gets the offsets that are
-    announced. With a control period, times are those of the steps, whatever the clocks say that stamp the messages.
-    `version` changes with everything that comes; `events` are the latest, in the order of their arrival.
+    Unknown robots are added when they are first heard. Announced offsets are added to the reference. With a control
+    period, times are those of the steps, independent of the clocks that stamp the messages. `version` changes with
+    every message; `events` are the latest, in the order of arrival.
     """
 
     def __init__(
@@ -310,7 +309,7 @@ class SwarmState:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
-        """Return what is shown of a scenario's swarm before anything is heard of it; its robots are listed."""
+        """Return the initial state of a scenario's swarm; its robots must be listed."""
         there = {agent.id for agent in scenario.initial_agents}
         robots = [
             RobotIdentity(agent.id, Kind[agent.kind.upper()], agent.mass, agent.damping, joins=agent.id not in there)
@@ -320,19 +319,19 @@ class SwarmState:
 
     @property
     def step(self) -> int | None:
-        """The latest step of the plane that was heard, None before the first."""
+        """The latest step of the plane, None before its first message."""
         return None if self._plane is None else self._plane.step
 
     def add(self, message: Message) -> Instant | None:
-        """Take a message, and return the step that it completes, if it does.
+        """Process a message, and return the step that it completes, if any.
 
-        A message that is older than what is known changes nothing.
+        Outdated messages change nothing.
         """
         self.version += 1
         if isinstance(message, AgentState):
             self._hear(message)
         elif isinstance(message, SwarmEvent):
-            self._happened(message)
+            self._record_event(message)
         elif isinstance(message, Basis):
             if message.source == Source.CONTROLLER and _newer(message, self._begun):
                 self._begun = message
@@ -350,7 +349,7 @@ class SwarmState:
         return None
 
     def instant(self) -> Instant | None:
-        """Return the step that is shown, None before the plane was heard."""
+        """Return the step to show, None before the first message of the plane."""
         if self._plane is None:
             return None
         shown = self._shown
@@ -359,11 +358,11 @@ class SwarmState:
         return self._instant(shown.plane or self._plane, shown)
 
     def shown_robots(self, step: int) -> list[ShownRobot]:
-        """Return what is shown of all robots in a step, in their order."""
+        """Return the states of all robots to show in a step, in order."""
         return [self._history.shown(robot.id, step) for robot in self.robots]
 
     def members(self) -> Members:
-        """Return who takes part in the step that is shown, of the robots that were known beforehand."""
+        """Return the robots that take part in the step shown, of those known in advance."""
         instant = self.instant()
         return self._history.members(0 if instant is None else instant.step)
 
@@ -375,9 +374,9 @@ class SwarmState:
             insort(self.robots, _identity(state), key=lambda robot: robot.id)
         self._history.add(state)
 
-    def _happened(self, event: SwarmEvent) -> None:
+    def _record_event(self, event: SwarmEvent) -> None:
         key = (event.step, event.agent_id, event.kind, event.detail)
-        if key in self._known_events:  # the same one may come more than once
+        if key in self._known_events:  # events may arrive repeatedly
             return
         self._known_events[key] = None
         if len(self._known_events) > 4 * MOST_EVENTS:
@@ -398,7 +397,7 @@ class SwarmState:
         return found
 
     def _complete(self, step: int) -> Instant | None:
-        """Return a step if all of it is there; those before it will not come any more."""
+        """Return a step if it is complete, and drop those before it."""
         found = self._steps.get(step, _Step())
         if found.plane is None or found.abstract is None or found.desired is None:
             return None
@@ -409,18 +408,20 @@ class SwarmState:
         return self._instant(found.plane, found)
 
     def _instant(self, plane: PlaneState, found: _Step) -> Instant:
-        return instant_of(plane, found.abstract, found.desired, time=self._time(plane), reference=self._wanted(plane))
+        return instant_of(
+            plane, found.abstract, found.desired, time=self._time(plane), reference=self._reference_at(plane)
+        )
 
     def _time(self, message: Message) -> float:
-        """Return the time of a message's step, s; without a period by its stamp, of a clock since the first one."""
+        """Return the time of a message's step, s; without a period its stamp, relative to the first if from a clock."""
         if self._period_ns is not None:
             return message.step * self._period_ns / 1e9
         if self._first_stamp is None:
             self._first_stamp = message.stamp
         return (message.stamp - (self._first_stamp if self._first_stamp > CLOCK else 0)) / 1e9
 
-    def _wanted(self, plane: PlaneState) -> float | None:
-        """Return the angle wanted at a step, rad; by the clock the law's time begins when the controller says."""
+    def _reference_at(self, plane: PlaneState) -> float | None:
+        """Return the reference at a step, rad; in real time the controller announces when its law's time begins."""
         if self._reference is None or (self._begun is None and plane.stamp > CLOCK):
             return None
         begun = 0 if self._begun is None else self._begun.begun

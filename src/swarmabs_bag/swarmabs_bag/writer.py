@@ -1,4 +1,4 @@
-"""Writing a run into a bag: an MCAP file that ROS tools open, crash-safe while it is written."""
+"""Writing a run to a bag: an MCAP file for ROS tools, crash-safe during the recording."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
 
 BAG_FILE = "bag_0.mcap"
-"""Name of the first MCAP file in a bag's folder; those that follow when it is split count on."""
+"""Name of the first MCAP file in a bag folder; the numbers of a split bag count up."""
 
 CHUNK_SECONDS = 0.8
-"""Age of a chunk, s, at which it is closed: with the pause until the next look at the clock less than 1 s."""
+"""Age at which a chunk is closed, s; with the polling interval it stays below 1 s."""
 
 CHUNK_BYTES = 2**20
 
@@ -51,18 +51,18 @@ _PROFILE = "ros2"
 _SEQUENCE_MASK = 2**32 - 1
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
 
-# What is kept back for the end of the file and metadata.yaml: they grow with the number of chunks.
+# Reserve for the end of the file and metadata.yaml, which grow with the number of chunks.
 _RESERVE_BASE = 2**18
 _RESERVE_PER_CHUNK = 256
 _MAX_CHUNKS_GIVEN_UP = 8
 
 
 class BagWriter:
-    """Writer of a bag: one MCAP file, or several, each complete in itself.
+    """Writer of a bag: one or several MCAP files, each self-contained.
 
-    Messages are gathered in chunks. A chunk is compressed and handed to the operating system when it holds
-    `chunk_bytes` or when its first message was written `chunk_seconds` ago, so a SIGKILL costs at most the
-    current chunk. Only `close` and `abort` write the summary section and ``metadata.yaml``.
+    Messages are collected in chunks. A chunk is compressed and passed to the operating system when it contains
+    `chunk_bytes` or its first message is `chunk_seconds` old, so a SIGKILL loses at most the current chunk. Only
+    `close` and `abort` write the summary section and ``metadata.yaml``.
 
     Use it as a context manager: leaving the block closes the bag, an exception in the block aborts it.
 
@@ -71,21 +71,21 @@ class BagWriter:
     folder : Path
         The bag's folder; it is created, or must be empty.
     topics : sequence of Topic
-        All topics that may be written, also those on which nothing may ever come.
+        All topics that may be written, including those that may stay without messages.
     attachments : mapping of str to bytes
-        What is attached at once, by name: the resolved scenario, the provenance.
+        Attachments written first, by name: the resolved scenario, the provenance.
     namespace : str
-        Namespace of the swarm: the bag holds ``/plane/state`` by default.
+        Namespace of the swarm; by default the bag contains ``/plane/state``.
     chunk_seconds : float
-        Longest time in s, by the `monotonic` clock, until a message is with the operating system; when writes pause,
-        `poll` keeps it.
+        Longest time in s, by the `monotonic` clock, until a message is passed to the operating system; call `poll` if
+        there are pauses between writes.
     chunk_bytes : int
         Size of a chunk before compression.
 
     Raises
     ------
     BagFolderError
-        If the folder is not empty or cannot be written; as after the others, nothing is left behind.
+        If the folder is not empty or cannot be written; like the other errors, it leaves nothing behind.
     UnknownTypeError
         If the definition of a topic's type is not installed.
     BagWriteError
@@ -117,11 +117,11 @@ class BagWriter:
         self._chunks_in_file = 0
         self._first: int | None = None
         self._last = 0
-        # Of the files before the current one: what they are, and their numbers of messages by channel.
+        # The files before the current one, with their message counts by channel.
         self._complete: list[tuple[FileRecord, Mapping[int, int]]] = []
         self._error: BagWriteError | None = None
         self._closed = False
-        with self._remembering_errors():  # also their definitions are files
+        with self._remembering_errors():  # the definitions are read from files
             self._schemas = schemas = {topic.ros_type: message_schema(topic.ros_type) for topic in topics}
         self._topics = [
             BagChannel(
@@ -140,7 +140,7 @@ class BagWriter:
             undo.callback(self._reserve.release)
             self._reserve.hold(_RESERVE_BASE)
             self._writer = self._begin(self._file)
-            # From here on all of it stays.
+            # From here on nothing is undone.
             undo.pop_all()
         channels = self._register()
         self._channels = {topic.name: channel for topic, channel in zip(topics, channels, strict=True)}
@@ -149,7 +149,7 @@ class BagWriter:
     def _begin(self, file: RecordFile) -> Writer:
         """Write the beginning of a file."""
         writer = Writer(
-            cast("IO[bytes]", file),  # of a file, the library uses `write`, `tell` and `flush`
+            cast("IO[bytes]", file),  # the library only uses `write`, `tell` and `flush`
             chunk_size=self._chunk_bytes,
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
@@ -191,10 +191,10 @@ class BagWriter:
             self.abort(reason=str(error) or type(error).__name__)
 
     def write(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None) -> None:
-        """Write a message, CDR with its encapsulation header, on one of the topics named at opening.
+        """Write a message, CDR with its encapsulation header, on one of the topics given at construction.
 
-        Times are in ns and not negative. In lockstep the log time is that of the message's header; the publish time is
-        by default the same.
+        Times are in ns and not negative. In lockstep the log time is that of the message's header; the publish time
+        defaults to the log time.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class BagWriter:
             self.poll()
 
     def _is_full(self, log_time_ns: int) -> bool:
-        """Tell whether a step of this time belongs into the next file."""
+        """Return whether a step at this time belongs in the next file."""
         split, first = self._split, self._first or 0
         by_size = 0 < split.bytes <= self._file.committed and self._chunks_in_file > 0
         return by_size or 0 < split.nanoseconds <= log_time_ns - first
@@ -249,19 +249,19 @@ class BagWriter:
         self._register()
 
     def poll(self) -> None:
-        """Close the current chunk if it is older than `chunk_seconds`; errors as of `write`."""
+        """Close the current chunk if it is older than `chunk_seconds`; errors as for `write`."""
         self._check_open()
         if self._chunk_opened is not None and self._monotonic() - self._chunk_opened >= self._chunk_seconds:
             self._writer.flush()
             self._end_chunk()
 
     def close(self, attachments: Mapping[str, bytes] | None = None) -> None:
-        """Write what is left, attachments such as the run's log, the summary section, and ``metadata.yaml``.
+        """Write the remaining messages, attachments such as the run's log, the summary section, and ``metadata.yaml``.
 
         Raises
         ------
         BagWriteError
-            If the disk is full or fails. What was written before was then already completed as by `abort`.
+            If the disk is full or fails. The bag has then been completed as by `abort`.
         """
         self._check_open()
         try:
@@ -271,11 +271,11 @@ class BagWriter:
             raise
 
     def abort(self, reason: str = "aborted", attachments: Mapping[str, bytes] | None = None) -> None:
-        """Complete the bag of a run that failed for a reason, as far as possible, so that it can be read.
+        """Complete the bag of a failed run as far as possible, so that it can be read.
 
-        After a write error, the file is completed with what was written before. Where not even the space kept
-        back for this is enough, the last chunks are given up for it. No error is raised; if nothing helps,
-        the file ends behind its last whole record, without summary section and without ``metadata.yaml``.
+        After a write error, the file is completed with the data written before. If even the reserved space is not
+        enough, the last chunks are sacrificed. No error is raised; in the worst case the file ends after its last
+        complete record, without summary section and without ``metadata.yaml``.
         """
         if self._closed:
             return

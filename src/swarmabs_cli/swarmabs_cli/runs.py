@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console, RenderableType
 
-from swarmabs_analysis.rerun import RecordedRun, recorded_run
+from swarmabs_analysis.rerun import RepeatableRun, recorded_run
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.options import (
@@ -135,7 +135,7 @@ def carry_out(
     return 0 if outcome.status == "ok" else 1
 
 
-def _check_realtime(scenario: Scenario, recorded: RecordedRun | None) -> None:
+def _check_realtime(scenario: Scenario, recorded: RepeatableRun | None) -> None:
     """Refuse what is for lockstep only, before there is a folder."""
     if recorded is not None:
         raise InputError(

@@ -1,1 +1,1 @@
-"""What people look at: a page in the browser, the terminal, RViz and Foxglove."""
+"""Views of a swarm: a page in the browser, the terminal, RViz and Foxglove."""

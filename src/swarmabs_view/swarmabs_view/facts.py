@@ -1,6 +1,6 @@
-"""What the page knows of a swarm besides its motion: its scenario, and the sets of those who take part.
+"""Facts about a swarm other than its motion: the scenario, and the constraint sets of the robots that take part.
 
-These are computed once for each membership, in the background.
+The sets are computed once per membership, in the background.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     Work = Callable[[], None]
 
 _FEW, _SAMPLES = 10, 40
-"""Torques on each side of 0 at which the boundaries of the sets are computed; of few robots four times as many, for
-then J_max has corners and costs little."""
+"""Torques on each side of 0 at which the boundaries of the sets are computed; four times as many for few robots, where
+J_max has corners and is cheap."""
 _MARGIN = 1.1
-"""How far beyond the manifold the sets are shown."""
+"""Range of the torques, over that of the manifold."""
 
 MOST = 64
-"""Memberships of which the sets are kept."""
+"""Most memberships whose sets are kept."""
 REST = 4.0
-"""How many times as long as a computation no other one begins: of 21 different masses one takes a second."""
+"""Pause after a computation, as a multiple of its duration: one for 21 different masses takes a second."""
 
 UNKNOWN: dict[str, Any] = {**dict.fromkeys(("period", "last_step", "plane", "manifold", "regions")), "robots": []}
-"""What `scenario_facts` returns, as long as there is no scenario."""
+"""The result of `scenario_facts` while the scenario is not known."""
 
 
 def scenario_facts(scenario: Scenario) -> dict[str, Any]:
-    """Return the fields of a `Hello` that a scenario determines; generated robots are listed."""
+    """Return the fields of a `Hello` that the scenario determines, including generated robots."""
     return {
         "period": scenario.period,
         "last_step": scenario.steps,
@@ -66,11 +66,11 @@ def regions(
     torque_max: float,
     standing: Sequence[tuple[float, float]] = (),
 ) -> Regions | None:
-    """Sample the boundaries of A_A and A_P: of the states that robots give, and weights that stand still among them.
+    """Sample the boundaries of A_A and A_P for moving robots and weights at rest.
 
-    These, by mass (kg) and place (m), add a constant torque and a constant inertia to what the robots of some masses
-    (kg, at least two) give on a plane of some length (m). Gravity is in m/s^2. The sets are shown somewhat beyond the
-    torque of the manifold (N m), but never further than robots on the plane reach.
+    The robots are given by mass (kg, at least two), the plane by length (m), gravity in m/s^2. Weights at rest, given
+    by mass (kg) and position (m), add a constant torque and a constant inertia. The range extends somewhat beyond the
+    largest torque of the manifold (N m), but not beyond the largest torque of robots on the plane.
     """
     if len(masses) < 2 or not all(map(isfinite, (*masses, *chain.from_iterable(standing)))):
         return None
@@ -79,7 +79,7 @@ def regions(
     sets = ConstraintSets(masses, length, gravity)
     reach = min(_MARGIN * torque_max + abs(shift), sets.largest_torque)
     samples = 4 * _SAMPLES if len(masses) <= _FEW else _SAMPLES
-    # Without the weights that stand still, the sets are symmetric in the torque.
+    # Without the weights at rest, the sets are symmetric in the torque.
     half = [reach * index / samples for index in range(samples + 1)]
     curves = [
         [finite(lift + sets.smallest_inertia(torque)) for torque in half],
@@ -96,7 +96,7 @@ def regions(
 
 
 def in_background(work: Work) -> Thread:
-    """Do something in a daemon thread, which rests afterwards."""
+    """Run a function in a daemon thread, which pauses afterwards."""
 
     def run() -> None:
         begun = time.monotonic()
@@ -109,7 +109,7 @@ def in_background(work: Work) -> Thread:
 
 
 class Shading:
-    """What the page shades, by who takes part: `first` is what stands in the hello, and `run` has others computed."""
+    """The sets to shade, by membership: `first` are those of the hello; `run` computes others in the background."""
 
     def __init__(self, hello: Hello, run: Callable[[Work], Thread | None] = in_background) -> None:
         self._hello = hello
@@ -120,7 +120,7 @@ class Shading:
         self._known = {Members(tuple(moving), ()): self.first}
 
     def of(self, members: Members) -> Sets | None:
-        """Return the sets of a membership, None as long as they are not computed."""
+        """Return the sets of a membership, None until they are computed."""
         if self._hello.plane is None or self._hello.manifold is None:
             return self.first  # nothing is known of this swarm
         found = self._known.get(members)

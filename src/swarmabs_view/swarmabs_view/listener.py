@@ -1,8 +1,7 @@
-"""Subscribes to what is shown of a swarm; no node ever waits for it.
+"""Subscription to the messages that views need; no node ever waits for it.
 
-It reads best effort, from queues of a few messages that lose what is old when it is slow, stopped or dead. Only events
-are read reliably, so that those before its time come too; their writers keep a bounded number for late readers and wait
-for none.
+It is best effort, with short queues that drop old messages when the view is slow, stopped or dead. Only events are
+reliable, so that earlier ones arrive too; their writers keep a bounded number for late readers and wait for no reader.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ if TYPE_CHECKING:
     from swarmabs_ros.start import SwarmNode
 
 DEPTH = 256
-"""Messages of a coordinator that wait to be read, and at least of the robots: at the highest step rates nearly all."""
+"""Queued messages of a coordinator, and at least of the robots; enough for nearly all at the highest step rates."""
 ROBOT_STEPS = 4
-"""Steps of all robots that wait to be read."""
+"""Queued steps of all robots."""
 
 
 class Heard(NamedTuple):
-    """A message, with its topic and the bytes in which it came."""
+    """A message with its topic and its bytes."""
 
     topic: Topic
     message: Message
@@ -36,14 +35,14 @@ class Heard(NamedTuple):
 
 
 class Listener:
-    """Listens to a swarm of so many robots, as far as known; payloads that are no messages of one are counted."""
+    """Listens to a swarm with the number of robots known so far; counts malformed payloads."""
 
     def __init__(self, node: SwarmNode, robots: int) -> None:
-        # The robots last: the states of a step are there when its broadcasts are.
+        # The robots come last: when the broadcasts of a step are read, its states have arrived.
         self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
         self._most |= {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
         asked = {
-            # All topics are there in real time, and what is asked for suits publishers in lockstep as well.
+            # In real time all topics exist, and this QoS is compatible with publishers in lockstep too.
             topic: requested(topic, Driver.REALTIME, depth=most, reliable=topic is EVENTS)
             for topic, most in self._most.items()
         }
@@ -52,11 +51,11 @@ class Listener:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """What it listens to."""
+        """The subscribed topics."""
         return tuple(self._most)
 
     def poll(self) -> Iterator[Heard]:
-        """Yield what has come; bytes that are no message of a swarm are counted and left out."""
+        """Yield the received messages; count and skip malformed ones."""
         for topic, most in self._most.items():
             for _ in range(most):
                 payload = self._receiver.take(topic)

@@ -1,4 +1,4 @@
-"""A running swarm as the view shows it, and what each page gets of it."""
+"""The view of a running swarm, and the messages for each page."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from swarmabs_view.protocol import Control, Health, Phase
 
 INTERVAL = 1.0 / 30.0
-"""Time, s, between two looks at what has come."""
+"""Time between two polls of the received messages, s."""
 RATE_WINDOW = 2.0
-"""Time, s, over which the step rate is taken."""
+"""Time over which the step rate is computed, s."""
 SILENCE = 3.0
-"""Time, s, without a new step after which the swarm counts as silent."""
+"""Time without a new step after which the swarm counts as silent, s."""
 MOST_PLACES = 1000
-"""Points of each robot's position that are kept."""
+"""Most points of each robot's position."""
 ROBOTS_A_STEP = 10
-"""Robots whose positions are noted in each step; of more robots fewer steps are."""
+"""Robots whose positions are kept in every step; for more robots, fewer steps are kept."""
 MOST_POINTS = 4000
-"""Points of the curves that are kept, no more than a screen can show; when there are more, every second one goes."""
+"""Most points of the curves, as many as a screen can show; beyond, every second point is dropped."""
 
 
 class StepRate:
@@ -42,13 +42,13 @@ class StepRate:
         return len(self._seen)
 
     def take(self, now: float, step: int | None) -> None:
-        """Note the step at a time (s)."""
+        """Record the step at a time (s)."""
         if step is not None and (not self._seen or step != self._seen[-1][1]):
             self._seen.append((now, step))
             self._forget(now)
 
     def at(self, now: float) -> float | None:
-        """Return the rate at a time (s), None if it is not known yet."""
+        """Return the rate at a time (s), None if unknown."""
         self._forget(now)
         if len(self._seen) < 2:
             return None
@@ -56,11 +56,11 @@ class StepRate:
         return (last - first) / (now - begin) if now > begin else None
 
     def silent_for(self, now: float) -> float | None:
-        """Return for how long (s) there has been no new step, None before the first."""
+        """Return the time since the last new step, s, None before the first."""
         return now - self._seen[-1][0] if self._seen else None
 
     def _forget(self, now: float) -> None:
-        """Drop what lies before the window, also while no page asks for the rate."""
+        """Drop steps before the window, even while no page asks for the rate."""
         while len(self._seen) > 2 and self._seen[0][0] < now - RATE_WINDOW:
             self._seen.popleft()
 
@@ -74,9 +74,9 @@ Kept = TypeVar("Kept", bound=_Point)
 
 
 class CurveBuffer(Generic[Kept]):
-    """Keeps the points of curves that grow: those whose step is a multiple of a stride that doubles when needed.
+    """Points of growing curves: those whose step is a multiple of a stride, which doubles when the buffer is full.
 
-    `epoch` changes whenever points that were there are gone.
+    `epoch` changes whenever points were removed or inserted.
     """
 
     def __init__(self, most: int = MOST_POINTS, stride: int = 1) -> None:
@@ -90,21 +90,21 @@ class CurveBuffer(Generic[Kept]):
 
     @property
     def first(self) -> int | None:
-        """The first step that is kept, None before there is one."""
+        """The first step in the buffer, or None."""
         return self._points[0].step if self._points else None
 
     def wants(self, step: int) -> bool:
-        """Return whether a point of a step would be kept."""
+        """Return whether the buffer would keep a point of a step."""
         return step % self._stride == 0 and not (self._points and step <= self._points[-1].step)
 
     def add(self, point: Kept) -> None:
-        """Take a point; one that is not later than the last is left out."""
+        """Add a point; ignore one that is not later than the last."""
         if self.wants(point.step):
             self._points.append(point)
             self._thin()
 
     def begin(self, points: Iterable[Kept]) -> None:
-        """Take the points that lie before the first."""
+        """Insert points before the first."""
         first = self.first
         earlier = [one for one in points if one.step % self._stride == 0 and (first is None or one.step < first)]
         if earlier:
@@ -119,16 +119,16 @@ class CurveBuffer(Generic[Kept]):
             self.epoch += 1
 
     def since(self, epoch: int, count: int) -> tuple[list[Kept], bool] | None:
-        """Return what someone lacks who has this many points of an epoch, and whether it replaces them; or None."""
+        """Return the points that a page with `count` points of an epoch lacks, and if they replace them; or None."""
         replace = epoch != self.epoch
         missing = self._points if replace else self._points[count:]
         return (missing, replace) if missing or replace else None
 
 
 class LiveView:
-    """What is known of a running swarm, for all pages: its state and curves, how it and its processes are doing.
+    """Everything shown of a running swarm, shared by all pages: state, curves, phase and processes.
 
-    The hello says what is known of it before anything is heard; its robots are then those of the state.
+    The hello contains what is known in advance; its robots are then those of the state.
     """
 
     def __init__(self, hello: Hello, state: SwarmState) -> None:
@@ -142,10 +142,10 @@ class LiveView:
         self.learn(hello, state)
 
     def learn(self, hello: Hello, state: SwarmState) -> None:
-        """Begin again, with what has become known."""
+        """Restart with newly known facts."""
         self._hello, self.state, self.shading = hello, state, Shading(hello)
         self.curves: CurveBuffer[Instant] = CurveBuffer()
-        # Of many robots fewer steps: a page is sent as much, and this has as much to do.
+        # Fewer steps of many robots, which bounds the messages and the computation.
         stride = 1 + len(state.robots) // ROBOTS_A_STEP
         self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
         self._complete: list[Instant] = []
@@ -156,7 +156,7 @@ class LiveView:
         return self._hello.model_copy(update={"robots": [Robot.of(robot) for robot in self.state.robots]})
 
     def frame(self, now: float) -> Frame | None:
-        """Return the step that is shown at a time (s), made once for all pages; None before the plane was heard."""
+        """Return the step to show at a time (s), computed once for all pages; None before the plane's first state."""
         if self._drawn != (self.facts, self.state.version):
             self._drawn = (self.facts, self.state.version)
             shown = self.state.instant()
@@ -165,15 +165,15 @@ class LiveView:
         return self._frame
 
     def add(self, message: Message) -> None:
-        """Take a message of the swarm."""
+        """Process a message of the swarm."""
         complete = self.state.add(message)
         if complete is not None:
             self.curves.add(complete)
             if self.positions.wants(complete.step):
                 self._complete.append(complete)
 
-    def look(self, now: float) -> None:
-        """Conclude from the steps that have come how the swarm is doing."""
+    def refresh(self, now: float) -> None:
+        """Update positions, step rate and phase."""
         self._place()
         self.rate.take(now, self.state.step)
         silence = self.rate.silent_for(now)
@@ -185,12 +185,12 @@ class LiveView:
             self.phase, self.text = "silent", f"no step since {self.state.step}"
 
     def begin(self, instants: Iterable[Instant], places: Iterable[Placed]) -> None:
-        """Take what was recorded before the first step that was heard."""
+        """Insert the data recorded before the first received step."""
         self.curves.begin(instants)
         self.positions.begin(places)
 
     def _place(self) -> None:
-        """Note where the robots were in the steps that are complete: they are heard after the rest of a step."""
+        """Keep the positions of the complete steps: robots' states arrive after the rest of a step."""
         for instant in self._complete:
             shown = self.state.shown_robots(instant.step)
             places = {robot.id: one.position for robot, one in zip(self.state.robots, shown, strict=True)}
@@ -198,19 +198,19 @@ class LiveView:
         self._complete.clear()
 
     async def listen(self, listener: Listener, over: Callable[[], bool]) -> None:
-        """Listen until it is over, and some time longer for what is still on its way."""
+        """Listen until the swarm has ended, then a few polls longer for messages on the way."""
         clock = asyncio.get_running_loop().time
         left = 3
         while left:
             for heard in listener.poll():
                 self.add(heard.message)
-            self.look(clock())
+            self.refresh(clock())
             left = left - 1 if over() else 3
             await asyncio.sleep(INTERVAL)
 
 
 class LiveSession(Session):
-    """What one page sees of a running swarm; `after` makes what it sees when the run is over, and None before."""
+    """The session of a page that shows a running swarm; `after` returns the session to use when the run has ended."""
 
     def __init__(self, live: LiveView, after: Callable[[], Session | None] = lambda: None) -> None:
         super().__init__()
@@ -222,7 +222,7 @@ class LiveSession(Session):
         self._events = 0
 
     def hello(self) -> list[protocol.Message]:
-        """Return what a page needs first."""
+        """Return the initial messages for a page."""
         live = self._live
         self._known, self._events = (live.facts, len(live.state.robots)), 0
         self._curves = self._positions = (-1, 0)
@@ -230,7 +230,7 @@ class LiveSession(Session):
         return [live.hello(), Events(replace=True, events=[])]
 
     def poll(self, now: float) -> list[protocol.Message]:
-        """Return what is new at a time (s) of the clock."""
+        """Return the new messages at a time (s) of the clock."""
         if self._after is None:
             self._after = self._make_after()
             if self._after is not None:
@@ -244,7 +244,7 @@ class LiveSession(Session):
         return [*messages, *self.new(now, live.frame(now), sets, live.health, state)]
 
     def control(self, request: Control) -> None:
-        """Do what the page asks for; a running swarm cannot be played."""
+        """Handle a request of the page; a running swarm has no playback."""
         if self._after is not None:
             self._after.control(request)
 

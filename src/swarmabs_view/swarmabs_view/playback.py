@@ -1,4 +1,4 @@
-"""A bag as the view shows it: any step of it at once, and a playback that each page controls for itself."""
+"""The view of a bag: random access to steps, and a playback that each page controls separately."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
     from swarmabs_bag.recorded_swarm import RecordedSwarm
 
 COLUMNS = 1000
-"""Columns of a picture of a curve; of each the first, lowest, highest and last point of every curve are sent."""
+"""Columns of a chart; of each column the first, lowest, highest and last point of every curve are sent."""
 
 
 def evenly(count: int, most: int) -> Sequence[int]:
-    """Return rows that are evenly spread over all, of which there are so many."""
+    """Return at most `most` evenly spaced rows out of `count`."""
     return range(0, count, -(-count // most) or 1)
 
 
 def places(swarm: RecordedSwarm, rows: Iterable[int]) -> list[Placed]:
-    """Return where the robots are at rows of the arrays."""
+    """Return the positions of the robots at rows of the arrays."""
     arrays, ids = swarm.arrays, swarm.arrays.agents.ids.tolist()
     return [
         Placed(
@@ -59,7 +59,7 @@ def places(swarm: RecordedSwarm, rows: Iterable[int]) -> list[Placed]:
 
 
 class Recording:
-    """A bag, read once, in the messages of the page."""
+    """A bag, read once, as messages of the page."""
 
     def __init__(self, swarm: RecordedSwarm) -> None:
         self.swarm = swarm
@@ -85,7 +85,7 @@ class Recording:
 
     @cached_property
     def curves(self) -> Curves:
-        """All curves, thinned so that they look the same."""
+        """All curves, thinned without a visible change."""
         arrays = self.swarm.arrays
         abstract, desired = arrays.abstract, arrays.desired
         columns = (
@@ -100,7 +100,7 @@ class Recording:
 
     @cached_property
     def positions(self) -> Positions:
-        """The positions, at some `COLUMNS` steps."""
+        """The positions, at most at `COLUMNS` steps."""
         points = places(self.swarm, evenly(len(self), COLUMNS))
         return Positions.of([robot.id for robot in self.hello.robots], points, replace=True)
 
@@ -112,11 +112,11 @@ class Recording:
         return Events(replace=True, events=[Event.of(one) for one in found[left_out:]], left_out=left_out)
 
     def frame(self, row: int, step_rate: float | None = None) -> Frame:
-        """Return what is to be seen at a row of the arrays."""
+        """Return the frame at a row of the arrays."""
         return Frame.of(self.swarm.instant(row), self.swarm.shown_robots(row), step_rate)
 
     def row_at(self, step: int) -> int:
-        """Return the row of a step, of one that is not there the row before it."""
+        """Return the row of a step, or the row before a missing step."""
         found = int(np.searchsorted(self.swarm.arrays.step, step, side="right")) - 1
         return min(max(found, 0), len(self) - 1)
 
@@ -126,17 +126,17 @@ class Recording:
         return min(max(found, 0), len(self) - 1)
 
     def sets(self, row: int) -> Sets | None:
-        """Return the sets of those who take part at a row, None as long as they are not computed."""
+        """Return the sets of the robots that take part at a row, None until they are computed."""
         return self.shading.of(self.swarm.members(row))
 
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
-    """Read a bag; errors as of `swarmabs_bag.recorded_swarm.read_swarm`."""
+    """Read a bag; errors as for `swarmabs_bag.recorded_swarm.read_swarm`."""
     return Recording(read_swarm(path, namespace=namespace))
 
 
 class PlaybackSession(Session):
-    """What one page sees of a bag: pure, on any clock that does not jump."""
+    """The session of a page that shows a bag; a pure state machine on any monotonic clock."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__()
@@ -150,18 +150,18 @@ class PlaybackSession(Session):
         self._sent = {Sets: recording.shading.first}
 
     def hello(self) -> list[Message]:
-        """Return what a page needs first."""
+        """Return the initial messages for a page."""
         recording = self.recording
         return [recording.hello, recording.curves, recording.positions, recording.events]
 
     def poll(self, now: float) -> list[Message]:
-        """Return what is new at a time (s) of the clock."""
+        """Return the new messages at a time (s) of the clock."""
         swarm = self.recording.swarm
         told = swarm.reason in {None, swarm.status}
         text = swarm.status if told else f"{swarm.status}: {swarm.reason}"
         if not len(self.recording):
             return self.new(now, State(phase="recorded", text=text, playing=False, speed=self._speed))
-        self._go_on(now)
+        self._advance(now)
         if self._drawn is None or self._drawn[0] != self._row:
             rate = self._speed / swarm.scenario.period if self._playing else None
             self._drawn = (self._row, self.recording.frame(self._row, rate))
@@ -169,7 +169,7 @@ class PlaybackSession(Session):
         return self.new(now, self._drawn[1], self.recording.sets(self._row), state)
 
     def control(self, request: Control) -> None:
-        """Do what the page asks for; what is over cannot be steered."""
+        """Handle a request of the page; a recorded run cannot be steered."""
         if isinstance(request, Play):
             if self._row >= len(self.recording) - 1:
                 self._jump(0)
@@ -186,7 +186,7 @@ class PlaybackSession(Session):
             self._row = row
             self._time = float(self.recording.swarm.arrays.time[row])
 
-    def _go_on(self, now: float) -> None:
+    def _advance(self, now: float) -> None:
         passed = 0.0 if self._now is None else now - self._now
         self._now = now
         if not self._playing:
@@ -198,12 +198,12 @@ class PlaybackSession(Session):
 
 
 def view_bag(path: Path, *, namespace: str | None, port: int, ready: Callable[[str], None]) -> None:
-    """Show a bag until the user has seen enough; `ready` is told the address of the page.
+    """Show a bag until the user ends it; `ready` receives the address of the page.
 
     Raises
     ------
     InputError
-        If the port is taken, or it is no bag of a swarm.
+        If the port is taken, or it is not the bag of a swarm.
     DamagedBagError
         If it cannot be read.
     """
@@ -211,6 +211,6 @@ def view_bag(path: Path, *, namespace: str | None, port: int, ready: Callable[[s
     from swarmabs_view.server import serve  # noqa: PLC0415 - needs aiohttp
 
     recording = open_recording(path, namespace=namespace)
-    _ = recording.hello, recording.curves, recording.positions, recording.events  # made before the first page asks
+    _ = recording.hello, recording.curves, recording.positions, recording.events  # computed before a page connects
     with bound(port) as listener:
         serve(listener, lambda: PlaybackSession(recording), ready=ready)

@@ -1,4 +1,4 @@
-"""Ports on this machine for pages and Foxglove, asked for before a run is started, and so without ROS."""
+"""Ports on this machine for pages and Foxglove, reserved before a run starts and thus without ROS."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ ADDRESS = "127.0.0.1"
 
 
 def need_package(module: str, package: str, user: str) -> None:
-    """Refuse by an `InputError` where a package is not installed that only some need."""
+    """Raise `InputError` if an optional package is not installed."""
     if find_spec(module) is None:
         raise InputError(
             f"{user} needs the Python package {package}, which ./scripts/swarm installs by itself; "
-            f"with a ROS 2 of your own: {sys.executable} -m pip install {package}"
+            f"with an installed ROS 2: {sys.executable} -m pip install {package}"
         )
 
 
 def need_web_server() -> None:
-    """Refuse where pages cannot be served; errors as of `need_package`."""
+    """Check that pages can be served; errors as for `need_package`."""
     need_package("aiohttp", "aiohttp", "the view")
 
 
 def need_foxglove() -> None:
-    """Refuse where Foxglove cannot be served; errors as of `need_package`."""
+    """Check that Foxglove can be served; errors as for `need_package`."""
     need_package("foxglove", "foxglove-sdk", "the WebSocket for Foxglove")
 
 
 def check_foxglove(port: int) -> None:
-    """Refuse by an `InputError` what could not be served: the package is not installed, or the port is taken."""
+    """Raise `InputError` if the package for Foxglove is not installed or the port is taken."""
     need_foxglove()
     bound(port, "choose another --foxglove-port").close()
 
 
 def bound(port: int, remedy: str = "choose another, or 0 for a free one") -> socket.socket:
-    """Return a socket that listens on a port of 127.0.0.1, 0 for any free one; an `InputError` if it cannot be had."""
+    """Return a socket that listens on a port of 127.0.0.1, 0 for any free one; raise `InputError` if that fails."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        # A port is free again as soon as who had it has ended.
+        # Allows a port to be reused as soon as its process has ended.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((ADDRESS, port))
         listener.listen()

@@ -1,7 +1,7 @@
-"""What server and page of the view say to each other: JSON messages over a WebSocket, version 1.
+"""The protocol between server and page of the view: JSON messages over a WebSocket, version 1.
 
-Each message is an object with ``v`` and ``type``. Numbers are in SI units; what is not known or not finite is null. A
-number keeps every bit on its way: the page shows what stands in the bag.
+Each message is an object with ``v`` and ``type``. Numbers are in SI units; unknown and non-finite values are null.
+Numbers keep every bit: the page has the values of the bag.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from swarmabs_bag.swarm_state import Instant, RobotIdentity, TimedEvent
 
 VERSION = 1
-"""Of the messages; it is raised when one changes its meaning or goes. Messages and fields of the server may be added: a
-page leaves out what it does not know."""
+"""Version of the protocol, raised when a message is removed or changes its meaning. The server may add messages and
+fields: a page ignores unknown ones."""
 
 Number: TypeAlias = float | None
 Phase: TypeAlias = Literal["waiting", "running", "silent", "ended", "recorded"]
 FASTEST = 1000.0
-"""Highest speed of a playback, in parts of real time."""
+"""Highest speed of a playback, as a multiple of real time."""
 STATE_INTERVAL = 1.0
-"""Longest time, s, between two states of the source."""
+"""Longest time between two states of the source, s."""
 MOST_LINES = 24
-"""Robots whose positions are drawn as a line each."""
+"""Most robots whose positions are drawn as a line each."""
 BANDS = {"lowest": 0.0, "10 %": 0.1, "median": 0.5, "90 %": 0.9, "highest": 1.0}
-"""Parts of the robots whose positions are not above a band."""
+"""Percentiles by label: the fraction of robots with positions up to this line."""
 _KINDS = {kind.value: kind.name for kind in EventKind}
 
 
 class Placed(NamedTuple):
-    """Where the robots are in a step: time (s) and positions (m) by id; None is who is not on the plane."""
+    """Positions of the robots in a step: time (s), positions (m) by id; None for a robot that is not on the plane."""
 
     step: int
     time: float
@@ -47,7 +47,7 @@ class Placed(NamedTuple):
 
 
 class Part(BaseModel):
-    """A part of a message; unknown keys are refused."""
+    """A part of a message; unknown keys are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -59,17 +59,17 @@ class Message(Part):
 
 
 class Robot(Part):
-    """What does not change of a robot."""
+    """The constant properties of a robot."""
 
     id: int
     kind: Literal["single_integrator", "double_integrator"]
     mass: Number = Field(description="kg")
     damping: Number = Field(description="N s/m")
-    joins: bool = Field(default=False, description="whether it takes part only from when it joins")
+    joins: bool = Field(default=False, description="whether it takes part only after it joins")
 
     @classmethod
     def of(cls, robot: RobotIdentity) -> Self:
-        """Return what does not change of a robot."""
+        """Return the constant properties of a robot."""
         return cls(**{**robot._asdict(), "kind": robot.kind.name.lower()})
 
 
@@ -90,19 +90,19 @@ class Manifold(Part):
 
 
 class Regions(Part):
-    """Boundaries of the sets of abstract states, over the torque; null where there is no such state.
+    """Boundaries of the sets of abstract states over the torque; null where there is no such state.
 
-    Positions are those of the robots that the law commands; the weights of dead ones stand still where they are.
+    Positions are those of the robots that the law commands; dead robots stay where they are.
     """
 
     torque: list[float] = Field(description="N m")
     smallest: list[Number] = Field(description="J_min, kg m^2: below, no positions give the state")
-    admissible: list[Number] = Field(description="J_A, kg m^2: up to here all positions are on the plane (A_A)")
-    reachable: list[Number] = Field(description="J_max, kg m^2: up to here some are (A_P), at least")
+    admissible: list[Number] = Field(description="J_A, kg m^2: up to this, all such positions are on the plane (A_A)")
+    reachable: list[Number] = Field(description="J_max, kg m^2, or a lower bound: up to this, some are (A_P)")
 
 
 class Hello(Message):
-    """The first message: what is shown. A further one replaces everything."""
+    """The first message: describes what is shown. A further one replaces everything."""
 
     type: Literal["hello"] = "hello"
     source: Literal["bag", "run", "swarm"]
@@ -113,8 +113,8 @@ class Hello(Message):
     robots: list[Robot] = Field(description="in the order of the arrays of a frame")
     plane: Plane | None
     manifold: Manifold | None
-    regions: Regions | None = Field(description="while all take part that do from the beginning")
-    playback: bool = Field(description="whether the page can say what is shown: play, pause, seek, speed")
+    regions: Regions | None = Field(description="sets of the initial robots")
+    playback: bool = Field(description="whether the page can control the playback: play, pause, seek, speed")
 
 
 class Abstract(Part):
@@ -125,9 +125,9 @@ class Abstract(Part):
 
 
 class RobotStates(Part):
-    """States of all robots in the order of the hello, null where a robot has not been heard of, or has left.
+    """States of all robots in the order of the hello, null for robots without data and robots that left.
 
-    A dead one stands still where its event says.
+    A dead robot stays where its event says.
     """
 
     position: list[Number] = Field(description="m")
@@ -137,7 +137,7 @@ class RobotStates(Part):
 
 
 class Frame(Message):
-    """What is to be seen now."""
+    """The current step."""
 
     type: Literal["frame"] = "frame"
     step: int
@@ -152,7 +152,7 @@ class Frame(Message):
 
     @classmethod
     def of(cls, instant: Instant, robots: Sequence[ShownRobot], step_rate: float | None) -> Self:
-        """Return a step of the swarm, with its robots in the order of the hello: by the same names, but its stamp."""
+        """Return the frame of a step, with the robots in the order of the hello."""
         shared = {name: value for name, value in instant._asdict().items() if name in cls.model_fields}
         shared |= {"abstract": instant.abstract._asdict(), "desired": instant.desired._asdict()}
         states = {name: [getattr(robot, name) for robot in robots] for name in ShownRobot._fields}
@@ -160,16 +160,16 @@ class Frame(Message):
 
 
 class Sets(Message):
-    """The sets of the hello anew, for whoever takes part now; sent when it changes."""
+    """The sets for the robots that take part now; sent when these change."""
 
     type: Literal["sets"] = "sets"
     moving: list[int] = Field(description="robots that the law commands")
-    standing: list[int] = Field(description="dead robots, whose weights stand still on the plane")
-    regions: Regions | None = Field(description="null where fewer than two are commanded, or nothing is known of them")
+    standing: list[int] = Field(description="dead robots that are still on the plane")
+    regions: Regions | None = Field(description="null if fewer than two are commanded, or their masses are unknown")
 
 
 class Curves(Message):
-    """Points of the curves; they follow those sent before, or replace them."""
+    """Points of the curves, which are appended to the earlier ones or replace them."""
 
     type: Literal["curves"] = "curves"
     replace: bool
@@ -197,9 +197,9 @@ class Curves(Message):
 
 
 class Positions(Message):
-    """Positions over time; they follow those sent before, or replace them.
+    """Positions over time, which are appended to the earlier ones or replace them.
 
-    A line is a robot, or of more than `MOST_LINES` robots a band: how the positions of all are distributed.
+    A line is a robot or, for more than `MOST_LINES` robots, a percentile of all positions.
     """
 
     type: Literal["positions"] = "positions"
@@ -207,11 +207,11 @@ class Positions(Message):
     bands: bool
     labels: list[str] = Field(description="of the lines")
     time: list[float] = Field(description="s")
-    lines: list[list[Number]] = Field(description="m; null of a robot that is not on the plane")
+    lines: list[list[Number]] = Field(description="m; null for a robot that is not on the plane")
 
     @classmethod
     def of(cls, robots: Sequence[int], points: Sequence[Placed], *, replace: bool) -> Self:
-        """Return points of the lines of these robots, or of bands of all."""
+        """Return points of the lines of these robots, or of their percentiles."""
         bands = len(robots) > MOST_LINES
         rows = [[point.places.get(robot) for robot in robots] for point in points]
         if bands:
@@ -222,7 +222,7 @@ class Positions(Message):
 
 
 def _distribution(positions: Sequence[Number]) -> list[Number]:
-    """Return the quantiles of `BANDS`, each a position that a robot has."""
+    """Return the percentiles of `BANDS`, each the position of some robot."""
     known = sorted(position for position in positions if position is not None)
     return [known[round(part * (len(known) - 1))] if known else None for part in BANDS.values()]
 
@@ -232,27 +232,27 @@ class Event(Part):
 
     step: int
     time: float = Field(description="s")
-    agent: int = Field(description="0: no robot in particular")
+    agent: int = Field(description="id of a robot, or 0")
     kind: str
     value: Number
     detail: str
 
     @classmethod
-    def of(cls, happened: TimedEvent) -> Self:
-        """Return an event as the page shows it."""
-        event, time = happened
+    def of(cls, timed: TimedEvent) -> Self:
+        """Return an event for the page."""
+        event, time = timed
         kind = _KINDS.get(event.kind, str(event.kind))
         value = finite(event.value)
         return cls(step=event.step, time=time, agent=event.agent_id, kind=kind, value=value, detail=event.detail)
 
 
 class Events(Message):
-    """Events; they follow those sent before, or replace them."""
+    """Events, which are appended to the earlier ones or replace them."""
 
     type: Literal["events"] = "events"
     replace: bool
     events: list[Event]
-    left_out: int = Field(default=0, description="earlier ones that are not sent")
+    left_out: int = Field(default=0, description="number of earlier events that are not sent")
 
 
 class Process(Part):
@@ -260,7 +260,7 @@ class Process(Part):
 
     name: str
     pid: int
-    state: str = Field(description="as the operating system says, such as running, sleeping, stopped; gone")
+    state: str = Field(description="state by the operating system, such as running, sleeping, stopped; or gone")
     cpu: Number = Field(description="percent of one core")
     memory: int | None = Field(description="bytes of resident memory")
 
@@ -273,7 +273,7 @@ class Health(Message):
 
 
 class State(Message):
-    """How the source is doing; sent at least once a second, so that silence means a lost connection."""
+    """State of the source; sent at least once a second, so that silence means a lost connection."""
 
     type: Literal["state"] = "state"
     phase: Phase
@@ -283,12 +283,12 @@ class State(Message):
 
 
 class Steering(Message):
-    """What holds in a run that is steered, and what may be asked of it; sent when it changes."""
+    """Current settings of a steerable run and bounds of requests; sent when they change."""
 
     type: Literal["steering"] = "steering"
-    open: bool = Field(description="whether it takes requests now")
+    open: bool = Field(description="whether the run accepts requests now")
     reference: float = Field(default=0.0, description="offset of the reference, rad")
-    disturbance: float = Field(default=0.0, description="torque that disturbs the plane, N m")
+    disturbance: float = Field(default=0.0, description="disturbance torque on the plane, N m")
     largest_reference: float = Field(default=0.0, description="rad; 0: the law's reference cannot be offset")
     largest_disturbance: float = Field(default=0.0, description="N m")
     members: list[int] = Field(default=[], description="robots that take part")
@@ -296,24 +296,24 @@ class Steering(Message):
 
 
 class Answer(Message):
-    """What has become of a page's request."""
+    """The answer to a request of the page."""
 
     type: Literal["answer"] = "answer"
-    request: str = Field(description="as the page has called it")
+    request: str = Field(description="the name given by the page")
     ok: bool
     known: bool = Field(default=True, description="whether the token was right")
-    text: str = Field(description="from which step on it holds, or why it is not done")
+    text: str = Field(description="the step from which it applies, or why it was rejected")
 
 
 def _no_other_one(version: object) -> object:
-    """Refuse what equals 1 and is not it."""
+    """Reject values such as 1.0 and true that equal the integer 1."""
     if type(version) is not int:
         raise ValueError("not an integer")
     return version
 
 
 class Request(Part):
-    """A message of a page, which must say its version; nothing is taken for a number that is none."""
+    """A message of a page, with its version; types are not converted."""
 
     model_config = ConfigDict(strict=True)
 
@@ -321,13 +321,13 @@ class Request(Part):
 
 
 class Play(Request):
-    """Let the playback go on; at the end it begins again."""
+    """Start the playback or continue it; at the end it starts again."""
 
     type: Literal["play"]
 
 
 class Pause(Request):
-    """Stop the playback where it is."""
+    """Pause the playback."""
 
     type: Literal["pause"]
 
@@ -347,27 +347,25 @@ class Speed(Request):
 
 
 class Unlock(Request):
-    """Ask whether a token is right, which changes nothing."""
+    """Check a token, without any other effect."""
 
     type: Literal["unlock"]
     token: str = Field(max_length=100)
 
 
 class Steer(Request):
-    """Change the run; only for those who know the token. Values as of the run's socket (docs/how-to/steering.md)."""
+    """Change the run; needs the token. Values are those of the run's socket (docs/how-to/steering.md)."""
 
     type: Literal["steer"]
     token: str = Field(max_length=100)
-    request: str = Field(min_length=1, max_length=100, description="a name; the same request is done once")
+    request: str = Field(min_length=1, max_length=100, description="a name; a request is performed once per name")
     action: Literal["reference", "disturbance", "kill", "freeze", "remove", "add"]
-    value: float | None = Field(
-        default=None, allow_inf_nan=False, description="of reference in rad, of disturbance in N m"
-    )
-    agent: int | None = Field(default=None, ge=1, le=65535, description="of the others")
+    value: float | None = Field(default=None, allow_inf_nan=False, description="reference in rad, disturbance in N m")
+    agent: int | None = Field(default=None, ge=1, le=65535, description="robot, for the other actions")
 
 
 Control: TypeAlias = Play | Pause | Seek | Speed | Unlock | Steer
-"""What a page may ask for."""
+"""The requests of a page."""
 
 CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="type")])
 
@@ -379,26 +377,26 @@ FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)
 
 
 class Session:
-    """What one page sees. A message that a later one of its type replaces is sent once, the state every second."""
+    """The messages for one page. A message that a later one replaces is sent once, the state every second."""
 
     def __init__(self) -> None:
         self._sent: dict[type[Message], Message] = {}
         self._told = float("-inf")
 
     def hello(self) -> list[Message]:
-        """Return what a page needs first."""
+        """Return the initial messages for a page."""
         raise NotImplementedError
 
     def poll(self, now: float) -> list[Message]:
-        """Return what is new at a time (s) of the clock."""
+        """Return the new messages at a time (s) of the clock."""
         raise NotImplementedError
 
     def control(self, request: Control) -> None:
-        """Do what the page asks for."""
+        """Handle a request of the page."""
         raise NotImplementedError
 
     def new(self, now: float, *latest: Message | None) -> list[Message]:
-        """Return which of the latest messages, one of each type at most, the page lacks; the state every second."""
+        """Return those of the latest messages, at most one per type, that the page lacks; the state every second."""
         if now - self._told >= STATE_INTERVAL:
             self._sent.pop(State, None)
         found = [message for message in latest if message is not None and self._sent.get(type(message)) != message]
@@ -409,7 +407,7 @@ class Session:
 
 
 def json_schema() -> dict[str, object]:
-    """Return the JSON Schema of all messages; ``from_server`` and ``from_page`` in its ``$defs`` are the directions."""
+    """Return the JSON Schema of all messages, by direction in ``from_server`` and ``from_page`` of its ``$defs``."""
     _, schema = models_json_schema([(model, "serialization") for model in (*FROM_SERVER, *FROM_PAGE)])
     definitions = schema["$defs"]
     for name, models in (("from_server", FROM_SERVER), ("from_page", FROM_PAGE)):

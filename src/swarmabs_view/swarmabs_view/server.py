@@ -1,8 +1,8 @@
-"""The web server of the view: a handful of files, and one WebSocket per page.
+"""The web server of the view: a fixed set of files, and one WebSocket per page.
 
-It answers only pages that it has delivered itself, on this machine. It listens on 127.0.0.1; that alone does not keep
-out pages of the web that the same browser shows: they can address 127.0.0.1, or a name of theirs that they let point
-there (DNS rebinding). So the name by which the server is addressed, and the page that asks, must be its own.
+It answers only pages that it has delivered itself, on this machine. Listening on 127.0.0.1 is not enough to exclude web
+pages in the same browser: they can address 127.0.0.1, or a name of their own that resolves to it (DNS rebinding). So
+the host name of a request and the origin of the requesting page must be those of the server.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from swarmabs_view.protocol import Session
 
 INTERVAL = 1.0 / 40.0
-"""Shortest time, s, between two frames for a page."""
+"""Shortest time between two frames for a page, s."""
 MOST_PAGES = 16
-"""Pages that may look at once."""
+"""Most pages connected at the same time."""
 LONGEST_REQUEST = 4096
-"""Bytes of what a page may ask at once."""
+"""Largest request of a page, bytes."""
 PING = 20.0
-"""Time, s, after which a page that does not answer is given up."""
+"""Interval of the pings that detect a dead page, s."""
 END_SECONDS = 2.0
-"""Time, s, that open connections have at the end."""
+"""Time that open connections have to close at the end, s."""
 
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _FOLDERS = ("static", "third_party/uplot")
@@ -46,25 +46,25 @@ def hosts(port: int) -> frozenset[str]:
 
 
 def refusal(headers: Mapping[str, str], port: int, *, websocket: bool) -> str | None:
-    """Say why a request to this port is refused; None if it is not.
+    """Return why a request to this port is rejected, or None.
 
-    A `websocket` is the connection over which the data go: browsers always name the page that asks for it.
+    For a `websocket`, which carries the data, browsers always send the origin.
     """
     allowed = hosts(port)
     if headers.get("Host", "").lower() not in allowed:
-        return "this server is addressed as 127.0.0.1 or localhost only"
+        return "address this server as 127.0.0.1 or localhost"
     origin = headers.get("Origin")
     if origin is None and websocket:
-        return "a connection must name the page that asks for it"
+        return "a WebSocket request must have an Origin header"
     if origin is not None and origin.lower() not in {f"http://{host}" for host in allowed}:
-        return "pages of other origins get nothing from this server"
+        return "requests from pages of other origins are rejected"
     if headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
-        return "pages of other sites get nothing from this server"
+        return "requests from pages of other sites are rejected"
     return None
 
 
 def response_headers(port: int) -> dict[str, str]:
-    """Return the headers of all answers: nothing from elsewhere, nothing inline, in no frame, nothing kept."""
+    """Return the headers of all responses: no external or inline content, no framing, no caching."""
     sockets = " ".join(f"ws://{host}" for host in sorted(hosts(port)))
     return {
         "Content-Security-Policy": (
@@ -80,7 +80,7 @@ def response_headers(port: int) -> dict[str, str]:
 
 
 def load_files() -> dict[str, tuple[str, bytes]]:
-    """Return all that the server delivers, by path: type and content. No request ever names a file of the disk."""
+    """Return all files that the server delivers, type and content by path, so that no request names a file on disk."""
     package = files("swarmabs_view")
     found = {}
     for folder in _FOLDERS:
@@ -93,7 +93,7 @@ def load_files() -> dict[str, tuple[str, bytes]]:
 
 
 class ViewServer:
-    """Serves pages until it is told to stop, on a socket of 127.0.0.1; `session` makes what a new page sees."""
+    """Serves pages on a socket of 127.0.0.1 until it is stopped; `session` creates the session of a new page."""
 
     def __init__(self, listener: socket, session: Callable[[], Session]) -> None:
         self._listener = listener
@@ -142,11 +142,11 @@ class ViewServer:
         full = len(self._pages) >= MOST_PAGES
         page = web.WebSocketResponse(timeout=END_SECONDS, heartbeat=PING, max_msg_size=LONGEST_REQUEST)
         if not page.can_prepare(request).ok:
-            return web.Response(status=400, text="this address is for a WebSocket\n", headers=self._headers)
+            return web.Response(status=400, text="this address is a WebSocket\n", headers=self._headers)
         if full:
-            # Scripts do not learn why a connection is refused, but they do learn why one is closed.
+            # Scripts cannot read why a connection is rejected, but they can read why one is closed.
             await page.prepare(request)
-            await page.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages look already")
+            await page.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages are connected")
             return page
         self._pages.add(page)
         try:
@@ -169,7 +169,7 @@ class ViewServer:
 
 
 async def _send(page: web.WebSocketResponse, session: Session) -> None:
-    """Send a page what is new. Who reads slowly gets less: the next is made only when the last has gone."""
+    """Send new messages to a page. A slow page gets fewer: the next are created only when the last have been sent."""
     clock = asyncio.get_running_loop().time
     messages = session.hello()
     while not page.closed:
@@ -181,7 +181,7 @@ async def _send(page: web.WebSocketResponse, session: Session) -> None:
 
 
 async def _hear(page: web.WebSocketResponse, session: Session) -> None:
-    """Do what a page asks for, until it goes; one that says what is no message is shown out."""
+    """Handle the requests of a page until it disconnects; close the connection on an invalid message."""
     async for heard in page:
         try:
             request = CONTROL.validate_json(heard.data) if heard.type is WSMsgType.TEXT else None
@@ -199,9 +199,9 @@ def serve(
     *tasks: Callable[[], Coroutine[None, None, None]],
     ready: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve pages until this process is asked to end, by a signal or by a task that is done.
+    """Serve pages until a signal arrives or one of the tasks is done.
 
-    The tasks are coroutines that happen meanwhile; `ready` is told the address of the page once it is served.
+    The tasks are coroutines that run concurrently; `ready` receives the address of the page once it is served.
     """
 
     async def main() -> None:

@@ -1,4 +1,4 @@
-"""What live pages show: a run, from before its start to its bag, or a swarm of which only its messages are known.
+"""The sources of live pages: a run, from its start to its bag, or a swarm that is known only by its messages.
 
 As a program it serves the page of a run until standard input ends; `swarmabs_view.viewers` starts it.
 """
@@ -47,23 +47,23 @@ if TYPE_CHECKING:
 
 NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 HEALTH_INTERVAL = 2.0
-"""Time, s, between two looks at the processes."""
+"""Time between two queries of the processes, s."""
 FETCH_INTERVAL = 1.0
-"""Time, s, between two looks for the beginning of a run in its bag; a step is in the bag a second later at most."""
+"""Time between two attempts to read the beginning of a run from its bag, s; steps are written within a second."""
 LARGEST_FETCH = 2**28
-"""Bytes of a bag beyond which the beginning is left out until the run is over: to read it would take too long."""
+"""Size of a bag, bytes, beyond which its beginning is not read during the run, because that would take too long."""
 WAIT_INTERVAL = 0.1
-"""Time, s, between two looks whether a run has begun, or its summary is written."""
+"""Time between two checks for the start or the summary of a run, s."""
 NICENESS = 5
-"""Where cores are scarce, those who look wait for those who work."""
+"""Lower priority than that of the run, for machines with few cores."""
 SUMMARY_SECONDS = 10.0
-"""Time, s, that a run whose orchestrator has ended may take to leave its summary."""
+"""Time within which a run must write its summary after its orchestrator has ended, s."""
 
 
 class ProcessWatch:
-    """How the processes of a run are doing, as the operating system sees them.
+    """State of the processes of a run, from the operating system.
 
-    An id that another process has got meanwhile does not count as the one meant.
+    A process id that was reused by another process counts as gone.
     """
 
     def __init__(self, processes: Mapping[str, int]) -> None:
@@ -72,13 +72,13 @@ class ProcessWatch:
         for name, pid in self._pids.items():
             try:
                 watched = psutil.Process(pid)
-                watched.cpu_percent(None)  # the first call begins to count
+                watched.cpu_percent(None)  # the first call starts the measurement
             except psutil.Error:
                 continue
             self._watched[name] = watched
 
-    def look(self) -> Health:
-        """Return how they are doing, the processor time since the last look."""
+    def health(self) -> Health:
+        """Return the state of the processes, with the processor time since the last call."""
         return Health(processes=[self._one(name, pid) for name, pid in self._pids.items()])
 
     def _one(self, name: str, pid: int) -> Process:
@@ -94,51 +94,52 @@ class ProcessWatch:
 
 
 class RunView:
-    """A run, from before its start to its bag; a page that knows the token, if there is one, can steer it."""
+    """A run, from its start to its bag; a page that knows the token can steer it."""
 
     def __init__(self, folder: Path, token: str | None = None) -> None:
         self._folder = RunFolder(folder)
         self._recording: Recording | None = None
         hello = Hello(source="run", title=folder.name, place=str(folder), playback=False, **UNKNOWN)
         self._live = LiveView(hello, SwarmState())
-        self._live.text = "the processes start"
+        self._live.text = "the processes are starting"
         self._bridge = None if token is None else SteeringBridge(folder, token)
 
     def session(self) -> Session:
-        """Return what a new page sees."""
+        """Return the session of a new page."""
         session = LiveSession(self._live, self._playback)
         return session if self._bridge is None else SteeredSession(session, self._bridge)
 
     async def steer(self) -> None:
-        """Know what holds in a run that is steered; never ends."""
+        """Track the settings of a steerable run; never returns."""
         await (asyncio.Event().wait() if self._bridge is None else self._bridge.follow())
 
     async def follow(self) -> None:
-        """Follow the run to its end, then for ever show its bag."""
+        """Follow the run to its end, then show its bag; never returns."""
         processes = await self._started()
         environment = None if processes is None else self._environment()
         if processes is not None and environment is not None:
             os.environ.update(environment)
             os.nice(NICENESS)
-            beside = [asyncio.ensure_future(one) for one in (self._watch(processes), self._fetch())]
+            tasks = [asyncio.ensure_future(one) for one in (self._watch(processes), self._fetch())]
             try:
                 await listen(self._live, "/", self._over)
             finally:
-                for task in beside:
+                for task in tasks:
                     task.cancel()
         self._live.phase, self._live.text = "ended", "the run has ended"
         await self._end()
         await asyncio.Event().wait()
 
     async def _started(self) -> Mapping[str, int] | None:
-        """Wait until all processes have met; return their ids, None if the run has ended before.
+        """Wait until all processes have discovered each other; return their ids, None if the run has ended before.
 
-        Not before: a run begins when every node has met as many others as it has counterparts, and this is none.
+        The view must not join earlier: a run begins when every node has discovered the number of its counterparts, and
+        the view is none.
         """
         known = False
         while not self._folder.summary.exists():
-            if not known and self._folder.logs.is_dir():  # which is made before the scenario is written
-                with suppress(InputError):  # not written to its end yet
+            if not known and self._folder.logs.is_dir():  # created before the scenario is written
+                with suppress(InputError):  # not completely written yet
                     await self._begin()
                     known = True
             processes = read_processes(self._folder.path)
@@ -154,13 +155,13 @@ class RunView:
         self._live.learn(hello, SwarmState.of(scenario))
 
     async def _fetch(self) -> None:
-        """Fetch from the bag that is being written what happened before the first step that was heard."""
+        """Read the steps before the first received one from the bag that is being written."""
         while self._live.curves.first != 0:
             await asyncio.sleep(FETCH_INTERVAL)
             first = self._live.curves.first
             if first is None:
                 continue
-            with suppress(InputError, DamagedBagError, OSError):  # not written so far
+            with suppress(InputError, DamagedBagError, OSError):  # not written yet
                 if sum(file.stat().st_size for file in self._folder.bag.iterdir()) > LARGEST_FETCH:
                     return
                 found = await asyncio.to_thread(self._recorded, first)
@@ -169,12 +170,12 @@ class RunView:
                     return
 
     def _recorded(self, first: int) -> tuple[list[Instant], list[Placed]] | None:
-        """Return what was recorded before a step, None if that has not been written yet."""
+        """Return the recorded data before a step, None if it is not written yet."""
         swarm = read_swarm(self._folder.path)
         steps, period = swarm.arrays.step, swarm.scenario.period
         if not len(swarm) or steps[-1] < first - 1:
             return None
-        # Times are those of the steps, as for what is heard.
+        # Times are those of the steps, as for received messages.
         instants = [swarm.instant(row) for row in evenly(len(swarm), MOST_POINTS)]
         placed = places(swarm, evenly(len(swarm), MOST_PLACES))
         return (
@@ -185,11 +186,11 @@ class RunView:
     async def _watch(self, processes: Mapping[str, int]) -> None:
         watch = ProcessWatch(processes)
         while True:
-            self._live.health = await asyncio.to_thread(watch.look)
+            self._live.health = await asyncio.to_thread(watch.health)
             await asyncio.sleep(HEALTH_INTERVAL)
 
     def _environment(self) -> dict[str, str] | None:
-        """Return the environment of the run's network, None if the run has just ended."""
+        """Return the environment of the run's network, None if the run has ended."""
         try:
             return environment_of_run(self._folder.path)
         except RunOverError:
@@ -199,7 +200,7 @@ class RunView:
         return self._folder.summary.exists() or not goes_on(self._folder.path)
 
     async def _end(self) -> None:
-        """Show the bag, if there is one that can be read."""
+        """Show the bag, if it can be read."""
         for _ in range(round(SUMMARY_SECONDS / WAIT_INTERVAL)):
             if self._folder.summary.exists():
                 break
@@ -235,16 +236,16 @@ class SwarmView:
         self._live = LiveView(hello, SwarmState())
 
     def session(self) -> LiveSession:
-        """Return what a new page sees."""
+        """Return the session of a new page."""
         return LiveSession(self._live)
 
     async def follow(self) -> None:
-        """Listen for ever."""
+        """Listen; never returns."""
         await listen(self._live, self._namespace, lambda: False)
 
 
 def show_live(target: str, listener: socket.socket, ready: Callable[[str], None]) -> None:
-    """Serve a running swarm until the user has seen enough; parameters and errors as of `view_live`."""
+    """Serve a running swarm until the user ends it; parameters and errors as for `view_live`."""
     folder = Path(target)
     shown: RunView | SwarmView
     if (folder / "logs").is_dir():
@@ -253,12 +254,14 @@ def show_live(target: str, listener: socket.socket, ready: Callable[[str], None]
     elif NAMESPACE.fullmatch(target):
         shown = SwarmView(target)
     else:
-        raise InputError(f"--live {target}: neither the folder of a run nor a namespace such as /swarm_a, or /")
+        raise InputError(
+            f"--live {target} is neither a run folder nor a namespace such as /swarm_a or /; give one of them"
+        )
     serve(listener, shown.session, shown.follow, ready=ready)
 
 
 async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> None:
-    """Join the ROS domain of the environment, and let a view hear a swarm until it is over."""
+    """Join the ROS domain of the environment, and feed a view with the messages of a swarm until it has ended."""
     initialise("view", ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"])
     node = SwarmNode(f"view_{os.getpid()}")
     try:
@@ -269,7 +272,7 @@ async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> No
 
 
 def check_running(folder: Path) -> None:
-    """Refuse by an `InputError` the folder of a run that is over, and one that is no run's."""
+    """Raise `InputError` for the folder of a run that has ended, or a folder without a run."""
     try:
         environment_of_run(folder)
     except RunOverError as error:
@@ -295,7 +298,7 @@ async def closed(descriptor: int) -> None:
 
 
 def main() -> int:
-    """Serve what a run does until standard input ends."""
+    """Serve the page of a run until standard input ends."""
     folder, descriptor = sys.argv[1:]
     run = RunView(Path(folder), sys.stdin.buffer.readline().decode().strip() or None)
     with socket.socket(fileno=int(descriptor)) as listener:

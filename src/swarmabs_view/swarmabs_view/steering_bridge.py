@@ -1,4 +1,4 @@
-"""Steering from the page: what those who know the token ask for goes to the run's socket, and the answer back."""
+"""Steering from the page: forwards requests with the right token to the run's socket, and returns the answers."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ if TYPE_CHECKING:
 
     from swarmabs_view.protocol import Control, Message
 
-LOOK_INTERVAL = 0.5
-"""Time, s, between two looks at what holds."""
+STATUS_INTERVAL = 0.5
+"""Time between two queries of the current settings, s."""
 MOST_WAITING = 32
-"""Requests of one page that may wait for their answers."""
+"""Most requests of a page that wait for an answer."""
 
 _HELD = ("reference", "disturbance", "largest_reference", "largest_disturbance", "members", "absent")
 
-WRONG = "the token is wrong: it stands in the terminal of the run"
-OVER = "the run takes no requests: it has not begun, or is over"
+WRONG = "the token is wrong; use the one printed in the terminal of the run"
+OVER = "the run accepts no requests: it has not begun or has ended"
 
 
 async def pause() -> None:
-    """Wait until the next look."""
-    await asyncio.sleep(LOOK_INTERVAL)
+    """Wait until the next query."""
+    await asyncio.sleep(STATUS_INTERVAL)
 
 
 class SteeringBridge:
-    """What steers a run on behalf of all pages that know the token; `status` is what holds now.
+    """Steers a run on behalf of all pages that know the token.
 
-    It waits by `pause` between two looks.
+    `status` holds the current settings; `pause` waits between two queries.
     """
 
     def __init__(self, folder: Path, token: str, pause: Callable[[], Awaitable[None]] = pause) -> None:
@@ -48,7 +48,7 @@ class SteeringBridge:
         self.status = Steering(open=False)
 
     async def follow(self) -> None:
-        """Keep the status up to date, from before the run begins; never ends."""
+        """Keep the status up to date, beginning before the run; never returns."""
         while self._streams is None:
             with suppress(OSError):
                 await self._connect()
@@ -68,7 +68,7 @@ class SteeringBridge:
         return hmac.compare_digest(token.encode(), self._token)
 
     async def ask(self, request: Steer) -> Answer:
-        """Ask the run for something; the answer comes when it is decided, some steps later."""
+        """Send a request to the run; it is answered when decided, some steps later."""
         if not self.knows(request.token):
             return Answer(request=request.request, ok=False, known=False, text=WRONG)
         asked = request.model_dump(include={"action", "value", "agent", "request"}, exclude_none=True)
@@ -84,7 +84,7 @@ class SteeringBridge:
             self._streams = await asyncio.open_unix_connection(place / SOCKET, limit=LONGEST_ANSWER)
 
     async def _exchange(self, asked: dict[str, Any]) -> dict[str, Any] | None:
-        """Return the run's answer, None if it takes no requests."""
+        """Return the run's answer, or None if it accepts no requests."""
         async with self._turn:
             if self._streams is None:
                 return None
@@ -101,7 +101,7 @@ class SteeringBridge:
 
 
 class SteeredSession(Session):
-    """What one page sees of a run that can be steered: what another session says, and answers to requests."""
+    """The session of a page that shows a steerable run: adds the answers to requests to another session."""
 
     def __init__(self, session: Session, bridge: SteeringBridge) -> None:
         super().__init__()
@@ -111,12 +111,12 @@ class SteeredSession(Session):
         self._answers: list[Message] = []
 
     def hello(self) -> list[Message]:
-        """Return what a page needs first."""
+        """Return the initial messages for a page."""
         self._sent = {Steering: self._bridge.status}
         return [*self._session.hello(), self._bridge.status]
 
     def poll(self, now: float) -> list[Message]:
-        """Return what is new at a time (s) of the clock."""
+        """Return the new messages at a time (s) of the clock."""
         messages = self._session.poll(now)
         if any(isinstance(message, Hello) for message in messages):
             self._sent.clear()
@@ -125,14 +125,14 @@ class SteeredSession(Session):
         return messages
 
     def control(self, request: Control) -> None:
-        """Do what the page asks for."""
+        """Handle a request of the page."""
         if isinstance(request, Unlock):
             if not self._bridge.knows(request.token) and len(self._answers) < MOST_WAITING:
                 self._answers.append(Answer(request="", ok=False, known=False, text=WRONG))
         elif not isinstance(request, Steer):
             self._session.control(request)
         elif len(self._waiting) >= MOST_WAITING:
-            self._answers.append(Answer(request=request.request, ok=False, text="too many requests wait already"))
+            self._answers.append(Answer(request=request.request, ok=False, text="too many requests waiting; try again"))
         else:
             task = asyncio.ensure_future(self._bridge.ask(request))
             self._waiting.add(task)

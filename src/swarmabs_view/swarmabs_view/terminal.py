@@ -1,4 +1,4 @@
-"""How far a run is: a panel that is rewritten on a terminal, now and then a line elsewhere."""
+"""Progress of a run: a panel that is redrawn on a terminal, or periodic lines elsewhere."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from swarmabs_run.run import Progress
 
 _TERMINAL_INTERVAL, _LINE_INTERVAL = 0.2, 5.0
-"""Time, s, between two panels, and between two lines."""
+"""Time between two updates of the panel, and between two lines, s."""
 LEAST_WIDTH, LEAST_HEIGHT = 50, 9
-"""Smaller terminals get one line."""
+"""Smaller terminals get a single line."""
 WIDEST = 100
 ECHO = "^C"
-"""What a terminal writes after the panel when it is interrupted; in a full line it would begin another one."""
+"""Text that a terminal appends to the panel on Ctrl-C; the panel leaves room for it, or it would wrap."""
 LANES = 8
-"""More robots than these share one lane."""
+"""Most robots with a lane each; more share one."""
 _BINS = 400
 _BARS = " ▁▂▃▄▅▆▇█"
 _ASCII_BARS = " .:-=+*#@"
@@ -45,16 +45,16 @@ _STATUS = {
     LETTERS["left"]: ("left", "dim"),
     LETTERS["dead"]: ("dead", "magenta"),
     LETTERS["silent"]: ("silent", "red"),
-    LETTERS[None]: ("not heard", "dim"),
+    LETTERS[None]: ("no data", "dim"),
 }
 _NOWHERE = (LETTERS["left"], LETTERS[None])
-"""Those who are not on the plane, or of whom it is not known where."""
+"""Letters of robots that are not on the plane, or whose position is not known."""
 _LABEL = 8
 
 
 @contextmanager
 def shown_progress(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
-    """Show the progress of a run on standard error for the time of the block; the yielded function is told of it."""
+    """Show the progress of a run on standard error inside the block; pass it to the yielded function."""
     if sys.stderr.isatty():
         with _terminal(scenario) as show:
             yield show
@@ -63,7 +63,7 @@ def shown_progress(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
 
 
 def describe(progress: Progress, scenario: Scenario) -> str:
-    """Say in a line how far a run is."""
+    """Describe the progress of a run in a line."""
     if progress.phase == "starting":
         return f"{scenario.name}: starting, {progress.ready} of {progress.processes} processes ready"
     parts = [f"{scenario.name}: step {progress.step} of {progress.steps}"]
@@ -80,12 +80,12 @@ def describe(progress: Progress, scenario: Scenario) -> str:
 @contextmanager
 def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
     console = Console(stderr=True, highlight=False)
-    if console.is_dumb_terminal:  # it cannot go back to what is written already
+    if console.is_dumb_terminal:  # it cannot move the cursor back
         yield _lines(scenario)
         return
     panel = RunPanel(scenario)
     shown = 0.0
-    # Drawn by the function that is told, not by a thread: the launcher is forked from here.
+    # Drawn by the function itself, not by a thread, because this process forks the launcher.
     with Live(panel, console=console, auto_refresh=False, transient=True) as live:
 
         def show(progress: Progress) -> None:
@@ -113,7 +113,7 @@ def _lines(scenario: Scenario) -> Callable[[Progress], None]:
 
 
 class RunPanel:
-    """Draws a run, in little space by one line; it neither knows a clock nor prints."""
+    """Renders a run as a panel, or as one line in little space; it has no clock and does not print."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -123,14 +123,14 @@ class RunPanel:
         self._line = f"{scenario.name}: starting"
 
     def take(self, progress: Progress, one_line: str) -> None:
-        """Take the latest progress of the run."""
+        """Update the panel with the latest progress."""
         self._progress, self._line = progress, one_line
         if progress.error is not None:
             bin_ = min(_BINS * progress.step // max(progress.steps, 1), _BINS - 1)
             self._errors[bin_] = max(abs(progress.error), self._errors[bin_] or 0.0)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw it into the space that there is now."""
+        """Draw the run in the available space."""
         width, height = options.max_width - len(ECHO), console.size.height
         progress = self._progress
         if width < LEAST_WIDTH or height < LEAST_HEIGHT or progress is None or progress.phase == "starting":
@@ -180,10 +180,10 @@ class RunPanel:
         if progress.error is None:
             return Text(f"{progress.angle:+.4f} rad")
         reference = progress.angle + progress.error
-        return Text(f"{progress.angle:+.4f} rad, wanted {reference:+.4f} rad, error {progress.error:+.4f} rad")
+        return Text(f"{progress.angle:+.4f} rad, reference {reference:+.4f} rad, error {progress.error:+.4f} rad")
 
     def _sparkline(self, width: int, progress: Progress, *, ascii_only: bool) -> Text:
-        """Draw |error| over the whole run: a column per part of it, the largest value fills a column."""
+        """Draw |error| over the whole run, scaled to its largest value."""
         width = max(min(width, _BINS), 1)
         columns: list[float | None] = [None] * width
         for index, error in enumerate(self._errors):
@@ -192,7 +192,7 @@ class RunPanel:
                 columns[column] = max(error, columns[column] or 0.0)
         last = min(width * progress.step // max(progress.steps, 1), width - 1)
         known = 0.0
-        for column in range(last + 1):  # a fast run has columns without a report
+        for column in range(last + 1):  # a fast run leaves columns without a value
             found = columns[column]
             known = columns[column] = known if found is None else found
         largest = max((error for error in columns if error is not None), default=0.0)
@@ -210,7 +210,7 @@ class RunPanel:
         return Text(f"{progress.step_rate:.0f} steps/s, {times:.1f} x real time")
 
     def _lanes(self, seen: SwarmSummary, width: int, *, ascii_only: bool) -> list[Text]:
-        """Draw each robot in its lane, or all in one where they are many."""
+        """Draw each robot in its lane, or many robots in a common one."""
         if not seen.places:
             return []
         if len(seen.places) > LANES:
@@ -271,13 +271,13 @@ def _empty_lane(width: int, *, ascii_only: bool) -> list[tuple[str, str]]:
 
 
 def _joined(cells: list[tuple[str, str]]) -> Text:
-    """Join cells; those of one style become one part, which is much faster to print."""
+    """Join cells, merging those of the same style, which is much faster to print."""
     parts = ((style, "".join(text for text, _ in group)) for style, group in groupby(cells, itemgetter(1)))
     return Text.assemble(*((text, style) for style, text in parts))
 
 
 def _cell(place: int, width: int) -> int:
-    """Return the column of a place; both ends of the plane are within."""
+    """Return the column of a place; the first and last column are the ends of the plane."""
     return round((place + THOUSAND) * (width - 1) / (2 * THOUSAND))
 
 

@@ -1,4 +1,4 @@
-"""Viewers as commands start them: of a bag or a swarm in this process, of a run in processes that end with it."""
+"""Viewers started by commands: of a bag or a swarm in this process, of a run in processes that end with it."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 END_SECONDS = 5.0
-"""Longest time, s, that a viewer may take to end; then it is killed."""
+"""Time after which a viewer that does not end is killed, s."""
 MARKERS_LOG = "markers.log"
 
 
 def view_live(target: str, *, port: int, ready: Callable[[str], None]) -> None:
-    """Show a running swarm until the user has seen enough: a run by its folder, or a namespace of the ROS domain.
+    """Show a running swarm until the user ends it: a run by its folder, or a namespace of the ROS domain.
 
-    `ready` is told the address of the page.
+    `ready` receives the address of the page.
 
     Raises
     ------
     InputError
-        If it is neither, the run is over, or the port is taken.
+        If it is neither, the run has ended, or the port is taken.
     """
     need_web_server()
-    from swarmabs_view.sources import show_live  # noqa: PLC0415 - needs aiohttp and the whole of ROS
+    from swarmabs_view.sources import show_live  # noqa: PLC0415 - needs aiohttp and ROS
 
     with bound(port) as listener:
         show_live(target, listener, ready)
@@ -43,8 +43,7 @@ def view_live(target: str, *, port: int, ready: Callable[[str], None]) -> None:
 class ViewerProcess:
     """A process that shows a run until its standard input ends.
 
-    Other users can see its arguments, but not the secret, which is the first line that it reads. It inherits the files
-    behind the descriptors.
+    The secret is the first line of its input, because other users can see its arguments. It inherits the descriptors.
     """
 
     def __init__(
@@ -55,21 +54,21 @@ class ViewerProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             pass_fds=descriptors,
-            start_new_session=True,  # Ctrl-C in a terminal is for the command alone
+            start_new_session=True,  # Ctrl-C in a terminal only reaches the command
         )
-        assert self._process.stdin is not None  # noqa: S101 - it is a pipe
+        assert self._process.stdin is not None  # noqa: S101 - a pipe
         self._pipe = self._process.stdin
-        with suppress(OSError):  # a viewer that has died is no matter of the run
+        with suppress(OSError):  # a viewer that has died must not affect the run
             self._pipe.write(secret.encode() + b"\n")
             self._pipe.flush()
 
     def wait(self) -> None:
-        """Wait until it has ended by itself, or Ctrl-C."""
+        """Wait until the process ends by itself, or for Ctrl-C."""
         with suppress(KeyboardInterrupt):
             self._process.wait()
 
     def close(self) -> int:
-        """End it, and return its exit code; one that hangs is killed."""
+        """End the process, killing it if it hangs, and return its exit code."""
         with suppress(OSError):
             self._pipe.close()
         try:
@@ -80,10 +79,10 @@ class ViewerProcess:
 
 
 class PageViewer:
-    """The page of a run: holds its port from the beginning, so that a taken one is refused in time.
+    """The page of a run; it opens its port first, so that a taken port is reported before the run starts.
 
-    A run can be `steered` by the page whose address is `steering_url`: its token stands behind the `#`, and browsers
-    keep that part for themselves.
+    With `steered`, the page at `steering_url` can steer the run: its token follows the `#`, a part of the address that
+    browsers do not send.
 
     Raises
     ------
@@ -108,7 +107,7 @@ class PageViewer:
         self.close()
 
     def start(self, folder: Path) -> None:
-        """Show the run in a folder, which is about to begin."""
+        """Show the run in a folder, which is about to start."""
         number = self._listener.fileno()
         self._process = ViewerProcess(
             "swarmabs_view.sources", [str(folder), str(number)], secret=self._token, descriptors=[number]
@@ -116,7 +115,7 @@ class PageViewer:
         self._listener.close()
 
     def wait(self) -> None:
-        """Wait until the viewer has ended by itself, or Ctrl-C."""
+        """Wait until the viewer ends by itself, or for Ctrl-C."""
         if self._process is not None:
             self._process.wait()
 
@@ -129,10 +128,10 @@ class PageViewer:
 
 @contextmanager
 def markers_viewer(folder: Path, *, ros: bool, foxglove_port: int | None, clock: bool) -> Iterator[None]:
-    """Show the run in a folder, which is about to begin, to RViz and Foxglove for the time of the block.
+    """Show the run in a folder, which is about to start, in RViz and Foxglove inside the block.
 
-    `ros` publishes on topics of ROS, `clock` the time of the steps too, where it is not the machine's; Foxglove is
-    served on its port, if there is one.
+    `ros` publishes on ROS topics, `clock` also publishes the time of the steps where it is not the machine's; Foxglove
+    is served if a port is given.
     """
     port = -1 if foxglove_port is None else foxglove_port
     parameters = [f"ros:={str(ros).lower()}", f"clock:={str(clock).lower()}", f"foxglove_port:={port}"]
@@ -143,4 +142,4 @@ def markers_viewer(folder: Path, *, ros: bool, foxglove_port: int | None, clock:
     finally:
         code = process.close()
     if code > 0:
-        sys.stderr.write(f"warning: the markers have failed; see {folder / 'logs' / MARKERS_LOG}\n")
+        sys.stderr.write(f"warning: the process for RViz and Foxglove failed; see {folder / 'logs' / MARKERS_LOG}\n")

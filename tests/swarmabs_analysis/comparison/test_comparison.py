@@ -135,9 +135,9 @@ def test_topics_may_overlap_but_only_so_far_and_a_message_is_there_once() -> Non
     at = RUN.index(PLANE)
     rest = [m for m in RUN if m != PLANE]
     assert compare([*rest[: at + 50], PLANE, *rest[at + 50 :]], RUN).equal
-    with pytest.raises(DamagedBagError, match="A: /plane/state at step 4 stands behind step 13, out of order"):
+    with pytest.raises(DamagedBagError, match="A: /plane/state at step 4 follows step 13, out of order"):
         compare([*rest[: at + 64], PLANE, *rest[at + 64 :]], RUN)
-    with pytest.raises(DamagedBagError, match="B: /swarm/agent_state of agent 2 at step 11 is there twice"):
+    with pytest.raises(DamagedBagError, match="B: /swarm/agent_state of agent 2 at step 11 is duplicated"):
         compare(RUN, [*RUN[: RUN.index(STATE)], STATE, *RUN[RUN.index(STATE) :]])
 
 
@@ -206,7 +206,7 @@ def test_other_robots_provenance_and_settings_are_named(tmp_path: Path) -> None:
     assert (found.robots_only_in_a, found.robots_only_in_b) == ((), (7,))
     assert (found.a.robots, found.b.robots) == (2, 3)
     assert found.provenance == (SettingDifference("versions.x", "1", "2"),)
-    assert "holds no scenario" in (found.a.scenario_problem or "")
+    assert "contains no scenario" in (found.a.scenario_problem or "")
     assert found.a.figures["rms_error"] is None
     # Lists are taken apart only if they hold mappings.
     a = {"gains": [1, 2], "agents": [{"id": 1}, {"id": 2}], "limits": None, "none": []}

@@ -133,10 +133,10 @@ def test_nine_panels_show_the_bags_and_any_reference(name: str, controller: str,
             assert_same(drawn(axes, label), times, unit * (wanted - actual))
     plane = rows[0][0]
     if controller == "arise":
-        times, wanted = drawn(plane, "θ wanted")
+        times, wanted = drawn(plane, "reference")
         assert wanted == pytest.approx([0.7 * math.sin(0.015 * math.pi * t) for t in times], abs=1e-12)
     else:
-        assert "θ wanted" not in [line.get_label() for line in plane.lines]
+        assert "reference" not in [line.get_label() for line in plane.lines]
 
 
 def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_bag_of_no_use_is_left_out_among_others_and_refused_alone(short_runs: 
     expected = (
         "cut.mcap is not complete: ",
         "bag_0.mcap is not complete: 0 of 3001 states",
-        "holds no scenario",
+        "contains no scenario",
         "3 byt",
     )
     assert all(text in reason for text, reason in zip(expected, reasons, strict=True))
@@ -200,7 +200,7 @@ def test_a_bag_of_no_use_is_left_out_among_others_and_refused_alone(short_runs: 
 
 
 def test_what_is_no_bag_is_refused_and_why_a_run_ended_stays_in_its_line(tmp_path: Path) -> None:
-    with pytest.raises(NotABagError, match="holds neither a bag nor folders of runs"):
+    with pytest.raises(NotABagError, match="contains neither a bag nor run folders"):
         find_runs([tmp_path], NAMES)
     with pytest.raises(NotABagError, match=r"cannot read .*nothing"):
         find_runs([tmp_path / "nothing"], NAMES)

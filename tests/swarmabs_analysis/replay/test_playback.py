@@ -67,11 +67,11 @@ def test_what_cannot_be_played_is_left_out_and_named(tmp_path: Path) -> None:
     playable, warnings = choose_topics(bag)
     assert [topic.channel.name for topic in playable] == ["/chatter"]
     for told in (
-        "/chatter: its publishers offered 2 different QoS; the first is taken",
-        "/scan is left out: message type their_msgs/msg/Scan: ",
+        "/chatter: its publishers offered 2 different QoS; the first is used",
+        "/scan is skipped: message type their_msgs/msg/Scan: ",
         "install the package their_msgs",
-        "/old is left out: the installed definition of std_msgs/msg/String is not the one that was recorded",
-        "/text is left out: its messages are in the encoding 'json'",
+        "/old is skipped: the installed definition of std_msgs/msg/String differs from the recorded one",
+        "/text is skipped: its messages have the encoding 'json'",
     ):
         assert told in "\n".join(warnings)
 
@@ -81,7 +81,7 @@ def test_names_that_no_topic_of_ros_can_have(tmp_path: Path) -> None:
     bag = foreign_bag(tmp_path, *map(of_text, ("/chatter", "/a\n\x1b[2J", "/" + "x" * 5000)), *strange)
     playable, warnings = choose_topics(bag)
     assert [topic.channel.name for topic in playable] == ["/chatter"]
-    assert r"/a\n\x1b[2J is left out: no topic of ROS can have this name" in warnings
+    assert r"/a\n\x1b[2J is skipped: its name is not valid in ROS" in warnings
     assert all(line.isprintable() and len(line) < 300 for line in warnings)
     assert len(warnings) == 4
     with pytest.raises(InputError, match=r"/chatter, /encoded, ") as error:
@@ -94,7 +94,7 @@ def test_a_topic_that_is_asked_for_is_not_left_out_in_silence(tmp_path: Path) ->
     assert [topic.channel.name for topic in choose_topics(bag, ["chatter"])[0]] == ["/chatter"]
     with pytest.raises(InputError, match="their_msgs/msg/Scan"):
         choose_topics(bag, ["/scan"])
-    with pytest.raises(InputError, match=r"has no topic that can be played; /scan is left out"):
+    with pytest.raises(InputError, match=r"has no topic that can be played; /scan is skipped"):
         choose_topics(foreign_bag(tmp_path, ("/scan", "their_msgs/msg/Scan", "cdr", {})))
     with pytest.raises(InputError, match=r"--topics: .* has no topic /nothing; it has /chatter, /scan"):
         choose_topics(bag, ["/nothing"])

@@ -131,14 +131,14 @@ def test_an_unplanned_end_is_found_unless_it_is_of_a_stranger(tmp_path: Path) ->
     assert source.last_step == 60
     event = msg.SwarmEvent(0, 5, 9, msg.EventKind.DEAD, 0.0, SILENT)
     told = [*records(21), Record(msg.EVENTS, 9, event, encode(event)), *records(61)[len(records(21)) :]]
-    with pytest.raises(InputError, match="robot 9 fell silent, which its scenario does not have"):
+    with pytest.raises(InputError, match="robot 9 fell silent, but the scenario lacks it"):
         open_source(write(tmp_path / "stranger", told, "duration=0.6"))
 
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["step=0.02"], "--set changes the control period, .*; run it instead"),
+        (["step=0.02"], "--set changes the control period, .*; use run instead"),
         (["swarm.agents.4={id: 9, kind: single_integrator, mass: 0.4, position: 0.1}"], "--set changes the robots"),
         (["faults.0.at=0.2"], "--set changes the faults that end robots or let them join"),
         (["controller.gains.x=1"], "controller.gains"),
@@ -155,7 +155,7 @@ def test_bags_without_scenario_topic_or_steps_are_refused(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="has 1 complete steps, too few for a replay"):
         open_source(write(tmp_path / "b", records(1), *SETTINGS))
     BagWriter(tmp_path / "c", topics=ALL, attachments={}).close()
-    with pytest.raises(InputError, match="holds no scenario"):
+    with pytest.raises(InputError, match="contains no scenario"):
         open_source(tmp_path / "c")
     assert open_bag(tmp_path / "c").message_count == 0
 

@@ -283,7 +283,7 @@ def test_bag_without_its_end_and_perhaps_a_topic(tmp_path: Path) -> None:
     file.write_bytes(whole[: len(whole) // 2])
     report = make_report(file)
     assert report.numbers["status"] == "damaged"
-    assert "the bag has lost its end" in str(report.numbers["reason"])
+    assert "the end of the bag is missing" in str(report.numbers["reason"])
     assert 0 < report.numbers["steps"] <= 40
     Page(report.html)
     # Nothing of a topic came before the end was lost.
@@ -331,10 +331,10 @@ def test_many_events_share_rows(tmp_path: Path) -> None:
 
 
 def test_refused_bags(tmp_path: Path) -> None:
-    with pytest.raises(NotABagError, match="holds no bag"):
+    with pytest.raises(NotABagError, match="contains no bag"):
         make_report(tmp_path)
     strange = [m._replace(kind=9) if isinstance(m, AgentState) and m.step == 4 else m for m in messages(40)]
-    with pytest.raises(DamagedBagError, match="agent 1 at step 4: 9 is no kind of robot"):
+    with pytest.raises(DamagedBagError, match="agent 1 at step 4: kind 9 is unknown"):
         make_report(write(tmp_path / "strange", strange))
     file = write(tmp_path / "flipped", messages(40)) / "bag_0.mcap"
     content = bytearray(file.read_bytes())

@@ -181,7 +181,7 @@ def test_estimates_hold_for_one_swarm_only_and_a_field_has_the_colour_of_its_wor
     text = REGION + "random: {swarm.agents.0.mass: {uniform: [0.3, 0.4]}}\nsamples: 2\n"
     picture = draw(tmp_path, text)["region.svg"].decode()
     assert "estimate" not in picture
-    assert "the worst of 2 cases per point" in picture
+    assert "worst of 2 cases per point" in picture
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from tests.swarmabs_core.helpers import builtin, digest
 from tests.swarmabs_core.realtime.bags import Stored
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import Verdict
+from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
@@ -83,7 +83,9 @@ def whole(*named: str) -> tuple[Scenario, list[Stored]]:
     return world(*named), list(recorded(*named))
 
 
-def verify(scenario: Scenario, bag: Iterable[Stored], *, whole: bool = True, tolerance: float = 0.0) -> Verdict:
+def verify(
+    scenario: Scenario, bag: Iterable[Stored], *, whole: bool = True, tolerance: float = 0.0
+) -> VerificationResult:
     verification = LockstepVerification(scenario, tolerance=tolerance)
     for stored in bag:
         verification.add(*stored)
@@ -289,7 +291,7 @@ def test_a_bag_that_is_cut_off_anywhere_is_verified_up_to_there() -> None:
     assert verify(scenario, bent, whole=False).difference is not None
     unsaid = first_difference(scenario, [stored for stored in bag if stored.message.step <= 40])
     assert place(unsaid) == ("swarm/agent_state", 41, None, "message")
-    assert "does not say why" in unsaid.reason
+    assert "without giving a reason" in unsaid.reason
 
 
 def test_a_bag_that_says_so_may_break_off_within_its_last_step() -> None:

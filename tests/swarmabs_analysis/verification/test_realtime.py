@@ -13,7 +13,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_core.realtime.bags import WORLDS, Stored, messages, record, world
 from tests.transport.fleet import EPOCH, VirtualFleet
 
-from swarmabs_analysis.verification.base import Verdict
+from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.history import WAIT
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.realtime import RealtimeWorld
@@ -26,7 +26,7 @@ from swarmabs_core.realtime import agent
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 
 
-def verify(scenario: Scenario, bag: Iterable[Stored], *, tolerance: float = 0.0, **differs: Any) -> Verdict:
+def verify(scenario: Scenario, bag: Iterable[Stored], *, tolerance: float = 0.0, **differs: Any) -> VerificationResult:
     schedule = configure.schedule(scenario, EPOCH)
     simulated = replace(RealtimeWorld(schedule, members(scenario), plane=True), **differs)
     verification = RealtimeVerification(scenario, simulated, tolerance=tolerance)
@@ -227,7 +227,7 @@ def test_a_law_with_memory_is_followed_again_after_a_reset() -> None:
     answers = sum(s.topic is msg.DESIRED_ABSTRACT_STATE and s.message.step > 50 for s in lost)
     found = verify(adaptive.scenario, lost)
     assert found.difference is None
-    assert found.not_checkable["the answer from which it goes on is not in the bag"] >= answers
+    assert found.not_checkable["the answer from which it continues is not in the bag"] >= answers
     # A law without memory is found again at once, and so is a plane whose true state is not recorded.
     for name in ("operator", "noisy plane"):
         recorded = world(name)

@@ -130,7 +130,7 @@ def test_a_swarm_is_shown_as_it_is_heard(
     assert node.main(words, wait) == 0
     heard = nodes[0].heard
     joints, markers = heard["plane/joint_states"], heard["swarm/markers"]
-    assert (f"Foxglove finds the swarm at ws://127.0.0.1:{port}\n" in capfd.readouterr().err) == foxglove
+    assert (f"Foxglove: connect to ws://127.0.0.1:{port}\n" in capfd.readouterr().err) == foxglove
     said = (message for step in range(10_000) for message in make_step(step))
     planes = {message.step: message for message in said if isinstance(message, PlaneState)}
     if on_topics:

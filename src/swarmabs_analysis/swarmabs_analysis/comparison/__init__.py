@@ -1,4 +1,4 @@
-"""Comparison of runs, message by message: what differs first, how far each field deviates, and what is missing."""
+"""Comparison of runs, message by message: the first difference, the deviation of each field, missing messages."""
 
 from swarmabs_analysis.comparison.bags import compare_bags
 from swarmabs_analysis.comparison.messages import compare_steps

@@ -1,4 +1,4 @@
-"""Two bags side by side: their messages, figures, scenarios and origins."""
+"""Comparison of two bags: messages, figures, scenarios and provenance."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 
 _DEEPEST = 32
-"""Nesting down to which documents are taken apart; scenarios are never deeper."""
+"""Depth down to which documents are compared field by field; scenarios are never deeper."""
 
 
 class SettingDifference(NamedTuple):
-    """A field with different values in two documents: dotted path, both values, and which document lacks it."""
+    """A field with different values in two documents: dotted path, both values, and the document that lacks it."""
 
     field: str
     a: Any
@@ -46,10 +46,10 @@ class SettingDifference(NamedTuple):
 
 
 def setting_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[SettingDifference, ...]:
-    """Return the fields in which two documents differ, in the order of the first one, then of the second.
+    """Return the fields in which two documents differ, in the order of the first, then of the second document.
 
-    Paths are those of ``--set``: dotted, the elements of lists of mappings by index; a list of plain values is one
-    value, and an empty list is no different from none.
+    Paths are those of ``--set``: dotted, with an index for the elements of lists of mappings; a list of plain values is
+    one value, and an empty list equals a missing one.
     """
     ours, theirs = dict(_leaves(a, "", 0)), dict(_leaves(b, "", 0))
     changed = [
@@ -78,28 +78,28 @@ def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
 
 @dataclass
 class BagSummary:
-    """What one of two bags comes to, all of it computed from its messages.
+    """Summary of one of the two bags, computed from its messages.
 
     Attributes
     ----------
     file : str
         The MCAP file.
     digest : str or None
-        Digest of the run, None without messages of main topics and in real time.
+        Digest of the run; None without messages on main topics and in real time.
     first_step, last_step : int or None
         Steps of the first and the last message of a main topic.
     period : float or None
         Control period of its scenario, s.
     robots : int
-        Number of robots that have a state in it.
+        Number of robots with a recorded state.
     figures : dict
-        As in ``summary.json``; those that need a reference are None without a scenario, which has it.
+        As in ``summary.json``; those that need the reference are None without a scenario.
     problem : str or None
-        What is damaged, and how far the bag could be read.
+        The damage, and how far the bag could be read.
     aborted, scenario_problem : str or None
-        Why its run ended early, and why there is no scenario to compare.
+        Why the run ended early, and why there is no scenario to compare.
     not_compared : tuple of str
-        Topics in it that are not of a recorded swarm.
+        Topics that are not those of a recorded swarm.
     """
 
     file: str
@@ -117,7 +117,7 @@ class BagSummary:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What `compare_bags` finds.
+    """The result of `compare_bags`.
 
     Attributes
     ----------
@@ -126,11 +126,11 @@ class Comparison:
     messages : MessageComparison
         First difference, and deviations by topic and field.
     robots_only_in_a, robots_only_in_b : tuple of int
-        Robots that have states in one of them alone.
+        Robots with states in only one of the bags.
     scenario : tuple of SettingDifference
-        Fields in which the resolved scenarios differ; empty also if one of them is not there.
+        Fields in which the resolved scenarios differ; also empty if one of them is missing.
     provenance : tuple of SettingDifference
-        The same of what made the bags: versions, machine, fingerprint.
+        Differences of the provenance: versions, machine, fingerprint.
     """
 
     a: BagSummary
@@ -143,16 +143,16 @@ class Comparison:
 
     @property
     def damaged(self) -> bool:
-        """Whether one of the bags could not be read to its end."""
+        """Whether one of the bags could not be read completely."""
         return self.a.problem is not None or self.b.problem is not None
 
     @property
     def equal(self) -> bool:
-        """Whether both bags are whole and have the same messages, bit for bit."""
+        """Whether both bags are complete and have the same messages, bit for bit."""
         return self.messages.equal and not self.damaged
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain data for JSON; numbers that are not finite become texts."""
+        """Return everything as plain data for JSON; numbers that are not finite become strings."""
         first = self.messages.first
         document = {
             "equal": self.equal,
@@ -173,17 +173,17 @@ class Comparison:
 def compare_bags(
     a: Path | str, b: Path | str, *, namespaces: tuple[str | None, str | None] = (None, None)
 ) -> Comparison:
-    """Compare two bags message by message, in bounded memory; of several swarms in one, that of its namespace.
+    """Compare two bags message by message, in bounded memory; `namespaces` select a swarm in each.
 
-    What both have of a step is compared; what only one has is counted as missing in the other. Damage does not
-    raise: a bag is compared as far as it can be read, and its summary says so.
+    A message that only one bag has is counted as missing in the other. Damage does not raise: a bag is compared as far
+    as it can be read, and its summary says so.
 
     Raises
     ------
     NotABagError
-        If one of them is no bag of a swarm.
+        If one of them is not the bag of a swarm.
     DamagedBagError
-        If nothing can be said of one of them.
+        If one of them is unreadable.
     """
     left, right = (
         _Side(open_bag(path, namespace=namespace, damaged=True))
@@ -202,11 +202,11 @@ def compare_bags(
 
 
 class _Side:
-    """One of two bags while it is read: sums up what passes."""
+    """One of the two bags, summarised while it is read."""
 
     def __init__(self, bag: BagReader) -> None:
         if bag.namespace is None and bag.problem is None:
-            raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
+            raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
         self.bag = bag
         self.robots: set[int] = set()
         self.scenario: Scenario | None = None
@@ -229,9 +229,9 @@ class _Side:
         self._realtime = RealtimeFigures(reference, Schedule(period_ns)) if is_realtime(bag) else None
 
     def steps(self) -> Iterator[RecordedStep]:
-        """Yield the bag's steps as far as they can be read."""
+        """Yield the steps of the bag as far as they can be read."""
         found, realtime = self.found, self._realtime is not None
-        # Another recorder receives topics independently of each other, as one in real time does.
+        # Other recorders receive topics independently of each other, as in real time.
         window = None if attached_provenance(self.bag) else REALTIME_WINDOW
         try:
             for step in recorded_steps(self._records(), found.file, realtime=realtime, window=window):
@@ -242,7 +242,7 @@ class _Side:
                     self.robots.update(state.agent_id for state in step.states())
                 yield step
             if found.problem is None:
-                self.bag.check()  # what no message needs can be damaged too
+                self.bag.check()  # parts that no message needs can be damaged too
         except DamagedBagError as error:
             found.problem = str(error)
         found.robots = len(self.robots)
@@ -250,7 +250,7 @@ class _Side:
         found.digest = None if realtime or found.first_step is None else self._run.digest()
 
     def _records(self) -> Iterator[Record]:
-        """Yield the bag's messages; in real time the figures need those, too, that are no part of a step."""
+        """Yield the messages of the bag; in real time the figures also need those that are not part of a step."""
         for record in self.bag.records():
             if self._realtime is not None:
                 self._realtime.add(record)
@@ -258,7 +258,7 @@ class _Side:
 
 
 def _unknown(_time: float) -> float:
-    """Stand in for the reference of a bag without a scenario."""
+    """Return the reference of a bag without a scenario: NaN."""
     return math.nan
 
 
@@ -270,7 +270,7 @@ def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[Setti
 
 
 def _told(first: Difference) -> dict[str, Any]:
-    """Return the first difference as data; the fields of a message that one of them lacks are not told."""
+    """Return the first difference as data, without the fields of a message that one bag lacks."""
     place = {"topic": first.topic, "step": first.step, "agent": first.agent or 0}
     if first.missing is not None:
         return {**place, "field": None, "a": None, "b": None, "missing": first.missing}

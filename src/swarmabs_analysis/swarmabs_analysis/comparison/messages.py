@@ -1,4 +1,4 @@
-"""Two runs side by side, message by message: what differs first, how far each field deviates, and what is missing."""
+"""Comparison of two runs message by message: the first difference, deviations by field, and missing messages."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from swarmabs_core.record import Record
 
 _KEYS = {"step", "agent_id"}
-"""Fields by which messages are brought together."""
+"""Fields by which messages are paired."""
 _MOST_EVENTS = 100_000
-"""Most events of one run that wait for their like in the other."""
+"""Most events of one run that wait for an equal event in the other."""
 
 
 def side_by_side(
     a: Iterable[RecordedStep], b: Iterable[RecordedStep]
 ) -> Iterator[tuple[RecordedStep | None, RecordedStep | None]]:
-    """Yield two runs step by step, None for a step that one of them lacks; their steps are in ascending order."""
+    """Yield two runs step by step, with None for a step that one of them lacks; both must be in ascending order."""
     left, right = iter(a), iter(b)
     x, y = next(left, None), next(right, None)
     while x is not None or y is not None:
@@ -39,23 +39,23 @@ def side_by_side(
 
 @dataclass
 class FieldDeviation:
-    """How far a field of a topic deviates between two runs, over the messages that both have.
+    """Deviation of a field between two runs, over the messages that both have.
 
     Attributes
     ----------
     field : str
         The field.
     differing : int
-        In how many messages its bits differ.
+        Number of messages in which its bits differ.
     largest : float or None
-        Largest finite absolute deviation, in the field's unit; None for fields that are no float64, and if there is
-        none.
+        Largest finite absolute deviation, in the unit of the field; None for fields other than float64, and if there
+        is none.
     step, agent : int or None
-        Where the largest deviation is first; `agent` 0 for none.
+        Where the largest deviation first occurs; `agent` is 0 for messages without a robot.
     rms : float or None
         Root mean square of the finite deviations over all messages that both have; None like `largest`.
     undefined : int
-        In how many of the differing messages the deviation is no finite number.
+        Number of differing messages whose deviation is not finite.
     """
 
     field: str
@@ -67,11 +67,11 @@ class FieldDeviation:
     undefined: int = 0
 
     def __post_init__(self) -> None:
-        """Begin to sum up."""
+        """Initialise the sum."""
         self._squares = 0.0
 
     def add(self, deviation: float | None, step: int, agent: int) -> None:
-        """Take the deviation of a message, None if the field has none."""
+        """Add the deviation of a message, None if the field has none."""
         self.differing += 1
         if deviation is None:
             return
@@ -83,14 +83,14 @@ class FieldDeviation:
             self.largest, self.step, self.agent = deviation, step, agent
 
     def finish(self, compared: int) -> None:
-        """Sum up over so many messages."""
+        """Compute the result over `compared` messages."""
         if self.largest is not None and math.isfinite(self._squares):
             self.rms = math.sqrt(self._squares / (compared - self.undefined))
 
 
 @dataclass
 class TopicComparison:
-    """A topic of two runs: number of messages in both, of those that differ, of those in one alone; by field."""
+    """Comparison of a topic: number of messages in both runs, differing, and in one run only; deviations by field."""
 
     topic: str
     compared: int = 0
@@ -100,27 +100,27 @@ class TopicComparison:
     fields: tuple[FieldDeviation, ...] = ()
 
     def __post_init__(self) -> None:
-        """Begin to gather fields."""
+        """Initialise the fields."""
         self._fields: dict[str, FieldDeviation] = {}
 
     def field(self, name: str) -> FieldDeviation:
-        """Return what is known of a field."""
+        """Return the deviation of a field."""
         return self._fields.setdefault(name, FieldDeviation(name))
 
     def finish(self, order: Iterable[str]) -> None:
-        """Sum up the fields, in this order."""
+        """Compute the results of the fields, in this order."""
         self.fields = tuple(self._fields[name] for name in order if name in self._fields)
         for field in self.fields:
             field.finish(self.compared)
 
 
 class MessageComparison:
-    """What `compare_steps` finds.
+    """The result of `compare_steps`.
 
     Attributes
     ----------
     first : Difference or None
-        The first difference in order of step, topic, robot, field.
+        The first difference in the order of step, topic, robot and field.
     topics : tuple of TopicComparison
         All topics.
     """
@@ -137,7 +137,7 @@ class MessageComparison:
         return self.first is None
 
     def take(self, one: Record | None, other: Record | None) -> None:
-        """Compare the messages of A and B that stand in one place, None for one that is missing."""
+        """Compare the messages of A and B at one place, None for a missing one."""
         there = one or other
         if there is None:
             return
@@ -164,7 +164,7 @@ class MessageComparison:
             self._place, self.first = place, difference
 
     def finish(self) -> MessageComparison:
-        """Sum up, and return it."""
+        """Compute the results, and return the comparison."""
         for topic, found in self._topics.items():
             found.finish(topic.message._fields)
         self.topics = tuple(self._topics[topic] for topic in ORDER if topic in self._topics)
@@ -174,11 +174,10 @@ class MessageComparison:
 def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> MessageComparison:
     """Compare two runs message by message.
 
-    Both are read in step with each other, and no more of them is kept than the step at hand and the events that
-    only one of them has so far.
+    Both are read in parallel; only the current step and the events that have no counterpart yet are kept in memory.
 
-    The steps are as `recorded_steps` yields them: those of main topics in ascending order, each once; events in steps
-    of their own, in any order.
+    The steps must be as `recorded_steps` yields them: those of main topics in ascending order, each once; events in
+    separate steps, in any order.
     """
     found = MessageComparison()
     events = _Events(found)
@@ -200,7 +199,7 @@ def _main_steps(steps: Iterable[RecordedStep], events: _Events, side: Side) -> I
 
 
 class _Events:
-    """Brings the events of two runs together, wherever in their bags they stand."""
+    """Pairs the events of two runs, independent of their place in the bags."""
 
     def __init__(self, found: MessageComparison) -> None:
         self._found = found
@@ -222,7 +221,7 @@ class _Events:
             self.finish()
 
     def finish(self) -> None:
-        """Pair what is left by step, robot and kind; what then remains is missing in the other run."""
+        """Pair the remaining events by step, robot and kind; the rest is missing in the other run."""
         left, right = (_by_place(self._waiting[side]) for side in ("A", "B"))
         for place in sorted(left.keys() | right.keys()):
             for one, other in zip_longest(left.get(place, []), right.get(place, [])):

@@ -1,4 +1,4 @@
-"""How two bags, or a replay and its recording, differ, as tables for a terminal."""
+"""Terminal tables of the differences of two bags, or of a replay and its recording."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _FIGURES = {
 _UNLIMITED = 1000
 
 
-class FittingTable(Table):
-    """A table that is never squeezed: where it does not fit, a line of words per row, which may break between words.
+class ResponsiveTable(Table):
+    """A table that becomes one line of text per row where it does not fit.
 
-    Columns that are not justified to the right name the row; the others have its numbers.
+    Right-justified columns hold the numbers of a row; the others name it.
     """
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw the table, or the lines in its place."""
+        """Draw the table, or a line per row."""
         needed = Measurement.get(console, options.update(max_width=_UNLIMITED), self).maximum
         if needed <= options.max_width:
             yield from super().__rich_console__(console, options)
@@ -56,7 +56,7 @@ class FittingTable(Table):
 
 
 def render(comparison: Comparison) -> RenderableType:
-    """Return the comparison as tables: verdict, both bags, deviations, then what differs around the messages."""
+    """Return the comparison as tables: both bags, verdict, deviations, then the differences other than messages."""
     parts: list[RenderableType] = [_sides(comparison), _verdict(comparison)]
     if not comparison.messages.equal:
         parts += [_topics(comparison.messages.topics), _fields(comparison.messages.topics)]
@@ -94,14 +94,14 @@ def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
     yield "steps", _steps(a), _steps(b)
     yield "period, s", _number(a.period), _number(b.period)
     yield "robots", str(a.robots), str(b.robots)
-    yield "robots in it alone", _ids(comparison.robots_only_in_a), _ids(comparison.robots_only_in_b)
+    yield "robots only in this bag", _ids(comparison.robots_only_in_a), _ids(comparison.robots_only_in_b)
     for key, name in _FIGURES.items():
         yield name, _number(a.figures[key]), _number(b.figures[key])
     yield "not compared", ", ".join(a.not_compared), ", ".join(b.not_compared)
 
 
-def _topics(topics: Sequence[TopicComparison]) -> FittingTable:
-    table = FittingTable(box=box.SIMPLE, pad_edge=False)
+def _topics(topics: Sequence[TopicComparison]) -> ResponsiveTable:
+    table = ResponsiveTable(box=box.SIMPLE, pad_edge=False)
     table.add_column("topic", no_wrap=True)
     for heading in ("in both", "differ", "not in A", "not in B"):
         table.add_column(heading, justify="right")
@@ -111,8 +111,8 @@ def _topics(topics: Sequence[TopicComparison]) -> FittingTable:
     return table
 
 
-def _fields(topics: Sequence[TopicComparison]) -> FittingTable | str:
-    """Return a table by topic and field, narrow enough for 80 characters unless something is not finite."""
+def _fields(topics: Sequence[TopicComparison]) -> ResponsiveTable | str:
+    """Return a table by topic and field that fits 80 characters unless a deviation is not finite."""
     rows = [{"topic": topic.topic, **asdict(field)} for topic in topics for field in topic.fields]
     columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "agent", "rms": "rms"}
     if any(row["undefined"] for row in rows):
@@ -120,17 +120,17 @@ def _fields(topics: Sequence[TopicComparison]) -> FittingTable | str:
     return _deviations(rows, columns) if rows else ""
 
 
-def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> FittingTable:
-    """Return how far fields deviate, below the name of their topic each.
+def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> ResponsiveTable:
+    """Return the deviations of fields, grouped by topic.
 
     Parameters
     ----------
     rows : iterable of mapping
-        What `FieldDeviation` says of each field, and its ``topic``; fields of a topic stand together.
+        `FieldDeviation` of each field as data, with its ``topic``; the fields of a topic must be adjacent.
     columns : mapping
-        Headings, by what of it is shown.
+        Headings by name of the datum.
     """
-    table = FittingTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table = ResponsiveTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("field", no_wrap=True)
     for heading in columns.values():
         table.add_column(heading, justify="right")
@@ -177,29 +177,29 @@ def _value(value: Any, missing: bool) -> str:  # noqa: FBT001 - private, called 
 
 
 def _shown(text: str) -> str:
-    """Return text from a file such that it cannot steer the terminal."""
+    """Return text from a file, safe for the terminal."""
     return escape(printable(shorten(text, 200)))
 
 
 def replay_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
-    """Return the result of a replay: that it is the same, or what differs first and how far each field deviates."""
+    """Return the result of a replay: that it is the same, or the first difference and the deviation of each field."""
     compared = f"{', '.join(result['nodes'])}: {result['compared']} messages compared with the recording"
     if result["same"]:
         return (Text(f"{compared}; same digest"),)
     first = result["first_difference"]
     if first is None:
-        return (Text(f"{compared}; none differs"),)
+        return (Text(f"{compared}; no difference"),)
     robot = f" of robot {first['agent']}" if first["agent"] else ""
     text = (
-        f"{compared}; the first that differs: step {first['step']}, {first['topic']}{robot}, {_changed(first)}\n"
-        "open loop: this is what the nodes would have said to what was recorded; nothing else has reacted"
+        f"{compared}; first difference: step {first['step']}, {first['topic']}{robot}, {_changed(first)}\n"
+        "open loop: these are the answers of the nodes to the recorded messages; no other node reacts to them"
     )
     columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "robot"}
     return Text(text), _deviations(result["deviations"], columns)
 
 
 def _changed(first: Mapping[str, Any]) -> str:
-    """Say how a message differs."""
+    """Describe how a message differs."""
     if first["replayed"] is None:
         return "the message is missing in the replay"
     if first["recorded"] is None:

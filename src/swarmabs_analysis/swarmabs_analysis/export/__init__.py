@@ -1,4 +1,4 @@
-"""Bags as tables and arrays for notebooks and other programs: CSV, Parquet, numpy."""
+"""Export of bags to CSV, Parquet and numpy, for notebooks and other programs."""
 
 from swarmabs_analysis.export.arrays import export_arrays
 from swarmabs_analysis.export.tables import TABLES, TableFormat, export_tables

@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 
 
 def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
-    """Write the arrays of a bag (`load_arrays`), events and summary into a new ``.npz`` file, whole or not at all.
+    """Write the arrays of a bag (`load_arrays`), its events and summary to a new ``.npz`` file, complete or not at all.
 
     Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape (n+1,
     N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape
-    (E,), texts as fixed-width unicode. JSON texts are ``units``, the units; ``words``, the words of the numbers in
-    arrays of constants such as ``agents_kind``; and ``summary``. Nothing in it is pickled.
+    (E,), strings as fixed-width unicode. ``units``, ``words`` (the names of the values in arrays of constants such as
+    ``agents_kind``) and ``summary`` are JSON texts. Nothing is pickled.
 
     Raises
     ------
     InputError
-        If it is no bag of a swarm, its arrays do not fit into memory, or the file is there already.
+        If it is not the bag of a swarm, its arrays do not fit into memory, or the file exists.
     RunError
         If the bag is damaged, or the file cannot be written.
     """
     if file.suffix != ".npz":
         raise InputError(f"{file} does not end in .npz; name a file such as {file.with_suffix('.npz')} with -o")
     if file.exists():
-        raise InputError(f"{file} is there already; name another with -o, or remove it")
+        raise InputError(f"{file} exists; name another file with -o, or remove it")
     bag = open_bag(path, namespace=namespace)
     messages = load_messages(bag)
     run, start = arrays_since(bag, messages)
@@ -91,7 +91,7 @@ def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[
 
 
 def _words() -> dict[str, dict[int, str]]:
-    """Return the words of the numbers in arrays of constants."""
+    """Return the names of the values in arrays of constants."""
     return {
         f"{table.name}_{name}": {value.value: word(value) for value in field.constants}
         for table in TABLES
@@ -104,13 +104,13 @@ def _check_memory(bag: BagReader, needed: int) -> None:
     available = available_memory()
     if needed > available:
         raise BagTooLargeError(
-            f"{bag.path}: its events take about {needed / 1e6:.0f} MB as arrays, but {available / 1e6:.0f} MB are free;"
-            " export it with --format csv or parquet"
+            f"{bag.path}: its events need about {needed / 1e6:.0f} MB as arrays, but only {available / 1e6:.0f} MB are"
+            " free; use --format csv or parquet"
         )
 
 
 def _units() -> dict[str, str]:
-    """Return the units by the names of arrays: those of the plane have no prefix."""
+    """Return the units by name of the array; arrays of the plane have no prefix."""
     units = {"agents_ids": "1"}
     for table in TABLES:
         for column in table.columns:

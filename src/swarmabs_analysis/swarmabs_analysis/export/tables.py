@@ -1,4 +1,4 @@
-"""The tables of a bag: one per topic, one row per message; written into a folder row by row, in bounded memory."""
+"""The tables of a bag, one per topic with one row per message, written row by row in bounded memory."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 COLUMNS_FILE = "columns.csv"
 SUMMARY_FILE = "summary.json"
 PARQUET_ROWS = 16_384
-"""Rows of a row group of Parquet; more are never in memory."""
+"""Rows of a Parquet row group; at most this many are in memory."""
 TableFormat = Literal["csv", "parquet"]
 
 
 class Column(NamedTuple):
-    """A column: name, type, unit (1 for numbers without one, empty for texts) and, where the name is short, meaning."""
+    """A column: name, type, unit (1 for dimensionless numbers, empty for text) and meaning, unless the name says it."""
 
     name: str
     type: str
@@ -55,9 +55,9 @@ class Column(NamedTuple):
 
 
 class BagTable(NamedTuple):
-    """A topic as a table: time, stamp, and fields of the message by their names, of the plane also the reference.
+    """A topic as a table: time, stamp, the fields of the message by name, and for the plane also the reference.
 
-    Constants are words, and a value that stands for none is missing.
+    Constants appear as words; a value that means "none" is missing.
     """
 
     name: str
@@ -68,11 +68,11 @@ class BagTable(NamedTuple):
 _TIME = Column("time", "float64", "s", "time of the step; in real time the stamp")
 _REFERENCE = Column("reference", "float64", "rad", "desired angle with its offsets; missing if unknown")
 WORD = "word"
-"""Type of the columns of constants: text, in Parquet a dictionary."""
+"""Type of columns of constants: text, in Parquet dictionary-encoded."""
 
 
 def _table(name: str, topic: Topic) -> BagTable:
-    """Return a topic as a table: step, time, robot, then the fields of the message in their order, last the stamp."""
+    """Return a topic as a table: step, time, robot, the fields of the message in order, and the stamp last."""
     stamp, *others = _columns(topic)
     added = (_REFERENCE,) if topic is PLANE_STATE else ()
     columns = {column.name: column for column in (_TIME, *others, *added, stamp)}
@@ -82,7 +82,7 @@ def _table(name: str, topic: Topic) -> BagTable:
 
 def _columns(topic: Topic) -> Iterator[Column]:
     for name, field in fields_of(topic.message).items():
-        assert isinstance(field, Field)  # noqa: S101 - no message that is recorded consists of others
+        assert isinstance(field, Field)  # noqa: S101 - recorded messages are never nested
         if field.ros_type == "time":
             yield Column(name, "float64", "s", field.meaning)
         elif field.constants is not None:
@@ -106,10 +106,10 @@ TABLES = (
 def _row_of(
     table: BagTable, period: int | None, reference: Callable[[int], float]
 ) -> Callable[[Message], Sequence[Any]]:
-    """Return what makes a row of a message; the reference returns the desired angle (rad) of a step.
+    """Return a function that turns a message into a row; `reference` returns the desired angle (rad) of a step.
 
-    Its time is that of its step, for in lockstep a robot's clock may be wrong; where there is no period (ns), as in
-    real time, it is the stamp.
+    The time is that of the step, because a robot's clock may be wrong in lockstep; without a period (ns), as in real
+    time, it is the stamp.
     """
     fields = table.topic.message._fields
     names = [column.name for column in table.columns]
@@ -134,9 +134,9 @@ def _row_of(
 
 
 def _shown(topic: Topic) -> Iterator[tuple[str, Callable[[int], Any]]]:
-    """Yield the fields that are not shown as the numbers that they are, with what to show for a number."""
+    """Yield the fields whose numbers are not shown as such, with a function that returns what to show."""
     for name, field in fields_of(topic.message).items():
-        assert isinstance(field, Field)  # noqa: S101 - no message that is recorded consists of others
+        assert isinstance(field, Field)  # noqa: S101 - recorded messages are never nested
         if field.constants is not None:
             yield name, cache(partial(word_of, field.constants))
         elif field.missing is not None:
@@ -150,20 +150,20 @@ def _unless(missing: int, value: int) -> int | None:
 def export_tables(
     path: Path | str, folder: Path, table_format: TableFormat, *, namespace: str | None = None
 ) -> tuple[Path, ...]:
-    """Write the tables of a bag and its summary into a new folder, whole or not at all, and return the files.
+    """Write the tables of a bag and its summary to a new folder, completely or not at all, and return the files.
 
-    Numbers in CSV have the digits that lead back to the same float64; a missing value is empty in CSV, null in Parquet.
+    Numbers in CSV have enough digits to restore the same float64; a missing value is empty in CSV, null in Parquet.
 
     Raises
     ------
     InputError
-        If it is no bag of a swarm, the folder is there already, or pyarrow is not installed.
+        If it is not the bag of a swarm, the folder exists, or pyarrow is not installed.
     RunError
         If the bag is damaged or the disk fails.
     """
     bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
-        raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
+        raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
     opened = _parquet if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
         period, reference = step_period(bag), desired_angle(bag)
@@ -190,10 +190,10 @@ def _csv(folder: Path, table: BagTable) -> Iterator[AddRow]:
 
 @contextmanager
 def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
-    """Yield what adds a row to a table's file; each column's metadata has its unit and meaning."""
+    """Yield a function that adds a row to the file of a table; the metadata of each column has its unit and meaning."""
     try:
-        import pyarrow as pa  # noqa: PLC0415 - it may be missing
-        from pyarrow.parquet import ParquetWriter  # noqa: PLC0415 - it may be missing
+        import pyarrow as pa  # noqa: PLC0415 - may be missing
+        from pyarrow.parquet import ParquetWriter  # noqa: PLC0415 - may be missing
     except ImportError as error:
         raise InputError(
             f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
@@ -233,7 +233,7 @@ def _may_be_missing(field: Field | type[Message]) -> bool:
 
 
 def write_columns(path: Path) -> None:
-    """Write what the columns of all tables mean."""
+    """Write the description of the columns of all tables."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["table", "column", "type", "unit", "meaning"])

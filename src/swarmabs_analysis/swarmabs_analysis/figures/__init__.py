@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from swarmabs_analysis.figures.runs import RecordedRun, Source
+    from swarmabs_analysis.figures.runs import CompleteBag, RecordedRun
     from swarmabs_analysis.figures.style import Format
 
 
 class PaperFigure(NamedTuple):
-    """A figure: the scenarios whose runs it shows, and the function that draws these runs in that order."""
+    """A figure: the scenarios whose runs it shows, and the function that draws these runs in this order."""
 
     scenarios: tuple[str, ...]
     draw: Callable[[Sequence[RecordedRun]], Figure]
@@ -37,21 +37,21 @@ FIGURES: Mapping[str, PaperFigure] = {
 """The figures by their labels in the paper's source, without ``fig:``."""
 
 
-def draw_files(name: str, sources: Mapping[str, Source], formats: Sequence[Format]) -> dict[str, bytes]:
+def draw_files(name: str, bags: Mapping[str, CompleteBag], formats: Sequence[Format]) -> dict[str, bytes]:
     """Draw one of `FIGURES` and return its files by name.
 
     Parameters
     ----------
-    sources : mapping
-        The bags of its scenarios by the names of these, and maybe others.
+    bags : mapping
+        The bags of its scenarios, by name of the scenario; others are ignored.
 
     Raises
     ------
     DamagedBagError
         If a bag is damaged.
     """
-    wanted = FIGURES[name]
-    runs = [sources[scenario].load() for scenario in wanted.scenarios]
+    chosen = FIGURES[name]
+    runs = [bags[scenario].load() for scenario in chosen.scenarios]
     with styled():
-        figure = wanted.draw(runs)
+        figure = chosen.draw(runs)
         return {f"{name}.{kind}": content for kind, content in rendered(figure, formats).items()}

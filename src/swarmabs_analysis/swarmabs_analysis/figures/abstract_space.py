@@ -1,6 +1,6 @@
-"""The geometry of the abstraction: fig. mappingEx, the preimage of one abstract state, and fig. posMapping.
+"""The geometry of the abstraction: fig. mappingEx, the preimage of an abstract state, and fig. posMapping.
 
-The latter has the abstract space of the paper's four robots and the sets within.
+The latter shows the abstract space of the paper's four robots and its constraint sets.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ if TYPE_CHECKING:
 EXAMPLE = ((2.0, 3.0, 3.0), 10.0, 1.0, 9.81)
 """Masses (kg) of three robots, torque (N m), inertia (kg m^2) and gravity (m/s^2) of fig. mappingEx."""
 _VIEW = (24.0, -14.0)
-"""Elevation and azimuth of the eye, degrees."""
+"""Elevation and azimuth of the viewpoint, degrees."""
 _LIGHT = np.array([0.3, -0.6, 0.75])
 _EXTENT = 1.08
-"""Half of the plane's side over the sphere's radius, where the ellipsoid is a sphere."""
+"""Half of the plane's side over the sphere's radius, in coordinates where the ellipsoid is a sphere."""
 
 SCENARIO = "pd_het_4"
-"""Whose robots, plane and manifold are shown; the other runs of four robots have the same."""
+"""The scenario whose robots, plane and manifold are shown; the other runs with four robots have the same."""
 SPREADS = (0.5, 1.0, 1.5)
-"""Widths, over that of the plane, within which the random positions are drawn; only the last leaves the plane."""
+"""Ranges of the random positions over the length of the plane; only the last exceeds the plane."""
 SAMPLES = 500
-"""Random positions for each width."""
+"""Random positions per range."""
 LOOKS = {
     StateClass.ADMISSIBLE: (BLUE, "o", 2.5),
     StateClass.PARTIAL: (VERMILION, "x", 5.0),
@@ -64,7 +64,7 @@ _FINE = 400
 
 
 class Preimage(NamedTuple):
-    """The preimage of an abstract state of three robots, as a circle where the ellipsoid is a sphere.
+    """The preimage of an abstract state of three robots: a circle, in coordinates where the ellipsoid is a sphere.
 
     With q_i = sqrt(m_i) p_i the ellipsoid sum m p^2 = J is a sphere of radius sqrt(J), and g sum m p = tau a plane at
     the distance T/sqrt(M) along the normal sqrt(m_i/M), for T = tau/g and M = sum m.
@@ -98,13 +98,13 @@ def preimage(masses: tuple[float, float, float], torque: float, inertia: float, 
 
 
 def ellipse(example: Preimage, count: int = 241) -> Floats:
-    """Return points (m) of the preimage, (count, 3), the last one the first."""
+    """Return points (m) of the preimage, (count, 3), closed: the last point equals the first."""
     turn = np.linspace(0.0, 2.0 * np.pi, count)
     return example.positions(example.circle * np.cos(turn), example.circle * np.sin(turn), example.distance)
 
 
 def draw_mapping_example() -> Figure:
-    """Draw plane, ellipsoid and preimage with the paper's numbers."""
+    """Draw plane, ellipsoid and preimage for the numbers of the paper."""
     _, torque, inertia, _ = EXAMPLE
     example = preimage(*EXAMPLE)
     figure = Figure(figsize=(COLUMN, 3.3))
@@ -146,7 +146,7 @@ def draw_mapping_example() -> Figure:
 
 
 def _sphere(example: Preimage) -> Floats:
-    """Return facets of the ellipsoid, (K, 4, 3), of which none crosses the plane."""
+    """Return facets of the ellipsoid, (K, 4, 3), none of which crosses the plane."""
     cut = np.arccos(example.distance / example.radius)
     polar = np.concatenate([np.linspace(0.0, cut, 13)[:-1], np.linspace(cut, np.pi, 25)])[:, None]
     turn = np.linspace(0.0, 2.0 * np.pi, 65)
@@ -155,7 +155,7 @@ def _sphere(example: Preimage) -> Floats:
 
 
 def _plane(example: Preimage) -> Floats:
-    """Return facets of the plane, (K, 4, 3), of which none crosses the ellipsoid."""
+    """Return facets of the plane, (K, 4, 3), none of which crosses the ellipsoid."""
     turn = np.linspace(0.0, 2.0 * np.pi, 65)
     rim = _EXTENT * example.radius / np.maximum(np.abs(np.cos(turn)), np.abs(np.sin(turn)))
     inner, outer = np.linspace(0.0, 1.0, 11)[:-1, None], np.linspace(0.0, 1.0, 11)[:, None]
@@ -169,7 +169,7 @@ def _facets(grid: Floats) -> Floats:
 
 
 def _shaded(facets: Floats, colour: str, opacity: float) -> Floats:
-    """Return the colours of facets in the light, (K, 4)."""
+    """Return the colours of the lit facets, (K, 4)."""
     normals = np.cross(facets[:, 2] - facets[:, 0], facets[:, 3] - facets[:, 1])
     normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
     bright = 0.7 + 0.3 * np.abs((normals * _LIGHT).sum(axis=1))
@@ -200,7 +200,7 @@ def draw_position_mapping() -> Figure:
 
 
 def random_states(swarm: ConstraintSets) -> tuple[Floats, Floats]:
-    """Return torques (N m) and inertias (kg m^2) of random positions, uniform within each width."""
+    """Return torques (N m) and inertias (kg m^2) of random positions, uniform within each range."""
     masses, count = np.asarray(swarm.masses), (SAMPLES, len(swarm.masses))
     ends = [spread * swarm.length / 2 for spread in SPREADS]
     drawn = [np.random.default_rng(seed).uniform(-end, end, count) for seed, end in enumerate(ends)]

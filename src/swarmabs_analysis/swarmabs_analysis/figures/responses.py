@@ -1,4 +1,4 @@
-"""How plane, robots and abstract state respond: fig. PD_res, ARISE_res and ARISE_lg_swarm, from recorded runs."""
+"""Responses of plane, robots and abstract state: fig. PD_res, ARISE_res and ARISE_lg_swarm, from recorded runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Pair = tuple[Axes, Axes]
 
 STRETCHED = 5.0
-"""The first seconds of a run, in which most happens, get half of the time axis."""
+"""The first seconds of a run, where most changes occur, take half of the time axis."""
 KINDS = {Kind.SINGLE_INTEGRATOR: ("SI", ORANGE), Kind.DOUBLE_INTEGRATOR: ("DI", BLUE)}
 SWARMS = ("single integrators", "double integrators", "heterogeneous")
 _POSITION = "position p, m"
@@ -82,20 +82,20 @@ def draw_large_swarms(runs: Sequence[RecordedRun]) -> Figure:
 
 
 def parent_state(axes: Axes, run: RecordedRun) -> Pair:
-    """Draw angle and angular velocity of the plane, and the angle wanted unless it is 0; return both pairs of axes."""
+    """Draw angle and angular velocity of the plane, and the reference unless it is 0; return both axes."""
     time, other = run.arrays.time, axes.twinx()
     reference = configure.reference(run.scenario)
-    wanted = [reference(t) for t in time.tolist()]
+    desired = [reference(t) for t in time.tolist()]
     axes.plot(time, run.arrays.angle, color=BLUE, label="θ")
-    if any(wanted):
-        axes.plot(time, wanted, color=BLACK, linestyle=DOTTED, linewidth=0.9, label="θ wanted")
+    if any(desired):
+        axes.plot(time, desired, color=BLACK, linestyle=DOTTED, linewidth=0.9, label="reference")
     other.plot(time, run.arrays.angular_velocity, color=VERMILION, linestyle=DASHED, label="ω")
     _label_pair(axes, other, "θ, rad", "ω, rad/s")
     return axes, other
 
 
 def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> None:
-    """Draw a quantity of a few robots, shape (n+1, N), as lines named by its symbol and their ids."""
+    """Draw a quantity of a few robots, shape (n+1, N), as lines labelled with its symbol and the robots' ids."""
     for column, number in enumerate(run.arrays.agents.ids.tolist()):
         colour, dashes = ROBOTS[column % len(ROBOTS)]
         axes.plot(
@@ -108,7 +108,7 @@ def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> Non
 
 
 def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> None:
-    """Draw a quantity of many robots, shape (n+1, N), as thin lines in the colours of their kinds."""
+    """Draw a quantity of many robots, shape (n+1, N), as thin lines coloured by kind."""
     agents = run.arrays.agents
     for column in range(len(agents.ids)):
         _, colour = KINDS[Kind(max(agents.kind[:, column].tolist()))]
@@ -116,17 +116,17 @@ def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> None:
 
 
 def abstract_error(axes: Axes, run: RecordedRun, colours: tuple[str, str] = (BLUE, VERMILION)) -> Pair:
-    """Draw the error of torque and inertia, wanted minus actual, in these colours; return both pairs of axes."""
-    wanted, actual, other = run.arrays.desired, run.arrays.abstract, axes.twinx()
-    axes.plot(run.arrays.time, wanted.torque - actual.torque, color=colours[0], label="τ")
-    inertia = _MILLI * (wanted.inertia - actual.inertia)
+    """Draw the errors of torque and inertia, desired minus actual, in these colours; return both axes."""
+    desired, actual, other = run.arrays.desired, run.arrays.abstract, axes.twinx()
+    axes.plot(run.arrays.time, desired.torque - actual.torque, color=colours[0], label="τ")
+    inertia = _MILLI * (desired.inertia - actual.inertia)
     other.plot(run.arrays.time, inertia, color=colours[1], linestyle=DASHED, label="J")
     _label_pair(axes, other, "error of τ, N m", "error of J, 10⁻³ kg m²", colours)
     return axes, other
 
 
 def same_limits(pairs: Sequence[Pair]) -> None:
-    """Give all left axes the same limits, all right axes too, and both their zero at the same height."""
+    """Give all left axes common limits, likewise all right axes, with both zeros at the same height."""
     sides = [_extent(side) for side in zip(*pairs, strict=True)]
     height = float(np.clip(np.mean([-low / (high - low) for low, high in sides]), 0.1, 0.9))
     for side, (low, high) in zip(zip(*pairs, strict=True), sides, strict=True):
@@ -136,7 +136,7 @@ def same_limits(pairs: Sequence[Pair]) -> None:
 
 
 def time_axis(axes: Axes, end: float) -> None:
-    """Show a run up to its end (s), the first seconds stretched to half of the axis and shaded; short runs evenly."""
+    """Show a run up to its end (s); of long runs, stretch the first seconds to half of the axis and shade them."""
     axes.set_xlim(0.0, end)
     axes.grid(visible=True)
     if end < 2.0 * STRETCHED:
@@ -157,7 +157,7 @@ def time_axis(axes: Axes, end: float) -> None:
 
 
 def above(axes: Axes, heading: str, lines: Sequence[Line2D]) -> None:
-    """Put a heading and the legend above a panel, where they cover nothing."""
+    """Put a heading and the legend above a panel."""
     axes.set_title(heading, pad=15.0)
     legend = axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
     legend.set_in_layout(False)
@@ -176,12 +176,12 @@ def _extent(side: Sequence[Axes]) -> tuple[float, float]:
 
 
 def _named(*panel: Axes) -> list[Line2D]:
-    """Return the lines of a panel that stand for something."""
+    """Return the labelled lines of a panel."""
     return [line for axes in panel for line in axes.lines if not str(line.get_label()).startswith("_")]
 
 
 def kinds(run: RecordedRun) -> list[Line2D]:
-    """Return legend entries of the kinds of robots that are there."""
+    """Return legend entries for the kinds of robots in a run."""
     there = set(np.unique(run.arrays.agents.kind).tolist())
     return [Line2D([], [], color=colour, label=name) for kind, (name, colour) in KINDS.items() if kind in there]
 

@@ -1,4 +1,4 @@
-"""The runs that figures are drawn from: found among bags, or made where they are missing."""
+"""The runs shown in figures: found among existing bags, or made if missing."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.summary import Times, summarise
 
 Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
-"""Carries a run out and leaves its results in a folder."""
+"""Executes a run and leaves its results in a folder."""
 
 _LONGEST_REASON = 400
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A run as its bag holds it: its own scenario and its messages."""
+    """A run read from its bag: scenario and messages."""
 
     scenario: Scenario
     arrays: RunArrays
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """A complete bag: its MCAP file and the scenario attached to it."""
+class CompleteBag:
+    """A complete bag: its MCAP file and the attached scenario."""
 
     bag: Path
     scenario: Scenario
@@ -55,66 +55,66 @@ class Source:
 
     @property
     def altered(self) -> bool:
-        """Whether the run is not that of the built-in scenario of its name."""
+        """Whether its scenario differs from the built-in scenario of the same name."""
         return dump_scenario(self.scenario) != dump_scenario(find_scenario(self.scenario.name).resolved())
 
 
 def find_runs(
     paths: Iterable[Path], needed: Collection[str], pass_over: Callable[[str], None] = lambda _: None
-) -> dict[str, Source]:
-    """Return the bags of the needed scenarios by the names of these.
+) -> dict[str, CompleteBag]:
+    """Return the bags of the needed scenarios, by name of the scenario.
 
-    A path is that of a run's folder, a bag's folder, an MCAP file, or a folder of such. `pass_over` is told why a bag
-    that is among others is left out, such as that its run ended early.
+    A path is a run folder, the folder of a bag, an MCAP file, or a folder of these. `pass_over` receives the reason why
+    one of several bags is skipped, for example because its run ended early.
 
     Raises
     ------
     InputError
-        If a path holds no bag, or a single one that cannot be used, or there are two bags of one scenario.
+        If a path contains no bag, or only one that cannot be used, or there are two bags of a scenario.
     """
-    found: dict[str, Source] = {}
+    found: dict[str, CompleteBag] = {}
     for path in paths:
         bags = _bags(path)
         for bag in bags:
             try:
-                source = _source(bag)
+                complete = _complete(bag)
             except SwarmabsError as error:
                 if len(bags) == 1:
                     raise
                 pass_over(str(error))
                 continue
-            name = source.scenario.name
+            name = complete.scenario.name
             if name in needed:
-                other = found.setdefault(name, source)
+                other = found.setdefault(name, complete)
                 if other.bag.resolve() != bag.resolve():
-                    raise InputError(f"{other.bag} and {bag} are both of {name}; name one of them")
+                    raise InputError(f"{other.bag} and {bag} are both runs of {name}; name one of them")
     return found
 
 
-def find_made(folder: Path, needed: Iterable[str]) -> dict[str, Source]:
-    """Return the runs that `make_run` has made in a folder before, by the names of their scenarios.
+def find_made(folder: Path, needed: Iterable[str]) -> dict[str, CompleteBag]:
+    """Return the runs that `make_run` has already made in a folder, by name of the scenario.
 
     Raises
     ------
     InputError
-        If something else is where a run would be made.
+        If the place of a run contains something else.
     """
     found = {}
     for name in needed:
         path = folder / name
         if path.exists():
             try:
-                source = _source(find_bag(path))
+                complete = _complete(find_bag(path))
             except SwarmabsError as error:
                 raise InputError(f"{error}; remove {path}, or name another -o") from error
-            if source.scenario.name != name or source.altered:
+            if complete.scenario.name != name or complete.altered:
                 raise InputError(f"{path} is not a run of the built-in {name}; remove it, or name another -o")
-            found[name] = source
+            found[name] = complete
     return found
 
 
-def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOptions) -> Source:
-    """Run a scenario and keep its results in a folder of its name below `folder`, which appears whole or not at all.
+def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOptions) -> CompleteBag:
+    """Run a scenario and keep the results in a folder of its name in `folder`, which appears complete or not at all.
 
     Raises
     ------
@@ -132,11 +132,11 @@ def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOpt
         times = Times(time.monotonic() - begun, startup=outcome.start_seconds)
         made.write_summary(summarise(resolved, outcome, times))
         made.path.rename(target)
-    return Source(find_bag(target), resolved)
+    return CompleteBag(find_bag(target), resolved)
 
 
 def _bags(path: Path) -> list[Path]:
-    """Return the bag that a path names, or all those in a folder: a bag's, a run's, or one of several runs."""
+    """Return the bag that a path names, or all bags in a folder: that of a bag, of a run, or of several runs."""
     if not path.is_dir():
         return [find_bag(path)]
     try:
@@ -145,7 +145,7 @@ def _bags(path: Path) -> list[Path]:
         raise NotABagError(f"cannot read {path}: {error.strerror or error}") from error
     bags = [find_bag(child) for child in children if _holds_bag(child)]
     if not bags:
-        raise NotABagError(f"{path} holds neither a bag nor folders of runs")
+        raise NotABagError(f"{path} contains neither a bag nor run folders; name another path")
     return bags
 
 
@@ -155,8 +155,8 @@ def _holds_bag(path: Path) -> bool:
     return path.suffix == ".mcap" or (path.is_dir() and any((*path.glob("*.mcap"), *path.glob("bag/*.mcap"))))
 
 
-def _source(bag: Path) -> Source:
-    """Return a bag with its scenario, and refuse one that is of no use."""
+def _complete(bag: Path) -> CompleteBag:
+    """Return a bag with its scenario; raise `InputError` if it is not complete."""
     opened = open_bag(bag, damaged=True)
     reason = opened.problem or opened.aborted()
     if reason is not None:
@@ -165,4 +165,4 @@ def _source(bag: Path) -> Source:
     states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
     if states != scenario.steps + 1:
         raise InputError(f"{bag} is not complete: {states} of {scenario.steps + 1} states of the plane")
-    return Source(bag, scenario)
+    return CompleteBag(bag, scenario)

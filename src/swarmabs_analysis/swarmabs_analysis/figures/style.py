@@ -1,8 +1,8 @@
-"""How the figures of the paper look, which keep its look for comparison, and how pictures become files.
+"""The style of the figures, similar to that of the paper for comparison, and their conversion to files.
 
-Okabe and Ito's colours, which people with any colour vision tell apart, and with each colour a dash pattern of its own,
-so that grey prints do as well. Sizes are those at which the figures are printed: one or two columns of IEEE's
-transactions, the smallest text 7 pt. No text is set as mathematics, which would make it smaller and tear it to letters.
+The colours are those of Okabe and Ito, distinct with any colour vision; each has its own dash pattern, so that prints
+in greyscale are legible. Figures have their printed size: one or two columns of the IEEE Transactions, with text of at
+least 7 pt. No text is set as mathematics, which would make it smaller and split it into letters.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _METADATA: dict[Format, dict[str, None]] = {"png": {"Software": None}, "svg": {"
 
 @contextmanager
 def styled(more: Mapping[str, float] | None = None) -> Iterator[None]:
-    """Draw in the figures' style and with `more` settings in the block, whatever the user's matplotlibrc says."""
+    """Draw in the style of the figures, with `more` settings, inside the block; ignores the user's matplotlibrc."""
     with matplotlib.style.context(["default", _SHEET, dict(more or {})]):
         yield
 
 
 def rendered(figure: Figure, formats: Sequence[Format], title: str | None = None) -> dict[Format, bytes]:
-    """Return a figure as the contents of files, maybe with a title in their metadata; call it within `styled`."""
-    # Laid out once: each format measures text in its own way, and would move what another one has placed.
+    """Return a figure as file contents, optionally with a title in their metadata; call it inside `styled`."""
+    # Laid out once, because each format measures text differently.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     found: dict[Format, bytes] = {}

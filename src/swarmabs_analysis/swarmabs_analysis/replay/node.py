@@ -1,4 +1,4 @@
-"""Node ``replay_player``: in a replay it stands in for all nodes but those under test."""
+"""Node ``replay_player``: replaces all nodes other than those under test in a replay."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
-    Parameter("bag", "", "bag that is replayed"),
+    Parameter("bag", "", "bag to replay"),
     Parameter("nodes", ("controller",), "nodes under test: plane, observer, controller, agent:N"),
-    Parameter("window", 0, "how many steps the replay may be ahead of the recorder; 0: not recorded", minimum=0),
-    Parameter("ends", (), "ends of robots that the bag's scenario had not planned, each 'KIND AGENT STEP'"),
+    Parameter("window", 0, "steps by which the replay may be ahead of the recorder; 0: not recorded", minimum=0),
+    Parameter("ends", (), "ends of robots that the bag's scenario does not plan, each 'KIND AGENT STEP'"),
 )
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
-    """Return behaviour and endpoints.
+    """Return the behaviour and the endpoints.
 
     Raises
     ------
     InputError
-        If there is no bag, or nothing to tell when the replay ends.
+        If the bag or the last step is missing.
     """
     last = settings.last_step()
     if not settings.text("bag") or last is None:
-        raise InputError("parameters bag and last_step: give a bag and the step with which the replay ends")
+        raise InputError("parameters bag and last_step are required: give a bag and the last step of the replay")
     bag = open_bag(Path(settings.text("bag")), namespace=settings.namespace)
     scenario = attached_scenario(bag).resolved()
     ends = [Change.parse(text) for text in settings.texts("ends")]

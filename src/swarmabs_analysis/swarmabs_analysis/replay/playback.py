@@ -1,4 +1,4 @@
-"""Playback of a bag: every message at its time, with its recorded bytes and QoS."""
+"""Playback of a bag: each message at its time, with its recorded bytes and QoS."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
 
 SLICE = 0.1
-"""Longest time, s, after which the playback looks whether it is asked to end."""
+"""Longest time between two checks whether the playback must end, s."""
 ACKNOWLEDGED = 2.0
-"""Longest time, s, that reliable readers have at the end to acknowledge what they have received."""
+"""Time that reliable readers have at the end to acknowledge messages, s."""
 USUAL_QOS = 10
-"""What a topic is published with if the bag does not say: reliable, volatile, this depth."""
+"""Depth of the QoS used if the bag gives none: reliable, volatile."""
 NAME = "replay"
 _LONGEST_NAME = 100
 _MOST_NAMED = 5
@@ -61,10 +61,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Which part of a bag is played, how fast, and how often.
+    """The part of a bag to play, and how fast and often.
 
-    The rate is recorded time per time of the clock; playing starts so many seconds after the first message, and takes
-    so many seconds of recorded time, by default all, once or in an endless loop.
+    The rate is recorded time per real time; `start` (s) counts from the first message, `duration` (s) is recorded time,
+    by default all of it; with `loop` the playback repeats endlessly.
     """
 
     rate: float = 1.0
@@ -73,11 +73,11 @@ class Pace:
     loop: bool = False
 
     def schedule(self, first: int, read: Callable[[], Iterable[tuple[int, T]]]) -> Iterator[tuple[float, T]]:
-        """Yield what is played with the time at which it is due, s after the begin of the playback.
+        """Yield each message with the time at which it is due, s after the start of the playback.
 
-        All times come from the recording and the begin, none from when something was published: there is no drift.
+        Times depend only on the recording, not on when earlier messages were published, so there is no drift.
 
-        The bag is read as log times (ns) and messages, in order; `first` is the first of these times.
+        `read` returns log times (ns) and messages in order; `first` is the first of these times.
         """
         begin = first + round(self.start * 1e9)
         end = None if self.duration is None else begin + round(self.duration * 1e9)
@@ -97,7 +97,7 @@ class Pace:
 
 @dataclass(frozen=True, slots=True)
 class Playable:
-    """A topic of a bag that can be played, its ROS message class, and the QoS, or only its depth, that is offered."""
+    """A topic of a bag that can be played, its ROS message class, and the offered QoS or only its depth."""
 
     channel: BagChannel
     message_class: Any
@@ -107,14 +107,14 @@ class Playable:
 def choose_topics(
     bag: BagReader, wanted: Collection[str] = (), *, one_swarm: bool = False
 ) -> tuple[list[Playable], list[str]]:
-    """Return the topics of a bag that can be played, and warnings about those that cannot.
+    """Return the topics of a bag that can be played, and warnings about the others.
 
-    Topics are chosen by name among all, or with `one_swarm` among those of the swarm that is read; by default all.
+    `wanted` selects topics by name, by default all; `one_swarm` limits them to the swarm that is read.
 
     Raises
     ------
     InputError
-        If the bag does not have a topic that is wanted, it cannot be played, or there is nothing to play.
+        If the bag lacks a selected topic, such a topic cannot be played, or there is nothing to play.
     """
     channels = [channel for channel in bag.channels if not one_swarm or _of_swarm(bag, channel.name)]
     names = [channel.name for channel in channels]
@@ -130,19 +130,19 @@ def choose_topics(
         except InputError as error:
             if chosen:
                 raise
-            warnings.append(f"{shown(channel.name)} is left out: {error}")
+            warnings.append(f"{shown(channel.name)} is skipped: {error}")
         else:
             playable.append(found)
             warnings.extend(notes)
     if not playable:
         first = warnings[:_MOST_NAMED]
-        more = [f"{len(warnings) - len(first)} more are left out"] if len(warnings) > len(first) else []
+        more = [f"{len(warnings) - len(first)} more are skipped"] if len(warnings) > len(first) else []
         raise InputError("; ".join([f"{bag.path} has no topic that can be played", *first, *more]))
     return playable, warnings
 
 
 def _of_swarm(bag: BagReader, name: str) -> bool:
-    """Say whether a topic is in the namespace of the swarm that is read, and in no deeper one of another swarm."""
+    """Return whether a topic is in the namespace of the swarm that is read, and not in that of a nested swarm."""
     inmost = max((swarm for swarm in bag.swarms if name.startswith(swarm)), key=len, default=None)
     return inmost is not None and inmost == bag.namespace
 
@@ -154,21 +154,21 @@ def _listed(names: Collection[str]) -> str:
 
 
 def shown(name: str) -> str:
-    """Return a name from a bag such that it cannot leave the line."""
+    """Return a name from a bag, safe to print within a line."""
     return printable(shorten(name, _LONGEST_NAME))
 
 
 def _playable(channel: BagChannel) -> tuple[Playable, list[str]]:
-    """Find type and QoS of a topic; refuse one whose type is not installed as it was recorded."""
+    """Return type and QoS of a topic; raise `InputError` if its type is not installed with the recorded definition."""
     if channel.encoding != "cdr":
-        raise InputError(f"its messages are in the encoding {show(channel.encoding)}, and only cdr can be published")
+        raise InputError(f"its messages have the encoding {show(channel.encoding)}, but only cdr can be published")
     try:
         validate_full_topic_name(channel.name)
     except InvalidTopicNameException as error:
-        raise InputError("no topic of ROS can have this name") from error
+        raise InputError("its name is not valid in ROS") from error
     schema = message_schema(channel.ros_type)
     if channel.type_hash and channel.type_hash != schema.type_hash:
-        raise InputError(f"the installed definition of {channel.ros_type} is not the one that was recorded")
+        raise InputError(f"the installed definition of {channel.ros_type} differs from the recorded one")
     package, _, name = channel.ros_type.split("/")
     try:
         message_class = getattr(importlib.import_module(f"{package}.msg"), name)
@@ -177,10 +177,10 @@ def _playable(channel: BagChannel) -> tuple[Playable, list[str]]:
     profiles = recorded_profiles(channel.qos_profiles)
     notes = []
     if len(profiles) > 1:
-        notes.append(f"{shown(channel.name)}: its publishers offered {len(profiles)} different QoS; the first is taken")
+        notes.append(f"{shown(channel.name)}: its publishers offered {len(profiles)} different QoS; the first is used")
     qos = profiles[0] if profiles else None
     if qos is not None:
-        # The nodes that asserted that they live are not here, and a playback may pause.
+        # The nodes that asserted their liveliness are absent, and a playback may pause.
         qos.liveliness, qos.liveliness_lease_duration = QoSLivelinessPolicy.AUTOMATIC, Duration()
     return Playable(channel, message_class, qos or USUAL_QOS), notes
 
@@ -193,14 +193,14 @@ def play(
     wait: bool = False,
     asked_to_end: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Publish a bag's messages, each at its time; return how many.
+    """Publish the messages of a bag, each at its time, and return their number.
 
-    The playback may wait until every topic has a reader, and ends early when it is asked to.
+    With `wait` the playback starts when every topic has a reader; it ends early when `asked_to_end` returns True.
 
     Raises
     ------
     DamagedBagError
-        Where the bag is damaged; all before it has been published then.
+        If the bag is damaged; everything before the damage has been published.
     """
     initialise(NAME, ["--ros-args", "--disable-external-lib-logs"])
     node: Node = SwarmNode(NAME)
@@ -235,11 +235,11 @@ def play(
 
 
 def recorded_profiles(text: str) -> list[QoSProfile]:
-    """Return the profiles of a channel's ``offered_qos_profiles``, each different one once.
+    """Return the distinct profiles in a channel's ``offered_qos_profiles``.
 
-    Policies that no publisher can offer, or that are not understood, are left as ROS 2 has them by default.
+    Policies that a publisher cannot offer, or that are unknown, get the ROS 2 default.
 
-    The text is YAML as rosbag2 writes it: policies by name, or, in bags of older versions, by number.
+    The text is YAML as written by rosbag2: policies by name or, in older versions, by number.
     """
     found = load_yaml(text)
     profiles: list[QoSProfile] = []
@@ -269,7 +269,7 @@ def _profile(entry: Mapping[str, Any]) -> QoSProfile:
 
 
 def _policy(policies: Any, value: object) -> Any:
-    """Return the policy of a name or number, None if no publisher can offer it."""
+    """Return the policy with a name or number, None if a publisher cannot offer it."""
     offerable = _OFFERABLE_LIVELINESS if policies is QoSLivelinessPolicy else _OFFERABLE
     for policy in policies:
         if policy.short_key in offerable and value in (policy.short_key, int(policy)) and not isinstance(value, bool):
@@ -278,7 +278,7 @@ def _policy(policies: Any, value: object) -> Any:
 
 
 def _duration(value: object) -> Duration | None:
-    """Return a finite duration, None for one that is not there, infinite or not understood."""
+    """Return a finite duration, None if it is missing, infinite or malformed."""
     if not isinstance(value, dict):
         return None
     seconds, nanoseconds = value.get("sec"), value.get("nsec")

@@ -1,7 +1,7 @@
-"""The player of a recorded run: it stands in for all nodes but those that are tried out on the recording.
+"""The player of a recorded run, which replaces all nodes other than those under test.
 
-What it publishes is what was recorded, so a replay is open loop: the nodes under test answer, and only other
-nodes under test react to their answers.
+It publishes recorded messages, so a replay is open loop: only other nodes under test react to the answers of the nodes
+under test.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ if TYPE_CHECKING:
     from swarmabs_core.record import Record
 
 _GATHERED_BY = (PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
-"""Topics on which there is an answer only when the states of all robots of its step are there."""
+"""Topics whose messages require the states of all robots of their step."""
 
 
 def answered(live: Collection[NodeName]) -> tuple[Topic, ...]:
-    """Return the topics on which nodes under test answer."""
+    """Return the topics on which the nodes under test answer."""
     robots = any(name.kind is NodeKind.AGENT for name in live)
     return tuple(topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or PUBLISHER.get(topic) in live)
 
 
 def played(live: Collection[NodeName]) -> tuple[Topic, ...]:
-    """Return the topics that the player publishes: all others, and those of robots and events, which it shares."""
+    """Return the topics that the player publishes: all others, and those of robots and events, which are shared."""
     return (EVENTS, *(topic for topic in MAIN_TOPICS if topic is AGENT_STATE or topic not in answered(live)))
 
 
 class _Key(NamedTuple):
-    """Which message is awaited."""
+    """Key of an awaited message."""
 
     step: int
     topic: Topic
@@ -59,7 +59,7 @@ class _Key(NamedTuple):
 
 
 class _Phase(NamedTuple):
-    """What is published at once, and what has to be there before anything else is; `played`: states' topics in it."""
+    """Messages published together, and the messages awaited afterwards; `played` are the topics of the former."""
 
     step: int
     messages: Messages
@@ -68,18 +68,18 @@ class _Phase(NamedTuple):
 
 
 class Player:
-    """Publishes a recorded run step by step; waits in each for the nodes under test.
+    """Publishes a recorded run step by step, and waits for the nodes under test in each step.
 
-    A step has two phases: the robots' states with the events, then the coordinators' broadcasts. After each the player
-    waits for those messages that the recording has from the nodes under test. So each of them is in the step of what it
-    hears, and loses nothing: what got lost is repeated, since somebody waits for it.
+    A step has two phases: the robots' states with the events, then the coordinators' broadcasts. After each phase the
+    player waits for the messages that the recording contains from the nodes under test. Each node therefore is in the
+    step of the messages that it receives, and loses nothing: a lost message is repeated because a node waits for it.
 
-    Nodes under test that lack nothing but each other's messages do not wait for the player, and it may be any number of
-    steps behind them, without some of what they have said. An answer therefore stands for all before it: whoever has
-    given it had done with those steps. What is checked instead is that none has answered what is only published now.
+    Nodes under test that only need each other's messages do not wait for the player; it may be any number of steps
+    behind them and miss some of their messages. An answer therefore confirms all earlier ones of its publisher. The
+    player checks instead that no node has answered a message that is only published now.
 
-    The recorded steps are in order, up to `last_step`, with which the replay ends. It may be `window` steps ahead of
-    its recorder; 0 if none reports how far it is. The player listens to the topics that it `hears`.
+    The recorded steps are in order, up to `last_step`, which ends the replay. The player may be `window` steps ahead of
+    the recorder; 0 means that no recorder reports its progress. `hears` are the topics to subscribe to.
     """
 
     def __init__(
@@ -98,11 +98,11 @@ class Player:
         self.hears = (*answered(live), RECORDING_PROGRESS) if window else answered(live)
 
     def start(self) -> Messages:
-        """Publish what comes before the first answer."""
+        """Publish the messages before the first answer."""
         return self._proceed()
 
     def handle(self, message: Message) -> Messages:
-        """Take an answer of a node under test, or the recorder's progress; answer what was recorded next."""
+        """Process an answer of a node under test, or the recorder's progress; return the next recorded messages."""
         topic = TOPIC_OF[type(message)]
         if topic not in self.hears:
             raise UnexpectedMessageError("player", message)
@@ -111,7 +111,7 @@ class Player:
                 self._written = max(self._written, message.written_step)
             return self._proceed()
         publisher = publisher_of(message)
-        if publisher not in self._live:  # its own, on a topic that it shares with a node under test
+        if publisher not in self._live:  # its own message, on a topic shared with a node under test
             return ()
         if message.step > self._last_step:
             raise StepAheadError(str(publisher), got=message.step, expected=self._last_step)
@@ -142,13 +142,13 @@ class Player:
         return self._step >= self._last_step and not self._phases
 
     def _lacking(self) -> list[_Key]:
-        """Return what is awaited and not known to have been said."""
+        """Return the awaited messages that are not known to have been sent."""
         return [key for key in self._awaited if not self._said(key)]
 
     def _said(self, key: _Key) -> bool:
-        """Tell whether a message, or one that cannot have come before it, was heard.
+        """Return whether a message was received, or another one that implies it.
 
-        A robot that has ended repeats nothing; but no coordinator has gathered the states of a step without its own.
+        A robot that has ended repeats nothing, but a coordinator's answer implies the states of all robots of its step.
         """
         if self._heard.get((key.topic, key.agent_id), -1) >= key.step:
             return True
@@ -157,7 +157,7 @@ class Player:
         return any(self._newest[topic].step >= key.step for topic in _GATHERED_BY if topic in self._newest)
 
     def _proceed(self) -> Messages:
-        """Publish, phase by phase, as long as nothing is missing."""
+        """Publish phase by phase until an awaited message is missing."""
         out: list[Message] = []
         while all(map(self._said, self._awaited)) and (self._phases or self._next_step()):
             self._refuse_early(self._phases[0])
@@ -166,7 +166,7 @@ class Player:
         return tuple(out)
 
     def _refuse_early(self, phase: _Phase) -> None:
-        """Refuse answers to what is published only now: the nodes under test cannot have given them."""
+        """Raise `StepAheadError` for answers to messages that are only published now."""
         latest = dict.fromkeys(_GATHERED_BY, phase.step - 1) if AGENT_STATE in phase.played else {}
         if phase.played & {AGENT_STATE, PLANE_STATE}:
             latest[DESIRED_ABSTRACT_STATE] = phase.step - 1
@@ -178,15 +178,15 @@ class Player:
                 raise StepAheadError(str(publisher_of(heard)), got=heard.step, expected=step)
 
     def _next_step(self) -> bool:
-        """Load the next recorded step; tell whether there is one, and credit for it."""
+        """Load the next recorded step; return False if there is none or the recorder is too far behind."""
         if self._finished() or (self._window and self._step + 1 - self._window > self._written):
             return False
         step = next(self._steps, None)
         if step is None:
             raise RunError(f"the recording ends with step {self._step}, before step {self._last_step}")
-        self._step = max(self._step, step.step)  # an event that was late when it was recorded is of a step before
+        self._step = max(self._step, step.step)  # an event that was recorded late is of an earlier step
         coordinators = [r for r in step.records if r.topic is not AGENT_STATE and r.topic is not EVENTS]
-        # An event stands before the states that it explains.
+        # An event precedes the states that it explains.
         others = [r for r in step.records if r.topic is EVENTS] + [r for r in step.records if r.topic is AGENT_STATE]
         self._phases.extend((self._phase(step.step, others), self._phase(step.step, coordinators)))
         return True

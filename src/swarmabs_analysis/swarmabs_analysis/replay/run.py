@@ -1,4 +1,4 @@
-"""A replay from a bag to a new one: the nodes under test as processes over DDS, or in this process without ROS."""
+"""A replay from a bag to a new bag, with the nodes under test as processes over DDS or in this process without ROS."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from swarmabs_run.simulation import NodeInProcess, Simulation, nodes_in_process,
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
-    from swarmabs_analysis.replay.source import Source
+    from swarmabs_analysis.replay.source import ReplaySource
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.membership import Change
@@ -40,12 +40,12 @@ _PROCESSES = {NodeKind.PLANE: PLANE, NodeKind.OBSERVER: OBSERVER, NodeKind.CONTR
 
 @dataclass(frozen=True, slots=True)
 class ReplayRun:
-    """A replay that is to be made.
+    """A planned replay.
 
-    `nodes` are the nodes under test; `overrides`, ``a.b=value`` each, are what was changed for them in `scenario`.
+    `nodes` are the nodes under test; `overrides`, ``a.b=value`` each, are the changes that `scenario` includes.
     """
 
-    source: Source
+    source: ReplaySource
     nodes: tuple[NodeName, ...]
     overrides: tuple[str, ...]
     scenario: Scenario
@@ -55,7 +55,7 @@ class ReplayRun:
         return tuple(change for change in self.source.ends if change.step <= self.scenario.steps)
 
     def provenance(self) -> dict[str, object]:
-        """Return what the new bag says of the replay."""
+        """Return the description of the replay for the new bag."""
         return {
             "of": self.source.digest,
             "nodes": [str(node) for node in self.nodes],
@@ -76,12 +76,12 @@ class ReplayRun:
         return record_steps(steps, self.scenario, recording, on_progress=on_progress)
 
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
-        """Replay over DDS, the nodes under test as processes of their own; parameters as of `in_process`."""
+        """Replay over DDS with the nodes under test as processes; parameters as for `in_process`."""
         options = RunOptions(on_progress=on_progress, namespace=self.source.namespace)
         return LockstepRun(self.scenario, folder, options, self.plan).run()
 
     def plan(self, processes: Sequence[ProcessPlan]) -> tuple[ProcessPlan, ...]:
-        """Return the nodes under test, the recorder, and the player for all others, from those of a run."""
+        """Return the processes of the replay, from those of a run: nodes under test, recorder, and player."""
         by_name = {process.name: process for process in processes}
         recorder = by_name[RECORDER]
         shared = ("period_ns", "last_step", "stall_timeout", "repeat_after", "repeat_steps")
@@ -106,14 +106,14 @@ class ReplayRun:
         ]
         for process in tested:
             for change in self.source.ends:
-                if change.agent_id in process.agents:  # it falls silent by itself: nothing stops it this time
+                if change.agent_id in process.agents:  # nothing stops it now: it must fall silent by itself
                     process.parameters.update(end=change.kind.value, end_step=change.step)
         planned = (player, *tested, replace(recorder, parameters=recorder.parameters | told))
         expect_counterparts(planned)
         return planned
 
     def result(self, folder: RunFolder, digest: str | None) -> dict[str, Any]:
-        """Return how the replay in a folder, whose digest is known if it has one, differs from the recording."""
+        """Return the differences between the replay in a folder, with its digest, and the recording."""
         recorded = Digest()
         replayed = complete_steps(open_bag(folder.path), self.scenario, self._ends)
         found = compare_steps(self._answers(self._recorded(recorded)), self._answers(replayed))
@@ -130,7 +130,7 @@ class ReplayRun:
         }
 
     def _answers(self, steps: Iterable[RecordedStep]) -> Iterator[RecordedStep]:
-        """Yield what the nodes under test have said, without events."""
+        """Yield the messages of the nodes under test, without events."""
         live = frozenset(self.nodes)
         for step in steps:
             answers = tuple(r for r in step.records if r.topic is not EVENTS and publisher_of(r.message) in live)
@@ -138,12 +138,12 @@ class ReplayRun:
                 yield RecordedStep(step.step, answers)
 
     def _recorded(self, digest: Digest) -> Iterator[RecordedStep]:
-        """Yield the recorded steps that are replayed, and sum them up."""
+        """Yield the recorded steps that are replayed, and update the digest."""
         last = -1
         for step in self.source.steps():
             if step.step > self.scenario.steps:
                 return
-            if step.step > last:  # else an event that was late
+            if step.step > last:  # otherwise a late event
                 last = step.step
                 digest.update(step)
             yield step
@@ -152,10 +152,10 @@ class ReplayRun:
 def replayed_steps(
     scenario: Scenario, live: Collection[NodeName], recorded: Iterator[RecordedStep], ends: Collection[Change] = ()
 ) -> Iterator[RecordedStep]:
-    """Connect a player and the nodes under test by a queue, and yield every step as a bag would hold it.
+    """Connect a player and the nodes under test by a queue, and yield every step as recorded in a bag.
 
-    The recorded run is in order, up to the scenario's last step at least; `ends` are those of robots in it that its
-    scenario had not planned. The nodes under test are made with this scenario, and hear each other.
+    The recorded run must be in order and include the scenario's last step; `ends` are the unplanned ends of its robots.
+    The nodes under test are configured by this scenario, and receive each other's messages.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def replayed_steps(
     observer = next((node.behaviour for node in tested if isinstance(node.behaviour, Observer)), None)
 
     def drop_silent() -> Messages:
-        """Let the observer drop the robots that it dropped when the run was recorded."""
+        """Let the observer drop the robots that it dropped during the recording."""
         if observer is None:
             return ()
         step, _ = observer.missing()

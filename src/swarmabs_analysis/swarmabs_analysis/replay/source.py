@@ -1,4 +1,4 @@
-"""A recorded run as a source of messages: its scenario, its complete steps, and unplanned ends of robots."""
+"""A recorded run as a source of messages: scenario, complete steps, and unplanned ends of robots."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from swarmabs_core.publishers import NodeName
 
 WINDOW = 1000
-"""How many steps are held in memory while one before them is not complete."""
+"""Most steps kept in memory while an earlier one is incomplete."""
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """A bag that can be replayed; made by `open_source`.
+class ReplaySource:
+    """A bag that can be replayed, created by `open_source`.
 
-    Its `digest` is that of its complete steps, the last of which is `last_step`; `ends` are those of robots that its
-    scenario, `recorded`, had not planned; `robots` have recorded a state.
+    `digest` is that of the complete steps, up to `last_step`; `ends` are the ends of robots not planned by the scenario
+    `recorded`; `robots` have a recorded state.
     """
 
     bag: BagReader
@@ -49,16 +49,16 @@ class Source:
         return (self.bag.namespace or "/").rstrip("/") or "/"
 
     def steps(self) -> Iterator[RecordedStep]:
-        """Yield the complete steps, in order; an event that was recorded late comes late again."""
+        """Yield the complete steps in order; an event that was recorded late is yielded late too."""
         return complete_steps(self.bag, self.recorded, self.ends)
 
     def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> Scenario:
-        """Return the scenario of a replay: the recorded one with changes, as far as there are complete steps.
+        """Return the scenario of a replay: the recorded one with changes, up to the last complete step.
 
         Raises
         ------
         InputError
-            If a node under test has recorded nothing, or a change contradicts the recording.
+            If a node under test has no recorded messages, or a change contradicts the recording.
         """
         for node in nodes:
             if node.kind is NodeKind.AGENT and node.agent_id not in self.robots:
@@ -73,29 +73,31 @@ class Source:
             ("faults that end robots or let them join", configure.schedule),
         ):
             if of(changed) != of(self.recorded):
-                raise InputError(f"--set changes the {what}, but the other nodes say what was recorded; run it instead")
+                raise InputError(
+                    f"--set changes the {what}, but the messages of the other nodes are recorded; use run instead"
+                )
         return _shortened(changed, min(self.last_step, changed.steps))
 
 
-def open_source(path: Path, *, namespace: str | None = None) -> Source:
-    """Open the bag of a swarm and read it once, to learn which steps are complete and who ended unplanned.
+def open_source(path: Path, *, namespace: str | None = None) -> ReplaySource:
+    """Open the bag of a swarm and read it once, to find the complete steps and the unplanned ends of robots.
 
     Raises
     ------
     InputError
-        If it is no bag of a run in lockstep.
+        If it is not the bag of a run in lockstep.
     DamagedBagError
-        If the bag has lost its end.
+        If the end of the bag is missing.
     """
     bag = open_bag(path, namespace=namespace)
     if is_realtime(bag):
         raise InputError(
-            f"{bag.path} was recorded in real time: a node under test would not hear the messages when it heard them "
-            "then; verify recomputes its answers from what they name, and without --node the bag is played"
+            f"{bag.path} was recorded in real time, so the times at which a node received messages cannot be "
+            "reproduced; use verify to recompute its answers, or leave out --node to play the bag"
         )
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing:
-        raise InputError(f"{bag.path} has no topic {missing[0]}: no node can be tried out on it; leave out --node")
+        raise InputError(f"{bag.path} has no topic {missing[0]}, which re-execution needs; leave out --node")
     scenario = attached_scenario(bag).resolved()
     members = frozenset(configure.members(scenario))
     ends: list[Change] = []
@@ -109,30 +111,30 @@ def open_source(path: Path, *, namespace: str | None = None) -> Source:
             end = unplanned_end(record.message)
             if end is not None:
                 if end.agent_id not in members:
-                    raise InputError(f"{bag.path}: robot {end.agent_id} fell silent, which its scenario does not have")
+                    raise InputError(f"{bag.path}: robot {end.agent_id} fell silent, but the scenario lacks it")
                 ends.append(end)
             elif record.topic is AGENT_STATE:
                 robots.add(record.agent_id)
     if last < 1:
         raise InputError(f"{bag.path} has {last + 1} complete steps, too few for a replay")
-    return Source(bag, scenario, digest.hexdigest(), last, tuple(ends), frozenset(robots))
+    return ReplaySource(bag, scenario, digest.hexdigest(), last, tuple(ends), frozenset(robots))
 
 
 def unplanned_end(message: Message) -> Change | None:
-    """Return how a robot ended, if the message says that it was dropped since it fell silent."""
+    """Return the end of a robot if the message announces that it was dropped as silent."""
     if isinstance(message, SwarmEvent) and message.kind == EventKind.DEAD and message.detail == SILENT:
         return Change(message.step - 1, message.agent_id, ChangeKind.KILL)
     return None
 
 
 def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
-    """Yield the complete steps of a bag, in order, up to one that lacks a message for the next `WINDOW` steps.
+    """Yield the complete steps of a bag in order, up to one that lacks a message for the next `WINDOW` steps.
 
-    The scenario says whose states make a step complete; `ends` are the unplanned ones that are known beforehand.
+    The scenario defines whose states a complete step has; `ends` are the unplanned ends known in advance.
     """
     schedule = with_ends(configure.schedule(scenario), ends)
     collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
-    held: RecordedStep | None = None  # the events of a step stand behind its other messages
+    held: RecordedStep | None = None  # the events of a step follow its other messages
     waiting = 0
     for record in bag.records((*MAIN_TOPICS, EVENTS)):
         complete = collector.add(record)
@@ -143,7 +145,7 @@ def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] 
             if held is not None and step.step == held.step:
                 held = _with_events(held, step)
             elif held is not None and step.step < held.step:
-                yield step  # an event that was late when it was recorded
+                yield step  # an event that was recorded late
             else:
                 if held is not None:
                     yield held
@@ -160,7 +162,7 @@ def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
 
 
 def _shortened(scenario: Scenario, last_step: int) -> Scenario:
-    """Return the scenario of the first steps of a run, without the faults and robots that come later."""
+    """Return the scenario of the first steps of a run, without later faults and robots."""
     if last_step == scenario.steps:
         return scenario
     later = {
@@ -182,7 +184,7 @@ def _shortened(scenario: Scenario, last_step: int) -> Scenario:
 
 
 def _of_those_left(fault: dict[str, Any], later: Collection[int]) -> dict[str, Any]:
-    """Return a fault that does not name robots that come later."""
+    """Return a fault without the robots that join later."""
     if not fault.get("agents"):
         return fault
     return fault | {"agents": [agent for agent in fault["agents"] if agent not in later]}

@@ -1,4 +1,4 @@
-"""What verifying a run has in common, in lockstep and in real time."""
+"""The common parts of verification in lockstep and in real time."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
 
 Finding: TypeAlias = "Difference | str | None"
-"""None if a message is right, else what is wrong, or why it cannot be checked."""
+"""None if a message is correct, otherwise the difference, or the reason why it cannot be checked."""
 
 
 @dataclass(slots=True)
-class Verdict:
-    """What was found out about a bag.
+class VerificationResult:
+    """The result of verifying a bag.
 
     Attributes
     ----------
     bag : str
         The MCAP file.
     scenario : str or None
-        Name of its scenario; None if nothing of the bag can be read.
+        Name of its scenario; None if the bag is unreadable.
     difference : Difference or None
-        The first between what is recorded and what is recomputed, by step; within a step robots by id, plane, abstract,
-        auxiliary, desired state, events.
+        The first difference between recorded and recomputed messages, by step; within a step in the order robots by id,
+        plane, abstract, auxiliary, desired state, events.
     problem : str or None
-        What is wrong with the file.
+        Damage of the file.
     steps : int
-        Steps that were found right, in real time those of which a message was judged.
+        Number of verified steps; in real time, of steps with a checked message.
     messages : int
-        How many messages were found right.
+        Number of verified messages.
     expected_steps : int or None
-        How many steps a whole run of the scenario has: 0 to n are n + 1; None in real time.
+        Number of steps of a complete run, 0 to n, thus n + 1; None in real time.
     ended_early : str or None
         Why the run ended before its last step.
     digest : str or None
-        Digest of what was found right; None in real time, where what is heard differs from run to run.
+        Digest of the verified messages; None in real time, where received messages differ from run to run.
     tolerance : float
         A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
     notes : tuple of str
-        What people should know besides.
+        Further remarks for the user.
     not_checkable : Counter of str
-        How many messages of a run in real time could not be checked, by the reason.
+        Number of messages of a run in real time that could not be checked, by reason.
     """
 
     bag: str = ""
@@ -68,12 +68,12 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there is neither a difference nor damage."""
         return self.difference is None and self.problem is None
 
     @property
     def complete(self) -> bool:
-        """Whether all of the run is there and right; in real time the bag says itself whether it ended early."""
+        """Whether the whole run is present and correct; in real time the bag itself records an early end."""
         whole = self.ended_early is None if self.expected_steps is None else self.steps == self.expected_steps
         return self.ok and whole
 
@@ -98,32 +98,32 @@ class Verdict:
 
 
 class Verification(ABC):
-    """Follows a recorded run message by message, and judges a step when nothing of it can come any more.
+    """Checks a recorded run message by message; a step is judged when no more of its messages can follow.
 
-    `period_ns` is the period of a run in lockstep, where the log time of bytes that are no message tells their step.
+    `period_ns` is the period of a run in lockstep, where the log time of malformed bytes determines their step.
 
     Attributes
     ----------
-    found : Verdict
-        What is found of the messages; the rest of it is for others to fill in.
+    found : VerificationResult
+        The findings about the messages; the caller fills in the rest.
     """
 
     def __init__(self, tolerance: float, period_ns: int | None = None) -> None:
-        self.found = Verdict(tolerance=tolerance)
+        self.found = VerificationResult(tolerance=tolerance)
         self._period_ns = period_ns
 
     @property
     @abstractmethod
     def step(self) -> int:
-        """The first step that is not verified, 0 before there is one."""
+        """The first step that is not verified yet, initially 0."""
 
     @property
     def decided(self) -> bool:
-        """Whether no further message can change what is found."""
+        """Whether no further message can change the result."""
         return self.found.difference is not None
 
     def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
-        """Take the next message of the bag, with its log time and, if that is to be verified, its publish time, ns."""
+        """Check the next message of the bag, with its log time and, if it is to be verified, its publish time, ns."""
         if self.decided:
             return
         try:
@@ -135,10 +135,10 @@ class Verification(ABC):
 
     @abstractmethod
     def _take(self, found: Record | Difference) -> None:
-        """Take a message, or that there is none."""
+        """Handle a message, or malformed bytes as a difference."""
 
     def _judge(self, findings: Iterable[Finding]) -> int:
-        """Count what was found of messages, up to the first difference; return of how many something was found."""
+        """Count the findings up to the first difference, and return their number."""
         judged = 0
         for finding in findings:
             judged += 1
@@ -153,4 +153,4 @@ class Verification(ABC):
 
     @abstractmethod
     def finish(self, *, whole: bool = True) -> None:
-        """Judge what is left at the end of the bag, which is whole if nothing says why it ends before its run."""
+        """Judge the remaining messages at the end of the bag; `whole` if the bag gives no reason for ending early."""

@@ -1,4 +1,4 @@
-"""What a bag in real time holds around a step, whatever the order in which it was received."""
+"""The messages of a run in real time around a step, independent of the order in which they were received."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
     from swarmabs_core.record import Record
 
 WAIT = 300
-"""Steps that a message may be received behind those of later steps, and is still judged in its place."""
+"""Steps by which a message may arrive after those of later steps and is still checked in its place."""
 _KEPT = MEMORY + 2 * WAIT
 
-AMBIGUOUS = "different messages of the step may have been sent, of which the bag has one"
+AMBIGUOUS = "different messages of the step may have been sent, but the bag contains only one"
 NO_STATES = "a robot's state that it was computed from is not in the bag"
-NO_PROVENANCE = "what it was computed from is not in the bag"
+NO_PROVENANCE = "its provenance is not in the bag"
 
 Kind = TypeVar("Kind", AgentState, PlaneState, AbstractState, AuxiliaryState, Basis)
 
 
 class UnconfirmedError(Exception):
-    """A message is not found right: `finding` says what is wrong, or why it cannot be checked."""
+    """A message is not confirmed: `finding` says what is wrong, or why it cannot be checked."""
 
     def __init__(self, finding: Difference | str) -> None:
         super().__init__(str(finding))
@@ -48,12 +48,12 @@ class UnconfirmedError(Exception):
 
 
 class History:
-    """Messages by step, topic and what else tells them apart, of as many steps as may matter.
+    """Messages by step, topic and key, of as many steps as may still be needed.
 
     Attributes
     ----------
     steps : dict
-        The messages of each step by topic, and there by robot, mode of a desired state, or source of a provenance.
+        The messages by step, topic and key: robot, mode of a desired state, or source of a provenance.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class History:
         self._newest: dict[tuple[str, int], int] = {}
 
     def add(self, stored: Record) -> bool:
-        """Keep a message; return whether there is none in its place yet."""
+        """Keep a message; return False if its place is already taken."""
         message, topic = stored.message, stored.topic
         if isinstance(message, SwarmEvent):
             of = conflict(message)
@@ -77,34 +77,34 @@ class History:
         place[key] = stored
         sender = (topic.name, 0 if isinstance(message, DesiredAbstractState) else key)
         if message.step < self._newest.get(sender, -1):
-            # A sender's messages keep their order. Its clock may have been set back, and this not be the first.
+            # A sender's messages stay in order, so its clock may have been set back, and an earlier message may exist.
             self._ambiguous.add((*sender, message.step))
         else:
             self._newest[sender] = message.step
         return True
 
     def forget(self, step: int) -> None:
-        """Forget what is too old to matter for steps from this one on; what a coordinator still uses is kept."""
+        """Drop messages that later steps no longer need; the states that a coordinator still uses are kept."""
         if len(self.steps) > _KEPT + 2 * WAIT:
             self.steps = {s: found for s, found in self.steps.items() if s >= step - _KEPT}
 
     def on(self, topic: Topic, step: int) -> Mapping[int, Record]:
-        """Return the messages on a topic of a step by what tells them apart."""
+        """Return the messages of a topic and step by key."""
         return self.steps.get(step, {}).get(topic, {})
 
     def get(self, kind: type[Kind], step: int, key: int = 0) -> Kind | None:
-        """Return a message of a class, a step, and a robot or source; None if there is none."""
+        """Return the message of a class, step and key, or None."""
         stored = self.on(TOPIC_OF[kind], step).get(key)
         message = None if stored is None else stored.message
         return message if isinstance(message, kind) else None
 
     def sure(self, kind: type[Kind], step: int, reason: str, key: int = 0) -> Kind:
-        """Return the same if there is one, and no other can have been sent.
+        """Return the message of a class, step and key that certainly is the one that was sent.
 
         Raises
         ------
         UnconfirmedError
-            For this reason if there is none.
+            With this reason if it is missing or ambiguous.
         """
         message = self.get(kind, step, key)
         if message is None or self.is_ambiguous(TOPIC_OF[kind], step, key):
@@ -112,21 +112,21 @@ class History:
         return message
 
     def provenance(self, source: Source, step: int, reason: str = NO_PROVENANCE) -> Basis:
-        """Return from what a coordinator has computed its answer of a step; errors as of `sure`."""
+        """Return the provenance of a coordinator's answer in a step; errors as for `sure`."""
         return self.sure(Basis, step, reason, source)
 
     def desired(self, step: int) -> list[DesiredAbstractState]:
-        """Return the desired states of a step: one of each mode, RUN first."""
+        """Return the desired states of a step, one per mode, RUN first."""
         found = [stored.message for _, stored in sorted(self.on(DESIRED_ABSTRACT_STATE, step).items())]
         return [message for message in found if isinstance(message, DesiredAbstractState)]
 
     def changes_within(self, step: int) -> bool:
-        """Tell whether the parent controller may have changed its mind within a step that has no RUN."""
+        """Return whether the parent controller may have changed the mode within a step without RUN."""
         before = next((found for s in range(step - 1, step - WAIT, -1) if (found := self.desired(s))), None)
         return before is None or any(desired.mode == Mode.RUN for desired in before)
 
     def states(self, source: Source, provenance: Basis) -> tuple[dict[int, AgentState], str]:
-        """Return the states that a coordinator says to have used, and why they are not all there; they are kept."""
+        """Return the states that a coordinator used, and a reason if some are missing or ambiguous; they are kept."""
         pins: dict[tuple[int, int], Record] = {}
         found, problem = {}, ""
         for agent_id, step in zip(provenance.agent_ids, provenance.state_steps, strict=True):
@@ -137,7 +137,7 @@ class History:
             if self.is_ambiguous(AGENT_STATE, step, agent_id):
                 problem = AMBIGUOUS
             pins[agent_id, step] = stored
-            assert isinstance(stored.message, AgentState)  # noqa: S101 - kept as such
+            assert isinstance(stored.message, AgentState)  # noqa: S101 - by topic
             found[agent_id] = stored.message
         self._pinned[source] = pins
         return found, problem
@@ -149,12 +149,12 @@ class History:
         return next((pins[agent_id, step] for pins in self._pinned.values() if (agent_id, step) in pins), None)
 
     def is_ambiguous(self, topic: Topic, step: int, agent_id: int = 0) -> bool:
-        """Tell whether different messages were received of which the bag has the first."""
+        """Return whether different messages were received, of which the bag contains only the first."""
         return (topic.name, agent_id, step) in self._ambiguous
 
 
 def wrong_stamp(message: Message, schedule: Schedule, within: int = 0) -> Difference | None:
-    """Return that a message was made in another step than its own, or further from it than within so many steps."""
+    """Return a difference if the stamp of a message is more than `within` steps from its step, otherwise None."""
     made = schedule.step(message.stamp)
     if abs(made - message.step) <= within:
         return None

@@ -1,10 +1,9 @@
-"""Every message of a run in lockstep, recomputed from those before it (docs/how-to/verify.md).
+"""Recomputation of every message of a run in lockstep from the messages before it (docs/how-to/verify.md).
 
-Each node is its own state machine, the one that runs as a process, and hears what the bag holds and nothing else: a
-robot the three broadcasts, the observer and the plane the robots' states, the parent controller the plane's state. What
-it answers is compared with what the bag holds in its place. As each answer is compared before the next message is
-heard, the state that a machine continues with is the recorded one. The first difference therefore lies with the node
-that it names, and with none before it.
+Each node is represented by the state machine that also runs as its process, and receives only recorded messages: a
+robot the three broadcasts, the observer and the plane the robots' states, the parent controller the plane's state. Its
+answer is compared with the recorded message in its place before the next message is delivered, so that every state
+machine continues from recorded inputs. The first difference therefore originates in the node that it names.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Messages
 
 WINDOW = 100
-"""How many steps the messages of a bag may be out of order."""
+"""Number of steps by which the messages of a bag may be out of order."""
 _MOST_PER_MEMBER = 8
-"""More than a robot or a topic has of messages and events in a step."""
+"""Upper bound of messages and events per robot or topic in a step."""
 
 
 class Slot:
-    """What a bag has of one step: messages by topic, and what is none; `present` counts those that a step has once."""
+    """The recorded messages of one step by topic, and malformed ones; `present` counts those that a step has once."""
 
     __slots__ = ("found", "malformed", "present")
 
@@ -54,14 +53,14 @@ class Slot:
         return self.found.get(topic, [])
 
     def add(self, stored: Record) -> None:
-        """Put a message into its place."""
+        """Add a message."""
         same = self.found.setdefault(stored.topic, [])
         self.present += stored.topic is AGENT_STATE or not (same or stored.topic is EVENTS)
         same.append(stored)
 
 
 class Window:
-    """The steps that are not judged yet, of a run with this period (ns) and so many robots."""
+    """The steps that are not judged yet, of a run with the given period (ns) and number of robots."""
 
     def __init__(self, period_ns: int, robots: int) -> None:
         self._period_ns = period_ns
@@ -75,13 +74,13 @@ class Window:
 
     @property
     def full(self) -> bool:
-        """Whether there is more than any run has in so many steps."""
+        """Whether it contains more messages than any run has in so many steps."""
         return self._count > self._capacity
 
     def step_of(self, found: Record | Difference) -> int:
-        """Return the step to which a message belongs, or what is none: that on which two of its three times agree.
+        """Return the step to which a message belongs: that on which two of log time, stamp and step agree.
 
-        They are log time, stamp and step; if all differ, the step that it says.
+        If all three differ, it is the step in the message.
         """
         if isinstance(found, Difference):
             return found.step or 0
@@ -93,7 +92,7 @@ class Window:
         return step
 
     def add(self, step: int, found: Record | Difference) -> None:
-        """Put a message, or what is none, into the slot of a step."""
+        """Add a message, or a malformed one, to the slot of a step."""
         self._count += 1
         slot = self._slots.get(step)
         if slot is None:
@@ -105,18 +104,18 @@ class Window:
             slot.add(found)
 
     def present(self, step: int) -> int:
-        """Return how many of the messages that a step has once are there."""
+        """Return how many of the messages that a step has once are present."""
         return self._slots[step].present if step in self._slots else 0
 
     def take(self, step: int) -> Slot:
-        """Return the slot of a step, and forget it."""
+        """Remove the slot of a step and return it."""
         slot = self._slots.pop(step, None) or Slot()
         self._count -= len(slot)
         return slot
 
 
 class LockstepVerification(Verification):
-    """Verifies a run in lockstep: what a message follows from is known by its step, since all hear all of a step."""
+    """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step."""
 
     def __init__(self, scenario: Scenario, *, tolerance: float = 0.0) -> None:
         super().__init__(tolerance, scenario.step_ns)
@@ -129,7 +128,7 @@ class LockstepVerification(Verification):
         self._told: dict[int, dict[bytes, SwarmEvent]] = {}
         self._late: dict[bytes, SwarmEvent] = {}
         self._beyond: tuple[int, Record | Difference] | None = None
-        self._failure = ""  # why the run could not continue, if that is part of the bag
+        self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
         self._handles = self._connect()
         for node in self._nodes.values():
@@ -137,7 +136,7 @@ class LockstepVerification(Verification):
 
     @property
     def step(self) -> int:
-        """The first step that is not verified."""
+        """The first step that is not verified yet."""
         return self.found.steps
 
     @property
@@ -163,12 +162,12 @@ class LockstepVerification(Verification):
                 self._judge_step(last=False)
 
     def finish(self, *, whole: bool = True) -> None:
-        """Judge what is left at the end of the bag."""
+        """Judge the remaining messages at the end of the bag."""
         found = self.found
         while found.difference is None and len(self._window) and not self._ended:
             self._judge_step(last=not whole and self._window.newest == self.step)
         if found.difference is None and self.step <= self._scenario.steps and whole:
-            reason = "the bag ends here and does not say why"
+            reason = "the bag ends here without giving a reason"
             found.difference = Difference(AGENT_STATE.name, self.step, None, MESSAGE, None, None, reason)
         if found.difference is None and self._beyond is not None:
             step, beyond = self._beyond
@@ -182,7 +181,7 @@ class LockstepVerification(Verification):
         found.digest = self._digest.hexdigest()
 
     def _ready(self) -> bool:
-        """Tell whether all messages of the step are there, or can no longer come."""
+        """Return whether all messages of the step are present, or can no longer follow."""
         newest, step = self._window.newest, self.step
         if newest <= step:
             return self._window.full
@@ -198,22 +197,22 @@ class LockstepVerification(Verification):
             self.found.steps += 1
 
     def _take_late(self, found: Record | Difference, step: int) -> None:
-        """Take a message of a step that was judged: only an event may be that late."""
+        """Handle a message of a step that was already judged: only an event may be that late."""
         if isinstance(found, Record) and found.payload in self._late and self._is(found, self._late[found.payload]):
             del self._late[found.payload]
             self.found.messages += 1
         else:
-            self.found.difference = _unasked(found, step, "it stands there again, or in the wrong place")
+            self.found.difference = _unasked(found, step, "it is a duplicate, or out of place")
 
     def _differs(self, stored: Record, expected: Message) -> Difference | None:
-        """Compare a message; its log time is that of its step, whatever its robot's clock says."""
+        """Compare a message; its log time must be that of its step, regardless of the robot's clock."""
         return judge(stored, expected, self.found.tolerance, expected.step * self._scenario.step_ns)
 
     def _is(self, stored: Record, expected: Message) -> bool:
         return self._differs(stored, expected) is None
 
     def _findings(self, slot: Slot, *, last: bool) -> Iterator[Finding]:
-        """Yield what is found in a step; the machines are asked in the order in which they answer in a run."""
+        """Yield the findings of a step; the state machines are called in the order in which they answer in a run."""
         yield from slot.malformed
         self._drop_silent(slot)
         for number, topic in enumerate(MAIN_TOPICS):
@@ -228,12 +227,12 @@ class LockstepVerification(Verification):
         yield from self._events(slot)
 
     def _connect(self) -> dict[Topic, list[Callable[[Message], Messages]]]:
-        """Return which machines hear what, in the order in which they answer."""
+        """Return the handlers of the state machines by topic, in the order in which they answer."""
         nodes = self._nodes.values()
         return {topic: [node.behaviour.handle for node in nodes if topic in node.hears] for topic in MAIN_TOPICS}
 
     def _ask(self, answer: Callable[..., Messages], *given: object) -> None:
-        """Let a machine answer, unless the run has failed."""
+        """Call a state machine, unless the run has failed."""
         if self._failure:
             return
         try:
@@ -242,7 +241,7 @@ class LockstepVerification(Verification):
             self._failure = str(error)
 
     def _expect(self, answers: Messages) -> None:
-        """Note what the bag must hold."""
+        """Note the messages that the bag must contain."""
         for answer in answers:
             if isinstance(answer, SwarmEvent):
                 self._told.setdefault(answer.step, {})[encode(answer)] = answer
@@ -250,9 +249,9 @@ class LockstepVerification(Verification):
                 self._expected.setdefault(TOPIC_OF[type(answer)], {})[agent_id_of(answer)] = answer
 
     def _drop_silent(self, slot: Slot) -> None:
-        """Forget the robots that the observer has declared dead in this step, since they did not answer.
+        """Drop the robots that the observer has declared dead in this step because they did not answer.
 
-        Nothing more is expected of such a robot; whether it could still publish its events of the step is not known.
+        Such a robot is expected to publish nothing more; it may or may not have published its events of the step.
         """
         events = slot.get(EVENTS)
         if self._scenario.lockstep.on_stall != "drop" or not events:
@@ -278,9 +277,9 @@ class LockstepVerification(Verification):
                 self._ask(plane.handle, SwarmEvent(0, self.step, agent_id, EventKind.DEAD, 0.0, SILENT))
 
     def _on_topic(self, slot: Slot, topic: Topic, *, cut: bool) -> Generator[Finding, None, bool]:
-        """Yield what is found on a topic; return whether the run continues.
+        """Yield the findings on a topic; return whether the run continues.
 
-        It may have failed, or the bag be cut off: then messages may be missing here with all that follow.
+        If it has failed, or the bag is cut off, messages may be missing from here on.
         """
         expected = self._expected.pop(topic, {})
         found, others = _assigned(slot.get(topic), expected)
@@ -293,14 +292,14 @@ class LockstepVerification(Verification):
                 whole = False
             else:
                 yield missing(message)
-        robots = "the robot publishes no such state"
-        reason = robots if topic is AGENT_STATE else "it stands there twice" if expected else self._failure
+        robots = "no robot publishes this state"
+        reason = robots if topic is AGENT_STATE else "it is a duplicate" if expected else self._failure
         for stored in others:
             yield surplus(stored, self.step, reason)
         return whole
 
     def _events(self, slot: Slot) -> Iterator[Finding]:
-        """Yield what is found of the events of the step; those that are missing may still come."""
+        """Yield the findings on the events of the step; missing ones may still follow."""
         expected = self._told.pop(self.step, {})
         others = []
         for stored in slot.get(EVENTS):
@@ -312,17 +311,17 @@ class LockstepVerification(Verification):
                 others.append(stored)
         for stored in others:
             if not expected:
-                yield surplus(stored, self.step, "nothing leads to this event")
-            else:  # it is compared with the most similar one that is missing
+                yield surplus(stored, self.step, "nothing causes this event")
+            else:  # compare it with the most similar missing event
                 payload = max(expected, key=lambda p: _likeness(stored, expected[p]))
                 yield self._differs(stored, expected.pop(payload))
         self._late.update(expected)
 
 
 def _assigned(several: list[Record], expected: dict[int, Message]) -> tuple[dict[int, Record], list[Record]]:
-    """Return the messages of a topic by robot, and all others.
+    """Return the messages of a topic by robot, and the remaining ones.
 
-    Of several that name a robot it is the most similar; of several of a coordinator the first.
+    Of several messages of a robot this is the most similar one; of several of a coordinator, the first.
     """
     found = {stored.agent_id: stored for stored in several}
     if len(found) == len(several) and found.keys() <= expected.keys():
@@ -339,12 +338,12 @@ def _assigned(several: list[Record], expected: dict[int, Message]) -> tuple[dict
 
 
 def _taken(several: list[Record], expected: Message) -> Record:
-    """Take the most similar one of several messages."""
+    """Remove the most similar of several messages and return it."""
     return several.pop(max(range(len(several)), key=lambda n: _likeness(several[n], expected)))
 
 
 def _likeness(stored: Record, expected: Message) -> int:
-    """Return in how many fields a recorded message is as expected."""
+    """Return the number of fields in which a recorded message is as expected."""
     return sum(a == b for a, b in zip(stored.message, expected, strict=True))
 
 

@@ -1,9 +1,8 @@
-"""Every message of a run in real time, recomputed from what its sender had (docs/explanation/realtime.md).
+"""Recomputation of every message of a run in real time from its sender's inputs (docs/explanation/realtime.md).
 
-What a node hears in real time depends on the network. So each message names what it was computed from: a robot's state
-the step of the broadcasts, a coordinator's answer its provenance. From these the same pure functions that run in the
-nodes compute it again. What was lost on its way to the recorder cannot be used; what would need it is counted, not
-judged.
+In real time the messages that a node receives depend on the network. Each message therefore names its inputs: a robot's
+state the step of the broadcasts, a coordinator's answer its provenance. From these, the same pure functions that run in
+the nodes recompute it. Messages that need inputs lost on the way to the recorder are counted as not checkable.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ if TYPE_CHECKING:
     from swarmabs_bag.realtime import RealtimeWorld
     from swarmabs_config.scenario import Scenario
 
-LATE = "it was received too late to be judged"
-MEASURED = "it was measured"
+LATE = "it was received too late to be checked"
+MEASURED = "it was measured, not computed"
 
 
 class RealtimeVerification(Verification):
-    """Verifies a run in real time: each message says from what it was computed.
+    """Verifies a run in real time, where each message names its inputs.
 
-    The world says how time became steps, and what was simulated: the motion of other robots, or of another plane, is
-    not checked.
+    `world` defines the mapping from time to steps, and what was simulated: the motion of other robots or of another
+    plane is not checked.
     """
 
     def __init__(self, scenario: Scenario, world: RealtimeWorld, *, tolerance: float = 0.0) -> None:
@@ -58,7 +57,7 @@ class RealtimeVerification(Verification):
 
     @property
     def step(self) -> int:
-        """The first step that is not verified, 0 before there is one."""
+        """The first step that is not verified yet, initially 0."""
         return max(0, self._judged or 0)
 
     def _take(self, found: Record | Difference) -> None:
@@ -77,7 +76,7 @@ class RealtimeVerification(Verification):
         self._judge_until(self._newest - WAIT)
 
     def finish(self, *, whole: bool = True) -> None:  # noqa: ARG002 - a bag in real time may end anywhere
-        """Judge what is left at the end of the bag."""
+        """Judge the remaining messages at the end of the bag."""
         self._judge_until(max(self._history.steps, default=-1) + 1)
 
     def _keep(self, stored: Record, now: int) -> Difference | None:
@@ -96,10 +95,10 @@ class RealtimeVerification(Verification):
                 return None
         if self._history.add(stored):
             return None
-        return surplus(stored, message.step, "the recorder keeps one of its step")
+        return surplus(stored, message.step, "the recorder keeps one message per step")
 
     def _judge_until(self, end: int) -> None:
-        """Judge all steps before one; that takes no longer where the clock was set far forward."""
+        """Judge all steps before `end`, without delay even if the clock was set far forward."""
         begin = self._judged or 0
         if begin >= end:
             return
@@ -111,7 +110,7 @@ class RealtimeVerification(Verification):
         self._judged = end
 
     def _judge_step(self, step: int) -> None:
-        """Judge what there is of a step, in the order in which the nodes tick."""
+        """Judge the messages of a step, in the order in which the nodes tick."""
         judged = self._judge(self._findings(step))
         if self.found.difference is None:
             self.found.steps += judged > 0
@@ -121,7 +120,7 @@ class RealtimeVerification(Verification):
         for agent_id, stored in sorted(self._history.on(AGENT_STATE, step).items()):
             robot = self._robots.get(agent_id)
             if robot is None:
-                yield surplus(stored, step, "the scenario has no such robot")
+                yield surplus(stored, step, "the scenario does not have this robot")
             else:
                 yield robot.check(stored)
         if self._world.plane:

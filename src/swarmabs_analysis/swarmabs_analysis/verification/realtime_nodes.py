@@ -1,4 +1,4 @@
-"""What each node has published in real time, recomputed from what its messages name."""
+"""Recomputation of the messages of each node in real time, from the inputs that they name."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ if TYPE_CHECKING:
 
 Config = TypeVar("Config", RealtimeAgentConfig, RealtimeObserverConfig, RealtimePlaneConfig, RealtimeControllerConfig)
 
-NO_STATE_BEFORE = "the robot's state of the step before is not in the bag"
-OWN_LIMITS = "the robot has limits of its own"
+NO_STATE_BEFORE = "the robot's state of the previous step is not in the bag"
+OWN_LIMITS = "the robot has its own limits"
 NO_BROADCASTS = "the broadcasts that the robot followed are not in the bag"
-NO_ANSWER_BEFORE = "the answer from which it goes on is not in the bag"
+NO_ANSWER_BEFORE = "the answer from which it continues is not in the bag"
 NO_PLANE = "the plane's state that it answers is not in the bag"
 
 
 class _Check(Generic[Config]):
-    """What the checks have in common: how the node was configured, what the bag holds, and the tolerance of `judge`."""
+    """The common part of the checks: configuration of the node, recorded messages, and the tolerance of `judge`."""
 
     def __init__(self, config: Config, history: History, tolerance: float) -> None:
         self._config: Config = config
@@ -64,16 +64,16 @@ class _Check(Generic[Config]):
         return judge(stored, expected, self._tolerance)
 
     def _refuse_wrong_stamp(self, provenance: Basis) -> None:
-        """Refuse an answer that was made in another step than its own."""
+        """Raise `UnconfirmedError` for an answer made in another step than its own."""
         if wrong := wrong_stamp(provenance, self._config.schedule):
             raise UnconfirmedError(wrong)
 
 
 class RobotCheck(_Check[RealtimeAgentConfig]):
-    """Follows the states of one robot: each command from the state before and the broadcasts that it names.
+    """Checks the states of one robot: each command from the previous state and the broadcasts that it names.
 
-    `start` is position (m) and velocity (m/s) at which a simulated body begins; the motion of another body is not
-    checked. With limits of its own, which are not those of the configuration, the robot's commands are not checked.
+    `start` is the initial position (m) and velocity (m/s) of a simulated body; the motion of another body is not
+    checked. The commands of a robot with its own limits, unlike those of the configuration, are not checked either.
     """
 
     def __init__(
@@ -96,10 +96,10 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
     def check(self, stored: Record) -> Finding:
         """Check the robot's next state."""
         state, before = stored.message, self._before
-        assert isinstance(state, AgentState)  # noqa: S101 - the history keeps them apart
+        assert isinstance(state, AgentState)  # noqa: S101 - by topic
         self._before = state
         known = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
-        # Only the state of a simulated body is measured when its step begins.
+        # Only the state of a simulated body is measured at the beginning of its step.
         wrong_time = None if self._start is None else wrong_stamp(state, self._config.schedule)
         if wrong := self._judge(stored, known) or wrong_time:
             return wrong
@@ -117,16 +117,16 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         except UnconfirmedError as error:
             found = error.finding
         if isinstance(found, Difference) and state.step > before.step + 1:
-            return NO_STATE_BEFORE  # the command may be of a state in between
+            return NO_STATE_BEFORE  # the command may follow from a state in between
         return found
 
     def _begins(self, state: AgentState) -> bool:
-        """Tell whether a state is the first one of a robot with a simulated body."""
+        """Return whether a state is the first one of a robot with a simulated body."""
         at_rest = (state.status, state.broadcast_step, state.command) == (Status.SAFE_STOP, NEVER, 0.0)
         return at_rest and (state.position, state.velocity) == self._start
 
     def _follow(self, state: AgentState, before: AgentState) -> AgentState:
-        """Return the state with the command, broadcasts and status that follow from the one before."""
+        """Return the state with the command, broadcasts and status that follow from the previous one."""
         brake = self._law.brake(before.velocity)
         still = (0.0, brake) if str(state.command) == str(0.0) else (brake, 0.0)
         at_rest = state._replace(command=still[0], broadcast_step=NEVER)
@@ -141,7 +141,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         return state._replace(command=decision.command, status=Status.ACTIVE if measured else state.status)
 
     def _check_hold(self, state: AgentState, before: AgentState) -> None:
-        """Refuse that an active robot follows nothing, unless the swarm may have had no spread."""
+        """Raise an error for an active robot that follows nothing, unless the swarm may have been degenerate."""
         complete = True
         for step in range(before.step - self._age, before.step + self._ahead + 1):
             sums = self._history.get(AuxiliaryState, step)
@@ -151,11 +151,11 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
                 return
         if not complete:
             raise UnconfirmedError(NO_BROADCASTS)
-        reason = "it follows nothing"
+        reason = "it follows no broadcasts"
         raise UnconfirmedError(Difference.of(state, "status", Status.ACTIVE, Status.SAFE_STOP, reason))
 
     def _broadcasts(self, state: AgentState, before: AgentState) -> Broadcast:
-        """Return the broadcasts that the robot names, if it may have followed them."""
+        """Return the broadcasts that the robot names, if it was allowed to follow them."""
         step, history = state.broadcast_step, self._history
         if not before.step - self._age <= step <= before.step + self._ahead:
             raise _not_to_follow(state, f"they were {before.step - step} steps old when it decided")
@@ -169,20 +169,20 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
             if history.changes_within(step):
                 raise UnconfirmedError(NO_BROADCASTS)
             mode = Mode(asked.mode).name if asked.mode in set(Mode) else f"mode {asked.mode}"
-            raise _not_to_follow(state, f"the parent controller asked for {mode}")
+            raise _not_to_follow(state, f"the parent controller requested {mode}")
         for message in (abstract, sums, asked):
             if problem := self._config.bounds.problem(message):
-                raise _not_to_follow(state, f"they had to be refused: {problem}")
+                raise _not_to_follow(state, f"they had to be rejected: {problem}")
         return Broadcast(asked.stamp, step, abstract, sums, asked)
 
     def _move(self, state: AgentState, before: AgentState) -> AgentState:
-        """Return the state with where a simulated body has come to."""
+        """Return the state with the position and velocity of a simulated body."""
         if self._start is None:
             return state
         passed = min(state.step - before.step, drives.MOST_STEPS)
         places = [self._moved((before.position, before.velocity), passed, state.command)]
         if state.broadcast_step == NEVER and state.command == 0.0:
-            # Stopped at once, or in a process that was restarted.
+            # Stopped at once, or its process was restarted.
             places += [self._moved((before.position, 0.0), passed, 0.0), self._start]
         there = next((p for p in places if p == (state.position, state.velocity)), places[0])
         return state._replace(position=there[0], velocity=there[1])
@@ -194,12 +194,12 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
 
 
 def _not_to_follow(state: AgentState, reason: str) -> UnconfirmedError:
-    """Return that a robot must not have followed the broadcasts that it names."""
+    """Return the error for a robot that must not have followed the broadcasts that it names."""
     return UnconfirmedError(Difference.of(state, "broadcast_step", state.broadcast_step, NEVER, reason))
 
 
 class ObserverCheck(_Check[RealtimeObserverConfig]):
-    """Abstract and auxiliary states, from the robots' states that the observer names."""
+    """Checks abstract and auxiliary states against the robots' states that the observer names."""
 
     def __init__(self, config: RealtimeObserverConfig, history: History, tolerance: float) -> None:
         super().__init__(config, history, tolerance)
@@ -207,7 +207,7 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
         self._ahead = config.schedule.ahead(config.clock_tolerance)
 
     def check(self, step: int) -> Iterator[Finding]:
-        """Check what there is of a step."""
+        """Yield the findings of a step."""
         answers = [
             found for topic in (ABSTRACT_STATE, AUXILIARY_STATE) for found in self._history.on(topic, step).values()
         ]
@@ -223,7 +223,7 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
                 yield self._judge(stored, expected[stored.topic is AUXILIARY_STATE])
 
     def _recompute(self, provenance: Basis) -> tuple[AbstractState, AuxiliaryState]:
-        """Return what the observer's answers must be."""
+        """Return the recomputed answers of the observer."""
         states, problem = self._history.states(Source.OBSERVER, provenance)
         if problem:
             raise UnconfirmedError(problem)
@@ -251,9 +251,9 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
 
 
 class PlaneCheck(_Check[RealtimePlaneConfig]):
-    """The simulated plane's states, each from the one before and the robots' states that the plane names.
+    """Checks the simulated plane's states, each against the previous one and the robots' states that the plane names.
 
-    With a sensor that is not perfect the true state is not recorded: it is followed from the beginning, or not at all.
+    With an imperfect sensor the true state is not recorded: it is tracked from the beginning, or not at all.
     """
 
     def __init__(self, config: RealtimePlaneConfig, history: History, tolerance: float) -> None:
@@ -262,7 +262,7 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         self._true_state: tuple[int, float, float] | None = None
 
     def check(self, step: int) -> Iterator[Finding]:
-        """Check what there is of a step."""
+        """Yield the findings of a step."""
         stored = self._history.on(PLANE_STATE, step).get(0)
         try:
             provenance = self._history.provenance(Source.PLANE, step)
@@ -284,7 +284,7 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         yield None if None in wrong else wrong[0]
 
     def _places(self, provenance: Basis, last: tuple[int, float, float] | None) -> list[tuple[float, float]]:
-        """Return the true states in which the plane may be: one, but for a plane that was restarted."""
+        """Return the possible true states of the plane: one, unless the plane was restarted."""
         step, since, begun = provenance.step, provenance.since, provenance.begun
         self._refuse_wrong_stamp(provenance)
         if since == NEVER:
@@ -298,7 +298,7 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
                 raise UnconfirmedError(Difference.of(provenance, "begun", begun, before.begun, "of the plane"))
             earlier, lost = self._history.states(Source.PLANE, before)
         finally:
-            robots, missed = self._history.states(Source.PLANE, provenance)  # last, so that these are kept
+            robots, missed = self._history.states(Source.PLANE, provenance)  # last, so that these states are kept
         if begun == NEVER:
             return [start]
         if lost or missed:
@@ -306,7 +306,7 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         return [self._motion.advance(start, earlier, robots, step - since, since - begun)]
 
     def _start(self, since: int, last: tuple[int, float, float] | None, *, held: bool) -> tuple[float, float]:
-        """Return the true state from which the plane continued; while it is held, it keeps what it begins with."""
+        """Return the true state from which the plane continued; while held, it keeps its initial state."""
         if self._config.plane.sensor.perfect:
             state = self._history.sure(PlaneState, since, NO_ANSWER_BEFORE)
             return state.angle, self._config.plane.angular_velocity if held else state.angular_velocity
@@ -315,13 +315,13 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         return last[1:]
 
     def _state(self, provenance: Basis, place: tuple[float, float]) -> PlaneState:
-        """Return what the plane says of where it is; while it is held, that it is at rest."""
+        """Return the state that the plane publishes; while held, it is at rest."""
         rate = 0.0 if provenance.begun == NEVER else place[1]
         return PlaneState(provenance.stamp, provenance.step, *self._motion.measured(place[0], rate, provenance.step))
 
 
 class ControllerCheck(_Check[RealtimeControllerConfig]):
-    """Desired states, each from the plane's state and those before; `make_law` makes the control law."""
+    """Checks desired states against the plane's state and earlier ones; `make_law` creates the control law."""
 
     def __init__(
         self,
@@ -336,7 +336,7 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         self._law_step = self._begun = -1
 
     def check(self, step: int) -> Iterator[Finding]:
-        """Check what there is of a step."""
+        """Yield the findings of a step."""
         answers = self._history.on(DESIRED_ABSTRACT_STATE, step)
         expected: DesiredAbstractState | Difference | str
         try:
@@ -352,7 +352,7 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
                 yield self._judge(answers[mode], expected) if isinstance(expected, DesiredAbstractState) else expected
 
     def _recompute(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredAbstractState:
-        """Return what the parent controller must have asked for."""
+        """Return the recomputed desired state."""
         step, since = provenance.step, provenance.since
         begins = since == NEVER and provenance.begun == step
         missed = step - since
@@ -380,7 +380,7 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         return desired._replace(stamp=provenance.stamp)
 
     def _resumed(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredStateGenerator:
-        """Return the generator as it was before an answer, if a law without memory makes that known."""
+        """Return the generator as it was before an answer, which is possible only for a law without memory."""
         law = self._make_law()
         asked = answers[Mode.RUN].message if Mode.RUN in answers else None
         if not isinstance(asked, DesiredAbstractState) or not isinstance(law, StateFeedback):
@@ -394,9 +394,9 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         return DesiredStateGenerator(self._config.schedule.period_ns, self._config.manifold, law)
 
     def _check_still(self, stored: Record) -> Difference | None:
-        """Check what is published while the swarm keeps still: some point of the manifold, without any rate."""
+        """Check a desired state published while the swarm holds still: a point of the manifold with zero rates."""
         asked = stored.message
-        assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - kept by topic
+        assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - by topic
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         return self._judge(
             stored, DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)

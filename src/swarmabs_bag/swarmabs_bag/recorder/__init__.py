@@ -1,1 +1,1 @@
-"""The recorder: a node that writes a run to a bag, and its figures to the orchestrator."""
+"""The recorder: a node that writes a run to a bag and reports its figures to the orchestrator."""

@@ -1,4 +1,4 @@
-"""Node ``recorder``: puts the messages of a run in order and writes them to a bag, and reports how that goes."""
+"""Node ``recorder``: orders the messages of a run, writes them to a bag, and reports its progress."""
 
 from __future__ import annotations
 
@@ -44,43 +44,43 @@ if TYPE_CHECKING:
 
 COMMON = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
-    Parameter("bag", "", "folder of the bag; empty: nothing is written, digest and figures are computed"),
-    Parameter("max_bag_size", 0, "size in bytes after which the bag goes on in a new file; 0: never", minimum=0),
-    Parameter("max_bag_duration_ns", 0, "simulated time in ns that a file of the bag spans; 0: all", minimum=0),
-    Parameter("logs", "", "folder whose log files are attached at the end"),
+    Parameter("bag", "", "folder of the bag; empty: only digest and figures are computed"),
+    Parameter("max_bag_size", 0, "size in bytes after which a new file begins; 0: never", minimum=0),
+    Parameter("max_bag_duration_ns", 0, "simulated time in ns after which a new file begins; 0: never", minimum=0),
+    Parameter("logs", "", "folder of the log files to attach at the end"),
 )
 
 REPORT_SECONDS = 0.1
 """Time between two reports to the orchestrator, s."""
 GATHER_SECONDS = 0.005
-"""Time for which messages gather, s: waking up for each costs more than recording it, and the run waits for nothing
-here as long as the credit of 100 steps lasts."""
+"""Time for which messages accumulate, s: waking up for each one costs more than recording it, and the run does not wait
+while its credit of 100 steps lasts."""
 
 PARAMETERS = (
     *COMMON,
-    Parameter("replay", "", "what of which bag is replayed, as JSON for the provenance; empty: nothing"),
-    Parameter("ends", (), "ends of robots that the replayed run's scenario had not planned, each 'KIND AGENT STEP'"),
+    Parameter("replay", "", "description of the replay as JSON for the provenance; empty: not a replay"),
+    Parameter("ends", (), "ends of robots that the replayed run's scenario does not plan, each 'KIND AGENT STEP'"),
     STEERED,
 )
 
 CREDITS = 10
-"""Reports of how far the recording is in as many steps as the run may be ahead of it."""
+"""Progress messages per window of steps by which the run may be ahead of the recorder."""
 
 
 def scenario_of(settings: Settings) -> Scenario:
-    """Return the scenario that is recorded."""
+    """Return the scenario of the recorded run."""
     if not settings.text("scenario_file"):
-        raise InputError("parameter scenario_file: give the file of the resolved scenario")
+        raise InputError("parameter scenario_file is empty: give the file of the resolved scenario")
     return load_scenario(Path(settings.text("scenario_file")))
 
 
 def split_of(settings: Settings) -> Split:
-    """Return when the bag goes on in a new file."""
+    """Return when the bag continues in a new file."""
     return Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns"))
 
 
 def log_text(folder: str) -> bytes:
-    """Return all log files of the run, one after the other."""
+    """Return the concatenated log files of the run."""
     if not folder:
         return b""
     parts = []
@@ -92,7 +92,7 @@ def log_text(folder: str) -> bytes:
 
 
 class Reporter:
-    """Tells the orchestrator how a recording goes and what has come of it, and attaches log files at the end."""
+    """Reports progress and result of a recording to the orchestrator, and attaches log files at the end."""
 
     def __init__(self, recording: Recording | RealtimeRecording, status: StatusChannel, logs: str) -> None:
         self._recording = recording
@@ -101,7 +101,7 @@ class Reporter:
         self._reported = 0.0
 
     def progress(self, *, at_once: bool = False) -> bool:
-        """Report how far it is, now and then or at once; return whether it was reported."""
+        """Report the progress, at a limited rate or `at_once`; return whether it was reported."""
         run, now = self._recording.run, time.monotonic()
         if run.newest < 0 or (now - self._reported < REPORT_SECONDS and not at_once):
             return False
@@ -113,7 +113,7 @@ class Reporter:
         return True
 
     def done(self, problem: str | None, *, complete: bool) -> None:
-        """Complete the bag and report the figures; `problem` says what went wrong, or `INTERRUPTED`."""
+        """Complete the bag and report the figures; `problem` is an error, `INTERRUPTED`, or None."""
         log = {"run.log": log_text(self._logs)}
         complete = complete and problem in {None, INTERRUPTED}
         recording = self._recording
@@ -123,16 +123,16 @@ class Reporter:
 
 
 class Recorder:
-    """Records complete steps, and tells the parent controller how far it is.
+    """Records complete steps, and reports its progress to the parent controller.
 
     Parameters
     ----------
     on_step : callable
-        Told the number of steps recorded.
+        Receives the number of recorded steps.
     ends : iterable of Change
         Ends of robots that the scenario does not plan.
     steered : bool
-        Whether the run is steered.
+        Whether the run is steerable.
     """
 
     def __init__(
@@ -155,22 +155,22 @@ class Recorder:
         self._newest = -1
 
     def start(self) -> Messages:
-        """Say that nothing is written yet."""
+        """Report that nothing is written yet."""
         return (self._credit(),)
 
     def handle(self, message: Message) -> Messages:
-        """Take a message that was made in this process, as of `take`."""
+        """Record a message created in this process; see `take`."""
         return self.take(Record.of(message))
 
     def hear(self, topic: Topic, data: bytes) -> Messages:
-        """Take a message as it came from the wire, as of `take`."""
+        """Record a serialized message; see `take`."""
         return self.take(Record.heard(topic, data))
 
     def take(self, record: Record) -> Messages:
-        """Take a message of the run; now and then answer with the progress.
+        """Record a message of the run; periodically return the progress.
 
-        A recorder that lacks a message while the run goes on says so again and again: it has not stalled. What it
-        lacks is repeated at the latest when the run stands still because the recorder's credit is used up.
+        A recorder that lacks a message while the run continues repeats its progress, because it has not stalled. The
+        missing message is repeated at the latest when the run stops because the recorder's credit is used up.
         """
         message = record.message
         if isinstance(message, RecordingProgress):
@@ -205,11 +205,11 @@ class Recorder:
         return RecordingProgress(written * self._period_ns, written, written)
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for everything until the run is complete."""
+        """Wait for all topics until the run is complete."""
         return () if self._collector.finished else self._topics
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the first incomplete step and what it lacks."""
+        """Return the first incomplete step and its missing messages."""
         return self._collector.step, self._collector.missing()
 
     @property
@@ -222,7 +222,7 @@ _EVERYTHING = (EVENTS, *MAIN_TOPICS)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
-    """Return the behaviour, and what is done at its side and at its end."""
+    """Return the behaviour, the endpoints, and the functions called on idle and on exit."""
     scenario = scenario_of(settings)
     bag, replay = settings.text("bag"), settings.text("replay")
     steered = settings.flag(STEERED.name)
@@ -250,7 +250,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         lingers=False,
         gather=GATHER_SECONDS,
         hear=recorder.hear,
-        on_idle=recording.poll,  # else what a run that stands still has recorded would not reach the disk
+        on_idle=recording.poll,  # otherwise the last messages of a stalled run would not reach the disk
     )
 
 

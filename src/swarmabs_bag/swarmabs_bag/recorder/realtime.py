@@ -1,4 +1,4 @@
-"""Node ``recorder`` in real time: it writes what it hears to a bag. Nothing waits for it."""
+"""Node ``recorder`` in real time: writes the received messages to a bag. No node waits for it."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ PARAMETERS = (
     *choose(COMMON, "last_step"),
     *choose(REALTIME_COMMON, "period_ns", "epoch_ns", "await_epoch", "clock_tolerance"),
     *OF_RECORDERS,
-    Parameter("bags", "", "folder in which each start makes the folder of a bag of its own, instead of bag"),
+    Parameter("bags", "", "folder in which each start creates a new bag folder; used instead of bag"),
     Parameter(
-        "own_limits", (), "ids of the robots whose limits are not the scenario's", minimum=1, maximum=65535, item=0
+        "own_limits", (), "ids of the robots with other limits than the scenario's", minimum=1, maximum=65535, item=0
     ),
     Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0),
     Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
 )
 
 SLICE = 0.1
-"""Longest time, s, for which the node does not look whether it shall stop."""
+"""Longest time between two checks whether the node must stop, s."""
 LINGER = 0.5
-"""Time, s, after the last step in which its messages still come."""
+"""Time after the last step in which its messages may still arrive, s."""
 
 
 class RealtimeRecorder:
-    """The loop of the node: waits for messages, lets them gather, and records what there is."""
+    """The loop of the node: waits for messages, lets them accumulate, and records them."""
 
     def __init__(self, node: Node, status: StatusChannel) -> None:
         subscriptions = endpoints(RECORDER, REALTIME).subscriptions
@@ -73,18 +73,18 @@ class RealtimeRecorder:
         self.malformed = 0
 
     def stop(self, number: int, *_: Any) -> None:
-        """Let the loop end, for a signal."""
+        """End the loop because of a signal."""
         self._stopped = True
         self.interrupted = number == signal.SIGINT
 
     def run(self, recording: RealtimeRecording, reporter: Reporter, end_ns: int) -> bool:
-        """Record until told to stop, or until a time (ns since 1970); return whether it is over."""
+        """Record until stopped, or until a time (ns since 1970); return whether that time was reached."""
         while time.time_ns() < end_ns:
             if self._stopped:
                 self._drain(recording)
                 return False
             if self._receiver.wait(tuple(self._depths), SLICE):
-                time.sleep(GATHER_SECONDS)  # waking up for each costs more than recording it
+                time.sleep(GATHER_SECONDS)  # waking up for each message costs more than recording it
                 self._drain(recording)
             recording.poll()
             if reporter.progress() and recording.run.fallen and not self._told_fallen:
@@ -129,7 +129,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         signal.signal(number, recorder.stop)
     schedule = Schedule(scenario.step_ns, epoch)
     if settings.integer("period_ns") != scenario.step_ns:
-        raise InputError(f"parameter period_ns: the scenario's is {scenario.step_ns} ns")
+        raise InputError(f"parameter period_ns does not match the scenario: set it to {scenario.step_ns}")
     last = settings.last_step()
     robots = sorted(set(configure.members(scenario)) - set(settings.integers("driven")))
     world = RealtimeWorld(
@@ -151,7 +151,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     try:
         end = NEVER if last is None else schedule.begin(last + 1) + round(LINGER * 1e9)
         over = recorder.run(recording, reporter, end)
-        # A run has a last step, and fails with its plane. Without one it is a fleet that is recorded, whatever happens.
+        # A run has a last step and fails with its plane. Without a last step, a fleet is recorded whatever happens.
         lost = recording.run.fallen if last is not None else None
         problem = lost or (INTERRUPTED if recorder.interrupted else None)
     except RunError as error:
@@ -160,11 +160,11 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     finally:
         reporter.done(problem, complete=over or last is None)
         if recorder.malformed:
-            node.get_logger().warning(f"{recorder.malformed} messages were malformed and are not recorded")
+            node.get_logger().warning(f"{recorder.malformed} malformed messages were not recorded")
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop (SIGINT, SIGTERM), or `last_step` is over; return its exit code."""
+    """Run the node until SIGINT, SIGTERM or the end of `last_step`; return the exit code."""
 
     def body(node: Node, status: StatusChannel) -> None:
         _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)

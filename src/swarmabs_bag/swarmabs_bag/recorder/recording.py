@@ -1,4 +1,4 @@
-"""Bag and figures of a run: the recorder node and ``simulate`` share this, and both ways to keep time."""
+"""Bag and figures of a run, in lockstep and in real time; shared by the recorder node and ``simulate``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ F = TypeVar("F", RunFigures, RealtimeFigures)
 
 
 class _Recording(Generic[F]):
-    """What recordings have in common, whatever gathers their messages: figures, what people see, perhaps a bag."""
+    """The common part of recordings: figures, summary of the swarm, and optionally a bag."""
 
     def __init__(self, scenario: Scenario, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
         self.run: F = run
@@ -39,11 +39,11 @@ class _Recording(Generic[F]):
             self._writer = BagWriter(folder, attachments=attachments(scenario, made), **bag)
 
     def summary(self) -> SwarmSummary | None:
-        """Return what people see of the robots now; it costs some time, so not for every message."""
+        """Return the current summary of the swarm; too expensive to call for every message."""
         return self._tracker.summary()
 
     def poll(self) -> None:
-        """Hand what is old enough to the operating system."""
+        """Pass chunks that are old enough to the operating system."""
         if self._writer is not None:
             self._writer.poll()
 
@@ -60,21 +60,21 @@ class _Recording(Generic[F]):
         return self.figures()
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures of the run so far, and its events as people read them."""
+        """Return the figures of the run so far, and its events as text."""
         return {**self.run.summary(), "events": self._tracker.events()}
 
 
 class Recording(_Recording[RunFigures]):
-    """Takes the complete steps of a run in order.
+    """Records the complete steps of a run, which must be in order.
 
     Parameters
     ----------
     folder : Path, optional
-        Folder of the bag; none if only figures are wanted.
+        Folder of the bag; None if only figures are needed.
     driver, replay, steered
-        As of `swarmabs_bag.attached.provenance`.
+        As for `swarmabs_bag.attached.provenance`.
     namespace, split
-        As of `BagWriter`.
+        As for `BagWriter`.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class Recording(_Recording[RunFigures]):
         )
 
     def add(self, step: Step) -> None:
-        """Take the next step; after a `BagWriteError`, `abort` completes what is there."""
+        """Record the next step; after a `BagWriteError`, call `abort` to complete the bag."""
         self.run.add(step)
         self._tracker.take(step)
         if self._writer is not None:
@@ -109,21 +109,21 @@ class Recording(_Recording[RunFigures]):
                 self._writer.write(topic, stamp, payload)
 
     def offset(self, step: int, offset: float) -> None:
-        """Take note of an offset of the reference (rad) that holds from a step on, for the figures."""
+        """Set the offset of the reference (rad) from a step on, for the figures."""
         self._reference.shift(step, offset)
 
 
 class RealtimeRecording(_Recording[RealtimeFigures]):
-    """Takes the messages of a run as they arrive.
+    """Records the messages of a run as they arrive.
 
-    Log time is when a message was received, publish time the stamp of its header.
+    The log time of a message is its time of receipt, the publish time the stamp of its header.
 
     Parameters
     ----------
     folder, namespace, split
-        As of `Recording`.
+        As for `Recording`.
     last_step : int, optional
-        The last step that is recorded, if the nodes go on beyond.
+        The last step to record, if the nodes continue beyond it.
     """
 
     def __init__(
@@ -147,11 +147,11 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         )
 
     def add(self, record: Record, now: int) -> None:
-        """Take a message that was received at a time (ns since 1970); errors as of `Recording.add`."""
+        """Record a message received at a time (ns since 1970); errors as for `Recording.add`."""
         if self._last_step is not None and record.message.step > self._last_step:
             return
         self._heard += 1
-        # Where the clock is set back, the order of the file stays that of its times.
+        # Keeps the times in the file in order even if the clock is set back.
         self._received = max(self._received, now)
         for kept in self._collector.add(record, now):
             self.run.add(kept)
@@ -160,16 +160,16 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
                 self._writer.write(kept.topic, self._received, kept.payload, max(0, kept.message.stamp))
 
     def health(self) -> Health:
-        """Return how the recording goes, since this was asked for the last time."""
+        """Return the health of the recording since the last call."""
         heard, self._heard_before = self._heard - self._heard_before, self._heard
         values = {"step": self.run.newest, "messages": self._heard, **self._dropped()}
         figures = tuple((name, str(value)) for name, value in values.items())
         if not heard:
-            return Health(Level.WARN, "hears nothing of the swarm", figures)
-        return Health(Level.OK, "records" if self._writer is not None else "listens, without a bag", figures)
+            return Health(Level.WARN, "receives no messages of the swarm", figures)
+        return Health(Level.OK, "recording" if self._writer is not None else "listening, without a bag", figures)
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures of the run so far, and what was dropped."""
+        """Return the figures of the run so far, and the numbers of dropped messages."""
         found = super().figures()
         return {**found, "realtime": {**found["realtime"], "dropped": self._dropped()}}
 

@@ -1,4 +1,4 @@
-"""What people see of the robots while a run is recorded: few bytes, made some ten times a second."""
+"""A compact summary of the robots during a recording, computed about ten times a second."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message
 
 SHOWN_ROBOTS = 200
-"""More robots than these are only counted: a report must stay below 4 KiB."""
+"""Most robots that are listed; more are only counted, because a report must stay below 4 KiB."""
 SHOWN_EVENTS = 3
 KEPT_EVENTS = 10
-"""The first events of a run that its summary lists; further ones are counted."""
+"""Most events listed in the summary of a run, the first ones; further events are counted."""
 EVENT_CHARACTERS = 80
 THOUSAND = 1000
-"""The end of the plane, in the unit of the places."""
+"""The end of the plane, in the unit of `SwarmSummary.places`."""
 
 LETTERS: dict[RobotStatus | None, str] = {
     "active": "A",
@@ -33,22 +33,22 @@ LETTERS: dict[RobotStatus | None, str] = {
     "silent": "-",
     None: "?",
 }
-"""A letter for each status; `?` is a robot that was not heard yet, such as one that waits to join."""
+"""A letter for each status; `?` is a robot without a state, such as one that waits to join."""
 
 
 class SwarmSummary(NamedTuple):
-    """Robots and events as of a step, such that JSON takes them.
+    """Robots and events at a step, as plain data for JSON.
 
     Attributes
     ----------
     counts : dict
         Number of robots by the letter of their status, as in `LETTERS`.
     statuses : str
-        A letter per robot, by ascending id; empty if they are more than `SHOWN_ROBOTS`.
+        A letter per robot, by ascending id; empty for more than `SHOWN_ROBOTS`.
     places : list of int
-        Where each robot on the plane is or was last seen, in thousandths of half the plane's length; 0 for others.
+        Last known position of each robot on the plane, in thousandths of half the plane's length; 0 for others.
     events : list of str
-        The latest ones, the newest last.
+        The latest events, the newest last.
     """
 
     counts: dict[str, int]
@@ -58,7 +58,7 @@ class SwarmSummary(NamedTuple):
 
 
 class SummaryTracker:
-    """Keeps what the summary of a run needs, of robots with ascending ids on a plane of a length (m)."""
+    """Tracks the data for the summary of a run, of robots with ascending ids on a plane with a length (m)."""
 
     def __init__(self, members: Sequence[int], length: float) -> None:
         self._members = tuple(members)
@@ -71,14 +71,14 @@ class SummaryTracker:
         self._unread: Step | None = None
 
     def take(self, step: Step) -> None:
-        """Take a complete step; what the robots have said in it is only read when it is asked for."""
+        """Process a complete step; the robots' states are only read when a summary is requested."""
         for event in step.events:
             self.hear(event)
         if step.plane is not None:
             self._unread = step
 
     def hear(self, message: Message) -> None:
-        """Take a message by itself, as they come in real time."""
+        """Process a single message, as received in real time."""
         if isinstance(message, AgentState):
             self._robots.add(message)
             self._newest = max(self._newest, message.step)
@@ -87,7 +87,7 @@ class SummaryTracker:
             self._robots.take(message)
 
     def summary(self) -> SwarmSummary | None:
-        """Return what is to be seen now, None before the first step."""
+        """Return the current summary, None before the first step."""
         self._read()
         if self._newest < 0:
             return None
@@ -102,7 +102,7 @@ class SummaryTracker:
         )
 
     def events(self) -> list[str]:
-        """Return the first events of the run, and how many more there were."""
+        """Return the first events of the run, and the number of further ones."""
         more = [f"and {self._further_events} more"] if self._further_events else []
         return self._first_events + more
 
@@ -114,7 +114,7 @@ class SummaryTracker:
             self._further_events += 1
 
     def _read(self) -> None:
-        """Read what the robots have said in the latest step, if it is new."""
+        """Read the robots' states of the latest step, if it is new."""
         step, self._unread = self._unread, None
         if step is None:
             return
@@ -129,7 +129,7 @@ class SummaryTracker:
 
 
 def describe_event(event: SwarmEvent) -> str:
-    """Say in a line what happened."""
+    """Describe an event in a line."""
     try:
         kind = said(EventKind(event.kind))
     except ValueError:

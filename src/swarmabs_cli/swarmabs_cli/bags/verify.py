@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_analysis.verification.base import Verdict
+from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verify import open_to_verify
 from swarmabs_bag.errors import repair_command
 from swarmabs_cli.options import bags_argument, examples, json_option, named_scenario_option, namespace_option
@@ -40,7 +40,9 @@ def verify(
     # What is refused is refused before anything is started.
     opened = [open_to_verify(path, namespace=namespace, scenario=scenario) for path in bags]
     verdicts = [
-        bag if isinstance(bag, Verdict) else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
+        bag
+        if isinstance(bag, VerificationResult)
+        else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
         for bag in opened
     ]
     if as_json:
@@ -52,7 +54,7 @@ def verify(
     return 0 if all(verdict.ok for verdict in verdicts) else 1
 
 
-def describe(verdict: Verdict) -> str:
+def describe(verdict: VerificationResult) -> str:
     """Say in a few lines what was found out."""
     lines = [f"{verdict.bag}: {'ok' if verdict.ok else 'NOT ok'}"]
     if verdict.scenario is not None:

@@ -1,1 +1,1 @@
-"""The swarm in the messages that RViz and Foxglove draw: joint state, transforms, markers, URDF of the plane."""
+"""The swarm as messages for RViz and Foxglove: joint state, transforms, markers, URDF of the plane."""

@@ -1,4 +1,4 @@
-"""A bag with what RViz and Foxglove draw: the messages of a recorded run, and frames computed from them."""
+"""A bag for RViz and Foxglove: the messages of a recorded run, and frames computed from them."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ if TYPE_CHECKING:
     from swarmabs_view.visualization.ros_messages import VisualTopic
 
 _KEPT = (SCENARIO_FILE, PROVENANCE_FILE)
-"""Attachments that the new bag has too, so that it can be verified and run again."""
+"""Attachments copied to the new bag, so that it can be verified and repeated."""
 _TOLERANCE = 1e-6
-"""Part of the time between two frames by which one may come early: periods need not be exact in binary."""
+"""Fraction of the frame period by which a frame may be early, because periods are not exact in binary."""
 
 
 def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: str | None = None) -> Path:
-    """Write a copy of a bag with frames in between, whole or not at all, and return its folder.
+    """Write a copy of a bag with added frames, completely or not at all, and return its folder.
 
-    There are at most `rate` frames per second of recorded time. The folder must not exist, or be empty.
+    There are at most `rate` frames per second of recorded time. The folder must be new or empty.
 
     Raises
     ------
     InputError
-        If it is no bag of a swarm with its scenario, or the folder is there already.
+        If it is not the bag of a swarm with its scenario, or the folder exists.
     RunError
         If the bag is damaged or the disk fails.
     """
     bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
-        raise NotABagError(f"{bag.path} is no bag of a swarm: it has no topic of one; name another bag")
+        raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
     scenario = attached_scenario(bag).resolved()
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     check_definitions(bag.path, bag.channels)
@@ -75,7 +75,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
         due = float(now)
 
         def draw() -> float:
-            """Draw a frame if it is time for one, and return when the next is due."""
+            """Draw a frame if one is due, and return when the next is due."""
             if now < due - _TOLERANCE * period:
                 return due
             frame = scene.frame(swarm)
@@ -86,7 +86,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
         for channel, stored in bag.stored_messages():
             if channel.topic is None:
                 continue
-            if stored.log_time > now:  # all of the time before has been heard
+            if stored.log_time > now:  # all earlier messages have been read
                 due = draw()
                 now = stored.log_time
             writer.write(channel.topic, stored.log_time, stored.payload, stored.publish_time)
@@ -101,7 +101,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
 
 
 def _recordable() -> list[VisualTopic]:
-    """Return the topics whose definitions are installed; a player makes the clock itself."""
+    """Return the topics whose definitions are installed, except the clock, which a player publishes itself."""
     found = []
     for topic in available_topics():
         with suppress(UnknownTypeError):

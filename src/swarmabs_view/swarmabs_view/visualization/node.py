@@ -1,4 +1,4 @@
-"""Node ``plane_markers``: shows a swarm on the standard topics of ROS and to Foxglove; of the swarm it only hears."""
+"""Node ``plane_markers``: shows a swarm on standard ROS topics and in Foxglove; it only subscribes to the swarm."""
 
 from __future__ import annotations
 
@@ -46,25 +46,25 @@ if TYPE_CHECKING:
 
 RATE = 30.0
 PARAMETERS = (
-    Parameter("scenario_file", "", "file of the scenario, with the plane's and the robots' dimensions"),
+    Parameter("scenario_file", "", "scenario file with the dimensions of the plane and the robots"),
     Parameter("rate", RATE, "most frames per second of wall time", above=0.0, maximum=1000.0),
-    Parameter("ros", default=True, description="whether to publish on topics of ROS"),
-    Parameter("clock", default=False, description="whether to publish the time of the steps as clock"),
+    Parameter("ros", default=True, description="whether to publish on ROS topics"),
+    Parameter("clock", default=False, description="whether to publish the time of the steps on clock"),
     Parameter("foxglove_port", -1, "TCP port on 127.0.0.1 for Foxglove, 0: any; -1: none", minimum=-1, maximum=65535),
 )
 SHARE = 0.2
-"""Largest part of a core that drawing takes: where a frame costs more, there are fewer."""
+"""Largest fraction of a core for drawing; expensive frames are drawn less often."""
 REPEAT = 1.0
-"""Time, s, between two descriptions for clients that do not keep the last."""
+"""Time between two descriptions, for clients that do not keep the last, s."""
 BACKLOG = 64
-"""Messages that wait for a slow client of Foxglove before the oldest are dropped."""
+"""Most queued messages for a slow Foxglove client; then the oldest are dropped."""
 _SLICE = 0.05
 
 
 def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = None) -> int:
-    """Run the node until it is told to stop, and return its exit code as of `run_program`.
+    """Run the node until it is stopped, and return the exit code of `run_program`.
 
-    `wait` waits for a time (s) and returns True if the node is to end; by default until SIGINT or SIGTERM.
+    `wait` waits for a time (s) and returns True if the node must end; by default on SIGINT or SIGTERM.
     """
 
     def body(node: SwarmNode, _: StatusChannel) -> None:
@@ -77,14 +77,14 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
             show(scenario, listener, publish, None, settings, wait or _until_signalled())
             return
         with FoxgloveServer(port, settings.namespace, listener.topics) as foxglove:
-            sys.stderr.write(f"Foxglove finds the swarm at ws://{ADDRESS}:{foxglove.port}\n")
+            sys.stderr.write(f"Foxglove: connect to ws://{ADDRESS}:{foxglove.port}\n")
             show(scenario, listener, [*publish, foxglove.publish], foxglove, settings, wait or _until_signalled())
 
     return run_program("plane_markers", SwarmNode, body, args)
 
 
 def ros_publisher(node: SwarmNode) -> Publish:
-    """Return what publishes on the topics of a node; the swarm's own messages are there already."""
+    """Return a function that publishes on the visual topics of a node."""
     publishers = {
         topic: node.create_publisher(message_class(topic.ros_type), topic.name, profile(topic.qos))
         for topic in available_topics()
@@ -93,9 +93,9 @@ def ros_publisher(node: SwarmNode) -> Publish:
 
 
 class FoxgloveServer:
-    """Serves to Foxglove, on the loopback interface, what is published on topics of ROS, and the swarm's own `topics`.
+    """A Foxglove server on the loopback interface for the visual topics and the swarm's own `topics`.
 
-    The port is any that is free for 0.
+    Port 0 means any free port.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class FoxgloveServer:
 
     def __init__(self, port: int, namespace: str, topics: Iterable[Topic]) -> None:
         need_foxglove()
-        import foxglove  # noqa: PLC0415 - only where it is asked for
+        import foxglove  # noqa: PLC0415 - optional
 
         self._context = context = foxglove.Context()
         types = {topic.name: topic.ros_type for topic in topics}
@@ -134,18 +134,18 @@ class FoxgloveServer:
         self._server.stop()
 
     def publish(self, topic: VisualTopic, message: Any) -> None:
-        """Send a message of a standard type."""
+        """Send a message of a visual topic."""
         payload = serialize_message(message)
         if topic is DESCRIPTION:
             self._description = payload
         self._channels[topic.name].log(payload)
 
     def forward(self, topic: Topic, payload: bytes) -> None:
-        """Send a message of the swarm as it came."""
+        """Send a message of the swarm unchanged."""
         self._channels[topic.name].log(payload)
 
     def repeat(self) -> None:
-        """Send the description of the plane again, for those who have come since."""
+        """Send the description of the plane again, for new clients."""
         self._channels[DESCRIPTION.name].log(self._description)
 
 
@@ -157,7 +157,7 @@ def show(
     settings: Settings,
     wait: Callable[[float], bool],
 ) -> None:
-    """Show the swarm, a frame whenever there is a new step and it is time for one."""
+    """Show the swarm: a frame for each new step, at a limited rate."""
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     for publish in publishers:
         publish(*description(scene, scenario.plane.inertia))
@@ -182,7 +182,7 @@ def show(
 
 
 def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
-    """Take what has come; return the newest of each robot and each broadcast, and all events."""
+    """Process the received messages; return the newest of each robot and broadcast, and all events."""
     newest: dict[tuple[Topic, int], bytes] = {}
     for number, (topic, message, payload) in enumerate(listener.poll()):
         swarm.add(message)
@@ -192,7 +192,7 @@ def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
 
 def _scenario(settings: Settings) -> Scenario:
     if not settings.text("scenario_file"):
-        raise InputError("parameter scenario_file: give the file of the scenario")
+        raise InputError("parameter scenario_file is empty: give the scenario file")
     return load_scenario(Path(settings.text("scenario_file"))).resolved()
 
 

@@ -1,4 +1,4 @@
-"""The standard topics that a swarm is shown on, relative to its namespace, and frames of a scene as their messages."""
+"""The standard topics that show a swarm, relative to its namespace, and the conversion of frames to their messages."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class VisualTopic:
-    """A topic: its name, the full ROS name of its type, and what its publisher offers."""
+    """A topic: name, full ROS name of its type, and offered QoS."""
 
     name: str
     ros_type: str
@@ -49,12 +49,12 @@ TF = VisualTopic("tf", "tf2_msgs/msg/TFMessage", Qos("reliable", 100))
 CLOCK = VisualTopic("clock", "rosgraph_msgs/msg/Clock", Qos("best_effort", 1))
 
 VISUAL_TOPICS = (JOINT_STATES, MARKERS, DESCRIPTION, TF, CLOCK)
-"""All of them. `TF` is there only where `tf2_msgs` is installed: it is not among the wheels of PyPI."""
+"""All topics. `TF` exists only where `tf2_msgs` is installed, which is not available as a wheel on PyPI."""
 
 
 @cache
 def message_class(ros_type: str) -> Any:
-    """Return the class of a message type, None if its package is not installed."""
+    """Return the class of a message type, or None if its package is not installed."""
     package, _, name = ros_type.split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -63,7 +63,7 @@ def message_class(ros_type: str) -> Any:
 
 
 def available_topics() -> tuple[VisualTopic, ...]:
-    """Return those topics whose types are installed."""
+    """Return the topics whose types are installed."""
     return tuple(topic for topic in VISUAL_TOPICS if message_class(topic.ros_type) is not None)
 
 
@@ -78,13 +78,13 @@ _SECOND = 1_000_000_000
 
 
 class Translator:
-    """Translates frames; markers that stay are kept, since to make one costs more than to move it."""
+    """Converts frames to messages; reuses markers, because creating one costs more than moving it."""
 
     def __init__(self) -> None:
         self._markers: dict[tuple[str, int], tuple[Any, Colour, Vector]] = {}
 
     def messages(self, frame: Frame, *, clock: bool) -> list[tuple[VisualTopic, Any]]:
-        """Return the messages of a frame with their topics; with the clock of a simulation if it is asked for."""
+        """Return the messages of a frame with their topics, on request with the clock of a simulation."""
         stamp = Time(sec=frame.stamp // _SECOND, nanosec=frame.stamp % _SECOND)
         found = [(JOINT_STATES, _joint_state(frame, stamp)), (MARKERS, self._array(frame, stamp))]
         transforms = message_class(TF.ros_type)

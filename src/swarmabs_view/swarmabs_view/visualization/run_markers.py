@@ -1,4 +1,4 @@
-"""The process that shows a run to RViz and Foxglove, as `swarmabs_view.viewers` starts it."""
+"""The process that shows a run in RViz and Foxglove, started by `swarmabs_view.viewers`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ with tracing_files_removed():
     from swarmabs_view.visualization import node
 
 _NICENESS = 10
-"""Where cores are scarce, those who look wait for those who work."""
-_LOOK = 0.05
+"""Lower priority than that of the run, for machines with few cores."""
+_POLL = 0.05
 
 
 def main() -> int:
@@ -44,16 +44,16 @@ def main() -> int:
 
 
 def _started(run: Path) -> bool:
-    """Wait until all processes of the run have met: nothing may disturb that. False if it ends before."""
-    while not _asked_to_end(_LOOK):
-        told = read_progress(run / "logs")
-        if told is not None and told.phase != "starting":
-            return told.phase != OVER
+    """Wait until all processes of the run have discovered each other, undisturbed; return False if it ends before."""
+    while not _asked_to_end(_POLL):
+        progress = read_progress(run / "logs")
+        if progress is not None and progress.phase != "starting":
+            return progress.phase != OVER
     return False
 
 
 def _asked_to_end(seconds: float) -> bool:
-    """Wait until standard input ends, or for a time (s); tell whether it has ended."""
+    """Wait until standard input ends, or for a time (s); return whether it has ended."""
     deadline = time.monotonic() + seconds
     while True:
         ready, _, _ = select.select([0], [], [], max(0.0, deadline - time.monotonic()))

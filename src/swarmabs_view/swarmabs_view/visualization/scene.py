@@ -1,8 +1,8 @@
-"""What is drawn of a swarm: shapes in the frame `world`. It knows neither ROS nor a clock.
+"""The scene of a swarm: shapes in the frame `world`, without ROS and without a clock.
 
-The frame `world` stands still: x along the level plane, z up, origin on the plane's axis. The frame `plane` turns with
-the plane. A positive angle lifts the end of positive positions, so the axis points along -y: the weight of a robot
-there, and a positive torque of the swarm, lower the angle (equation plane-dynamics). Robots are in lanes side by side.
+The frame `world` is fixed: x along the level plane, z up, origin on the plane's axis. The frame `plane` turns with the
+plane. A positive angle lifts the end of positive positions, so the axis points along -y: the weight of a robot there,
+and a positive torque of the swarm, lower the angle (equation plane-dynamics). Robots are in parallel lanes.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ WORLD, PLANE = "world", "plane"
 JOINT = "plane_tilt"
 AXIS = (0.0, -1.0, 0.0)
 LARGEST_ANGLE = 1.5
-"""rad; every run ends there."""
+"""Angle at which every run ends, rad."""
 _THICKNESS = 0.02
 _LARGEST_ROBOT = 0.08
 _NARROWEST = 0.2
-"""Thickness of the plane, edge of the heaviest robot, and least width of the plane, as parts of its length."""
+"""Thickness of the plane, edge of the heaviest robot, and minimum width of the plane, as fractions of its length."""
 _LANE = 1.25
 """Width of a lane, as a multiple of the edge of the heaviest robot."""
 LABELLED = 50
-"""More robots than these have no labels."""
+"""Most robots that are labelled."""
 
 CUBE, CYLINDER, ARROW, LINES, TEXT = "cube", "cylinder", "arrow", "lines", "text"
 
@@ -85,11 +85,11 @@ REFERENCE = DESIRED = _solid(colours.REFERENCE)
 ACTUAL = _solid(colours.TORQUE)
 INK = Colour(0.10, 0.10, 0.10, 1.0)
 KINDS = {kind: _solid(colour) for kind, colour in colours.KINDS.items()}
-"""Colours of the kinds, whose shapes differ as well."""
+"""Colours of the kinds, which also differ in shape."""
 _STATUS_COLOURS: dict[RobotStatus | None, Colour] = {"dead": DEAD, "silent": GREY, "safe_stop": SAFE_STOP}
-"""Colours that tell more than the kind."""
+"""Colours of a status, which replace that of the kind."""
 _DASHES = 16
-"""Dashes of the line of the reference."""
+"""Dashes of the reference line."""
 _OUTLINE = 1.25
 """Extent of the dark base under a robot in a safe stop, as a multiple of the edge of its body."""
 
@@ -108,7 +108,7 @@ def tilted(point: Vector, angle: float) -> Vector:
 
 
 class Robot(NamedTuple):
-    """A robot as it is drawn: kind, its lane's y (m) and the edge of its body (m)."""
+    """Geometry of a robot: kind, y of its lane (m) and edge of its body (m)."""
 
     kind: int
     lane: float
@@ -117,11 +117,11 @@ class Robot(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Something to draw, in the frame `world`.
+    """A shape in the frame `world`.
 
-    Group and number say which one it is: the next frame's shape with the same two takes its place. The pose is that of
-    its middle, of an arrow (along x) its tail; `points` are pairs, in the pose of lines. The size is the extent, m; of
-    lines x is the width, of a text z the height.
+    Group and number identify it: a shape with the same two in the next frame replaces it. The pose is that of its
+    centre, or of the tail of an arrow (along x); `points` are pairs, relative to the pose of lines. The size is the
+    extent, m; for lines x is the width, for text z the height.
     """
 
     group: str
@@ -137,8 +137,8 @@ class Shape:
 class Frame(NamedTuple):
     """A swarm in one step: stamp (ns), angle (rad) and rate (rad/s) of the plane, torque of the robots on it (N m).
 
-    `gone` has group and number of what was drawn before and no longer is; `places` where each robot is in the frame
-    `plane`, m, by id.
+    `gone` contains group and number of shapes to remove; `places` the positions of the robots in the frame `plane`, m,
+    by id.
     """
 
     step: int
@@ -152,10 +152,10 @@ class Frame(NamedTuple):
 
 
 class Scene:
-    """Draws what is shown of a swarm, and remembers what it has drawn.
+    """Converts the state of a swarm to frames, and remembers the shapes drawn.
 
-    The plane has some length (m), and robots by id, kind and mass (kg), whose volume goes with the mass. An arrow is as
-    long as half the plane at the torque `torque_max`, N m.
+    The plane is given by its length (m), the robots by id, kind and mass (kg); their volume is proportional to the
+    mass. The arrow of the torque `torque_max`, N m, is as long as half the plane.
     """
 
     def __init__(self, length: float, robots: Iterable[tuple[int, int, float]], torque_max: float) -> None:
@@ -181,7 +181,7 @@ class Scene:
         return cls(scenario.plane.length, robots, scenario.manifold.torque_max)
 
     def frame(self, swarm: SwarmState) -> Frame | None:
-        """Return what to draw now, None before the first state of the plane."""
+        """Return the current frame, None before the first state of the plane."""
         instant = swarm.instant()
         if instant is None or instant.angle is None:
             return None
@@ -193,7 +193,7 @@ class Scene:
         places = self._places(robots)
         shapes = (
             *self._still(instant.angle),
-            *self._wanted(instant.reference),
+            *self._reference(instant.reference),
             *self._bodies(instant.angle, robots, places),
             *self._torques(instant.abstract.torque, instant.desired.torque),
         )
@@ -205,7 +205,7 @@ class Scene:
         return Frame(instant.step, instant.stamp, instant.angle, rate, effort, shapes, gone, places)
 
     def _places(self, robots: Mapping[int, ShownRobot]) -> dict[int, Vector]:
-        """Return where the middle of the robots that are on the plane is, in its frame."""
+        """Return the centres of the robots on the plane, in its frame."""
         found = {}
         for agent_id, shown in robots.items():
             if shown.position is not None:
@@ -215,11 +215,11 @@ class Scene:
 
     def _lane_ends(self, lane: float) -> tuple[Vector, Vector]:
         """Return both ends of a lane on the surface, in the frame of the plane."""
-        above = 0.505 * self.thickness  # else the surface would hide it
+        above = 0.505 * self.thickness  # otherwise the surface hides it
         return Vector(-self.length / 2.0, lane, above), Vector(self.length / 2.0, lane, above)
 
     def _still(self, angle: float) -> tuple[Shape, ...]:
-        """Return what only turns with the plane."""
+        """Return the shapes that only turn with the plane."""
         pose = Pose(Vector(0.0, 0.0, 0.0), tilt(angle))
         ends = [end for robot in self.robots.values() for end in self._lane_ends(robot.lane)]
         plate = Vector(self.length, self.width, self.thickness)
@@ -229,16 +229,16 @@ class Scene:
             Shape("lanes", 0, LINES, pose, rail, RAIL, tuple(ends)),
         )
 
-    def _wanted(self, wanted: float | None) -> tuple[Shape, ...]:
-        """Return the dashed line along which the plane should lie, at both its sides."""
-        if wanted is None:
+    def _reference(self, reference: float | None) -> tuple[Shape, ...]:
+        """Return the dashed lines of the reference (rad), on both sides of the plane."""
+        if reference is None:
             return ()
         sides = [
             end._replace(x=self.length * (place / (2 * _DASHES - 1) - 0.5))
             for side in (-0.52, 0.52)
             for place, end in enumerate(self._lane_ends(side * self.width) * _DASHES)
         ]
-        pose = Pose(Vector(0.0, 0.0, 0.0), tilt(wanted))
+        pose = Pose(Vector(0.0, 0.0, 0.0), tilt(reference))
         return (Shape("reference", 0, LINES, pose, Vector(0.1 * self.lane_width, 0.0, 0.0), REFERENCE, tuple(sides)),)
 
     def _bodies(self, angle: float, robots: Mapping[int, ShownRobot], places: dict[int, Vector]) -> list[Shape]:
@@ -264,7 +264,7 @@ class Scene:
         return shapes
 
     def _torques(self, actual: float | None, desired: float | None) -> list[Shape]:
-        """Return the arrows of the swarm's torque, actual and wanted: they point to the end that is pushed down."""
+        """Return the arrows of the actual and the desired torque, which point to the end that is pushed down."""
         shapes = []
         for number, (torque, colour) in enumerate(((actual, ACTUAL), (desired, DESIRED))):
             if not torque:
@@ -278,7 +278,7 @@ class Scene:
 
 
 def plane_urdf(scene: Scene, inertia: float) -> str:
-    """Return the plane as URDF: a plate on a level joint, with a moment of inertia (kg m^2) about its axis.
+    """Return the plane as URDF: a plate on a horizontal joint, with a moment of inertia (kg m^2) about its axis.
 
     Its mass is that of a uniform plate with this moment of inertia, 12 J / (l^2 + t^2).
     """
