@@ -1,7 +1,7 @@
 """Build the documentation and the Python API as one site of HTML pages: python -m docs.build_site FOLDER.
 
-Every warning is an error: a link or an anchor that does not resolve, a formula that does not parse, a documented
-parameter that a function does not have.
+Every warning is an error: an unresolved link or anchor, a formula that does not parse, a documented parameter that does
+not exist.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _log = logging.getLogger("mkdocs.swarmabs")
 
 
 def mathml(latex: str, *, block: bool = False) -> str:
-    """Return a formula as MathML; a browser shows it without a script."""
+    """Return a formula as MathML, which browsers show without a script."""
     try:
         return _indexed(tex2mathml(latex, as_block=block))
     except MathError as error:
@@ -66,7 +66,7 @@ def mathml(latex: str, *, block: bool = False) -> str:
 
 
 def _indexed(text: str) -> str:
-    """Put the indices of accented letters, which the converter puts below the letters, beside them."""
+    """Move the indices of accented letters, which the converter puts below the letters, to their right."""
     plain = re.sub(r"&(?!lt;|gt;|amp;)\w+;", lambda entity: unescape(entity[0]), text)
     root = ET.fromstring(plain)  # noqa: S314 - made by docutils
     for both in root.iter(f"{_MATHML}munderover"):
@@ -82,12 +82,12 @@ class InlineMath(InlineProcessor):
     """Replaces ``$...$``."""
 
     def handleMatch(self, m: re.Match[str], data: str) -> tuple[str, int, int]:  # noqa: ARG002 - given by markdown
-        """Return a formula and where it is."""
+        """Return a formula and its position."""
         return self.md.htmlStash.store(mathml(m[1])), m.start(), m.end()
 
 
 class Math(Extension):
-    """Formulas within lines, found before backslashes are taken for escapes and after code."""
+    """Inline formulas, found after code and before escapes."""
 
     def extendMarkdown(self, md: Markdown) -> None:
         """Register the pattern."""
@@ -100,7 +100,7 @@ def math_block(source: str, *_arguments: Any, **_options: Any) -> str:
 
 
 class MathOfDocstrings(griffe.Extension):
-    """Writes the formulas of docstrings as the pages do."""
+    """Converts the formulas of docstrings to those of pages."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
         """Convert the docstring of a module, class, function or attribute."""
@@ -115,7 +115,7 @@ def _fenced(found: re.Match[str]) -> str:
 
 
 def stage(folder: Path) -> None:
-    """Copy the pages, and write those of the notebooks and of the Python API."""
+    """Copy the pages, and write pages for the notebooks and the Python API."""
     for pattern in (*PAGES, *FILES):
         for path in CHECKOUT.glob(pattern):
             copy = folder / path.relative_to(CHECKOUT)
@@ -133,7 +133,7 @@ def stage(folder: Path) -> None:
 
 
 def _staged_link(page: Path, found: re.Match[str]) -> str:
-    """Return a link as it is if its target is part of the site, else its text: sources are not."""
+    """Return a link unchanged if its target is part of the site, otherwise only its text."""
     text, target = found.groups()
     place, _, anchor = target.partition("#")
     if re.match(r"[a-z]+:", target) or not place:
@@ -150,7 +150,7 @@ def _root(page: Path) -> Path:
 
 
 def notebook_page(path: Path) -> str:
-    """Return a notebook as a page in Markdown."""
+    """Return a notebook as a Markdown page."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return "\n\n".join(part for cell in cells for part in _cell(cell)) + "\n"
 
@@ -172,7 +172,7 @@ def packages() -> list[str]:
 
 
 def api_page(package: str) -> str:
-    """Return a page that asks for the documentation of every public module of a package."""
+    """Return a page with the documentation of every public module of a package."""
     sources = CHECKOUT / "src" / package
     found = []
     for path in sorted((sources / package).rglob("*.py")):
@@ -184,7 +184,7 @@ def api_page(package: str) -> str:
 
 
 def navigation(folder: Path) -> list[dict[str, Any]]:
-    """Return the contents of the site."""
+    """Return the navigation of the site."""
 
     def pages(pattern: str) -> list[str]:
         return sorted(str(path.relative_to(folder)) for path in folder.glob(pattern))
@@ -252,7 +252,7 @@ def settings(folder: Path, output: Path) -> dict[str, Any]:
 
 
 def _mermaid(source: str, *_arguments: Any, **_options: Any) -> str:
-    """Return a graph as its text, which needs no script from elsewhere."""
+    """Return a graph as text, which needs no external script."""
     return f"<pre><code>{source.replace('&', '&amp;').replace('<', '&lt;')}</code></pre>"
 
 

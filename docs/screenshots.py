@@ -1,6 +1,6 @@
-"""Take the pictures of the view in docs/images with a real browser: python docs/screenshots.py [FOLDER].
+"""Take the screenshots of the view in docs/images with a real browser: python docs/screenshots.py [FOLDER].
 
-It records a run of its own, serves it as a user would, and needs Chromium and the packages of the tests.
+It records and serves runs like a user, and needs Chromium and the packages of the tests.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ IMAGES = Path(__file__).parent / "images"
 SWARM = (sys.executable, "-m", "swarmabs_cli")
 FAULTS = "faults=[{at: 0.6, kind: kill, agent: 2}]"
 LIVE = "100000"
-"""Simulated time, s, of the run that is looked at while it goes on; it is ended before."""
+"""Duration of the live run, s; it is stopped earlier."""
 
 
 @contextmanager
 def page_of(folder: Path, *arguments: str, said: str = "") -> Iterator[str]:
-    """Start a command that serves a page, in a folder, and yield the page's address, before which it says so much."""
+    """Start a command that serves a page, in a folder, and yield the address of the page, printed after `said`."""
     words = [*SWARM, *arguments]
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:
@@ -45,7 +45,7 @@ def page_of(folder: Path, *arguments: str, said: str = "") -> Iterator[str]:
 
 
 def opened(browser: Browser, url: str, size: tuple[int, int], scheme: str) -> Page:
-    """Return the page in a window of a size, in light or dark."""
+    """Return the page in a window with a size and a colour scheme."""
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, color_scheme="dark" if scheme == "dark" else "light"
     )
@@ -63,17 +63,17 @@ def seek(page: Page, step: int) -> None:
 
 
 def keep(page: Page, file: Path, *, whole: bool = False) -> None:
-    """Write what the window shows, or the whole page, and close it."""
+    """Save the visible part of the page, or all of it, and close it."""
     Image.open(io.BytesIO(page.screenshot(full_page=whole))).convert("RGB").save(file, lossless=True, method=6)
     page.context.close()
 
 
 def main() -> int:
-    """Take all pictures."""
+    """Take all screenshots."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if program is None:
-        sys.stderr.write("no Chromium on this machine: apt-get install chromium\n")
+        sys.stderr.write("Chromium is not installed: run apt-get install chromium\n")
         return 1
     sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
     with tempfile.TemporaryDirectory() as runs, sync_playwright() as playwright:
@@ -97,7 +97,7 @@ def main() -> int:
             page = opened(browser, url, (1280, 900), "light")
             page.wait_for_selector("#processes tbody tr", timeout=60_000)
             page.wait_for_timeout(12_000)
-            page.get_by_text("20 of 20").wait_for(timeout=60_000)  # when what was missed has been read
+            page.get_by_text("20 of 20").wait_for(timeout=60_000)  # when the view has read the beginning
             keep(page, folder / "view_live.webp", whole=True)
         steered = ("run", "pd_het_4", "--duration", LIVE, "--view", "--steer", "--rate", "1")
         with page_of(here, *steered, said="view, to steer: ") as url:

@@ -1,7 +1,7 @@
-"""Write the tables of the pages in docs, and the schema of the view's messages, from the code: python docs/tables.py.
+"""Generate the tables of the pages in docs, and the schema of the view's messages: python docs/tables.py.
 
-A table stands between the lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what is between them is replaced. A test
-fails when a table is not what this script would write.
+A table is between the lines ``<!-- table: NAME -->`` and ``<!-- end -->`` and is replaced. A test fails if a table is
+out of date.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _CHOSEN = {
     "swarm.agents": "see below",
     "faults": "`[]`",
 }
-"""Fields whose content depends on a key in it, with their defaults."""
+"""Fields whose content depends on a key in them, with their defaults."""
 PUBLIC = (
     "swarmabs_config.scenarios",
     "swarmabs_config.scenario",
@@ -85,24 +85,24 @@ PUBLIC = (
     "swarmabs_core.messages",
     "swarmabs_core.theory",
 )
-"""Modules that programs, notebooks and packages of other people import."""
+"""Public modules, for programs, notebooks and extension packages."""
 _TABLE = re.compile(r"(<!-- table: ([a-z_ ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def table(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Return a table in Markdown."""
+    """Return a Markdown table."""
     lines = [list(headings)]
     lines += [["---"] * len(lines[0]), *([cell.replace("|", r"\|") for cell in row] for row in rows)]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def code(text: object) -> str:
-    """Return a text set as code."""
+    """Return a text formatted as code."""
     return f"`{text}`"
 
 
 def value(given: object) -> str:
-    """Return a default as one would write it in YAML."""
+    """Return a default as written in YAML."""
     if given is None:
         return code("null")
     if isinstance(given, bool):
@@ -115,7 +115,7 @@ def value(given: object) -> str:
 
 
 def bounds(parameter: Parameter) -> str:
-    """Say which values of a parameter are allowed."""
+    """Describe the allowed values of a parameter."""
     found = []
     if parameter.length is not None:
         found.append(f"{parameter.length} numbers")
@@ -133,7 +133,7 @@ def bounds(parameter: Parameter) -> str:
 
 
 def parameters(declared: Iterable[Parameter | type], without: Iterable[Parameter] = ()) -> str:
-    """Return the table of a node's parameters, `without` those that all nodes have."""
+    """Return the table of a node's parameters, `without` the common ones."""
     names = {each.name for each in without}
     found = (p for each in declared for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
     rows = ((code(p.name), value(p.default), bounds(p), p.description) for p in found if p.name not in names)
@@ -141,7 +141,7 @@ def parameters(declared: Iterable[Parameter | type], without: Iterable[Parameter
 
 
 def topics() -> str:
-    """Return the table of topics: type, QoS offered, who publishes and who subscribes."""
+    """Return the table of topics: type, offered QoS, publishers and subscribers."""
 
     def quality(link: Link) -> str:
         qos = link.offered.get(LOCKSTEP) or link.offered[REALTIME]
@@ -166,7 +166,7 @@ def topics() -> str:
 
 
 def _conditions(end: End) -> str:
-    """Say when there is an end of a topic, nothing if there always is."""
+    """Describe when an end of a topic exists; empty if always."""
     found = [] if end.driver is None or end.node == RECORDER else [end.driver.value]
     found += [] if end.only is None else [end.only.value]
     found += [] if end.unless is None else [f"not {end.unless.value}"]
@@ -174,7 +174,7 @@ def _conditions(end: End) -> str:
 
 
 def realtime_qos() -> str:
-    """Return the table of what is offered in real time."""
+    """Return the table of the QoS offered in real time."""
     return table(
         ("topic", "QoS offered", "lease"),
         (
@@ -246,7 +246,7 @@ def variants(models: Mapping[str, type[BaseModel]], key: str) -> str:
 
 
 def controller_parameters() -> str:
-    """Return the table of the parameters that each control law adds to the parent controller's."""
+    """Return the table of the parameters that each control law adds to those of the parent controller."""
     rows = [
         (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.description)
         for name, entry in CONTROLLERS.built_in.items()
@@ -256,19 +256,19 @@ def controller_parameters() -> str:
 
 
 def commands(section: str) -> str:
-    """Return what the commands of a section do, with arguments, options and examples."""
+    """Return the description of the commands of a section, with arguments, options and examples."""
     context = click.Context(swarm, info_name="./scripts/swarm")
     names = [name for name in swarm.list_commands(context) if _section(swarm.get_command(context, name)) == section]
     return "\n".join(part for name in names for part in _described(swarm, name, context))
 
 
 def _section(command: click.Command | None) -> str:
-    """Return the folder in which a command is."""
+    """Return the folder of a command."""
     return "" if command is None else command.callback.__module__.split(".")[1]
 
 
 def _described(group: click.Group, name: str, parent: click.Context) -> Iterator[str]:
-    """Return the parts of the description of a command, those of a group one after the other."""
+    """Yield the parts of the description of a command, or of all commands of a group."""
     command = group.get_command(parent, name)
     if command is None:
         raise ValueError(f"no command {name}")
@@ -294,7 +294,7 @@ def _help(command: click.Command) -> str:
 
 
 def _option(found: click.Option, context: click.Context) -> tuple[str, str]:
-    """Return how an option is given, and what it means with its default."""
+    """Return the syntax of an option, and its meaning with the default."""
     *others, last = found.opts
     kind = "PATH" if isinstance(found.type, click.Path) else "NUMBER"
     if isinstance(found.type, click.Choice):
@@ -320,18 +320,18 @@ def _source(name: str) -> str:
 
 @cache
 def manifests() -> dict[str, ET.Element]:
-    """Return the manifest of each package in `src` by its name."""
+    """Return the manifests of the packages in `src` by name."""
     paths = sorted(SOURCES.glob("*/package.xml"))
     return {path.parent.name: ET.parse(path).getroot() for path in paths}  # noqa: S314 - the project's own
 
 
 def packages() -> dict[str, str]:
-    """Return what each package in `src` says of itself in its package.xml, by its name."""
+    """Return the descriptions of the packages in `src` from package.xml, by name."""
     return {name: root.findtext("description", "") for name, root in manifests().items()}
 
 
 def imported(path: Path) -> set[str]:
-    """Return the top-level modules that a file imports, also those that only type checkers read."""
+    """Return the top-level modules that a file imports, including those for type checkers only."""
     modules: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -343,7 +343,7 @@ def imported(path: Path) -> set[str]:
 
 @cache
 def imports() -> dict[str, set[str]]:
-    """Return which packages of the project each one imports."""
+    """Return the packages of the project that each package imports."""
     names = packages().keys()
     found = {
         name: set[str]().union(*(imported(path) for path in (SOURCES / name).rglob("*.py") if path.name != "setup.py"))
@@ -353,7 +353,7 @@ def imports() -> dict[str, set[str]]:
 
 
 def needs() -> dict[str, set[str]]:
-    """Return which packages of the project each one needs as it runs: by import or by name."""
+    """Return the packages of the project that each package needs at run time, by import or by name."""
     found = {
         name: {str(entry.text) for entry in root.iter("exec_depend")} & manifests().keys()
         for name, root in manifests().items()
@@ -362,26 +362,26 @@ def needs() -> dict[str, set[str]]:
 
 
 def layers(arrows: dict[str, set[str]]) -> list[list[str]]:
-    """Return the packages from the top down: each stands above all that it imports.
+    """Return the packages in layers from the top down: each is above all packages that it imports.
 
     Raises
     ------
     ValueError
-        If packages import each other in a circle.
+        If packages import each other cyclically.
     """
     found: list[list[str]] = []
     below: set[str] = set()
     while len(below) < len(arrows):
         layer = sorted(name for name, needed in arrows.items() if name not in below and needed <= below)
         if not layer:
-            raise ValueError(f"an import circle among {', '.join(sorted(arrows.keys() - below))}")
+            raise ValueError(f"cyclic imports among {', '.join(sorted(arrows.keys() - below))}")
         found.insert(0, layer)
         below.update(layer)
     return found
 
 
 def direct(arrows: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Return the arrows that no way over other packages replaces."""
+    """Return the transitive reduction of the arrows."""
     reached: dict[str, set[str]] = {}
     for name in (name for layer in reversed(layers(arrows)) for name in layer):
         reached[name] = arrows[name].union(*(reached[other] for other in arrows[name]))
@@ -389,7 +389,7 @@ def direct(arrows: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def drawing() -> str:
-    """Return the packages as a Mermaid graph, arrows down: without implied ones; dashed where there is no import."""
+    """Return the packages as a Mermaid graph without implied arrows; dashed arrows are not imports."""
     imported_by, arrows = imports(), needs()
     shown = direct(arrows)
     lines = ["graph TD"]
@@ -399,14 +399,14 @@ def drawing() -> str:
 
 
 def package_table() -> str:
-    """Return the packages from the top down, with what each says of itself."""
+    """Return the table of the packages from the top down, with their descriptions."""
     said = packages()
     names = [name for layer in layers(needs()) for name in layer]
     return table(("package", "content"), ((code(name), said[name].rstrip(".")) for name in names))
 
 
 def all_tables() -> dict[str, str]:
-    """Return every table by its name."""
+    """Return all tables by name."""
     return {
         "packages": package_table(),
         "structure": drawing(),
@@ -444,7 +444,7 @@ def all_tables() -> dict[str, str]:
 
 
 def renewed(text: str, tables: dict[str, str]) -> str:
-    """Return a page with its tables written anew."""
+    """Return a page with updated tables."""
     return _TABLE.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
 
 
@@ -454,7 +454,7 @@ def view_schema() -> str:
 
 
 def main() -> int:
-    """Renew the tables of all pages, and the schema."""
+    """Update the tables of all pages, and the schema."""
     VIEW_SCHEMA.write_text(view_schema(), encoding="utf-8")
     tables = all_tables()
     for page in sorted(DOCS.glob("*/*.md")):

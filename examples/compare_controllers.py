@@ -11,12 +11,12 @@ from swarmabs_run.simulation import simulate
 
 
 def main() -> None:
-    """Simulate both and print a line each."""
+    """Simulate both controllers and print a line for each."""
     for controller in ("pd", "lqr"):
         run = simulate("pd_het_4", {"controller": {"type": controller}, "duration": 10.0})
         level = run.summary()["settled_at"]
         torque = np.abs(run.abstract.torque).max()
-        print(f"{controller:<3} level from t = {level} s on, largest torque {torque:.3f} N m")
+        print(f"{controller:<3} settled at t = {level} s, largest torque {torque:.3f} N m")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ BLACK, GREY, BLUE, VERMILION, GREEN = "#000000", "#666666", "#0072b2", "#d55e00"
 
 
 class Box(NamedTuple):
-    """A process: its left lower corner, its size, its name and what it does."""
+    """A process: lower left corner, size, name and description."""
 
     x: float
     y: float
@@ -77,7 +77,7 @@ def arrow(axes: Axes, points: list[tuple[float, float]], colour: str, dashed: bo
 
 
 def note(axes: Axes, x: float, y: float, text: str, colour: str, align: str = "center") -> None:
-    """Write beside an arrow what it carries."""
+    """Label an arrow with its messages."""
     axes.text(x, y, text, ha=align, va="center", fontsize=9, color=colour, linespacing=1.25)
 
 
@@ -89,12 +89,12 @@ def draw() -> Figure:
     axes.axis("off")
     for shape in BOXES:
         box(axes, shape)
-    # What the robots say.
+    # Messages published by the robots.
     arrow(axes, [(1.9, 3.7), (1.9, 4.35), (4.7, 4.35)], VERMILION)
     arrow(axes, [(1.25, 1.5), (1.25, 0.6), (4.7, 0.6)], VERMILION)
     note(axes, 3.35, 4.12, "1  AgentState(k)", VERMILION)
     note(axes, 2.95, 0.82, "1  AgentState(k)", VERMILION)
-    # What the robots hear.
+    # Messages received by the robots.
     arrow(axes, [(4.7, 4.85), (0.65, 4.85), (0.65, 3.7)], BLUE)
     note(axes, 2.7, 5.22, "2  AbstractState(k),\nAuxiliaryState(k)", BLUE)
     arrow(axes, [(10.65, 1.2), (10.65, 5.6), (0.25, 5.6), (0.25, 3.7)], BLUE)
@@ -120,7 +120,7 @@ def draw() -> Figure:
 def main(arguments: list[str]) -> int:
     """Write the picture."""
     picture = Path(arguments[0]) if arguments else PICTURE
-    # The same picture gives the same file: no date in it, and no random names.
+    # Reproducible files: no date and no random names.
     with mpl.rc_context({"svg.hashsalt": "swarmabs", "svg.fonttype": "path"}):
         draw().savefig(
             picture, facecolor="white", dpi=110, metadata={"Date": None} if picture.suffix == ".svg" else None

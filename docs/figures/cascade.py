@@ -1,7 +1,7 @@
 """Draw the picture of docs/explanation/cascade.md from the bags of two cascades.
 
-Use: python docs/figures/cascade.py FOLDER SLOW_FOLDER [PICTURE]. The folders are those of examples/cascade/cascade.py,
-the second one with --bandwidth 4.
+Usage: python docs/figures/cascade.py FOLDER SLOW_FOLDER [PICTURE]. The folders are results of
+examples/cascade/cascade.py, the second one with --bandwidth 4.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 PICTURE = Path(__file__).parents[1] / "images" / "cascade.png"
 SHOWN = 12.0
-"""How much of the runs is plotted, s."""
-# Okabe and Ito's colours, which people with any colour vision tell apart; the lines differ in their dashes too.
+"""Duration plotted, s."""
+# The colours of Okabe and Ito, distinct with any colour vision; the lines also differ in their dashes.
 BLACK, BLUE = "#000000", "#0072b2"
 ROBOTS = (("#e69f00", "-"), ("#009e73", (0, (5, 1.5))), ("#d55e00", (0, (2, 1))))
 
 
 def draw(folder: Path, angle: Axes, tilts: Axes, errors: Axes) -> None:
-    """Draw a cascade into a column."""
+    """Draw a cascade in a column of the figure."""
     coupling = json.loads((folder / "coupling.json").read_text(encoding="utf-8"))
     upper = load_arrays(folder / "upper", namespace="/upper")
     shown = upper.time <= SHOWN
@@ -38,10 +38,10 @@ def draw(folder: Path, angle: Axes, tilts: Axes, errors: Axes) -> None:
     angle.set_title(f"lower references with {coupling['bandwidth']:g} rad/s", fontsize=10)
     for column, (robot, (colour, dashes)) in enumerate(zip(upper.agents.ids, ROBOTS, strict=True)):
         plane = load_arrays(folder / f"lower_{robot}", namespace=f"/lower_{robot}")
-        wanted = upper.agents.command[:, column] / coupling["ratio"]
+        reference = upper.agents.command[:, column] / coupling["ratio"]
         label = f"lower plane {robot}"
         tilts.plot(time, 1000.0 * plane.angle[shown], color=colour, linestyle=dashes, label=label)
-        errors.plot(time, 1000.0 * (wanted - plane.angle)[shown], color=colour, linestyle=dashes, label=label)
+        errors.plot(time, 1000.0 * (reference - plane.angle)[shown], color=colour, linestyle=dashes, label=label)
     errors.set(xlabel="time, s", xlim=(-0.05, SHOWN), xticks=np.arange(0.0, SHOWN + 1.0, 2.0))
 
 
@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> int:
         (
             "angle of the\nupper plane, mrad",
             "angle of the\nlower planes, mrad",
-            "wanted minus angle\nof lower planes, mrad",
+            "reference minus angle\nof lower planes, mrad",
         ),
         strict=True,
     ):

@@ -11,7 +11,7 @@ from swarmabs_analysis.figures.style import styled
 
 IMAGES = Path(__file__).parents[1] / "images"
 DPI = 150
-"""Enough for a screen; `swarm figures` draws for print."""
+"""Resolution for a screen; `swarm figures` draws for print."""
 
 
 def main(arguments: list[str]) -> int:

@@ -24,23 +24,23 @@ if TYPE_CHECKING:
 PICTURE = Path(__file__).parents[1] / "images" / "parent_response.png"
 NOISE = "plane.sensor.noise=[1e-4, 1e-3]"
 SIGMA = 1e-4
-"""Noise of the angular velocity that the estimate of the inertia is judged with, rad/s."""
+"""Noise of the angular velocity assumed for the estimate of the inertia, rad/s."""
 BLACK, BLUE, VERMILION = "#000000", "#0072b2", "#d55e00"
 
 
 def watched(name: str, *overrides: str) -> tuple[Scenario, RunArrays]:
-    """Simulate 30 s of a scenario whose observer watches the plane."""
+    """Simulate 30 s of a scenario whose observer uses the plane's motion."""
     scenario = find_scenario(name, ["duration=30.0", "observer.type=parent_response", *overrides])
     return scenario, simulate(scenario)
 
 
 def chosen(bandwidth: int | str) -> tuple[str, ...]:
-    """Return the overrides that choose an observer by its bandwidth (rad/s), or the sum."""
+    """Return the overrides that select an observer by its bandwidth (rad/s), or the sum."""
     return ("observer.type=sum",) if bandwidth == "sum" else (f"observer.bandwidth={bandwidth}",)
 
 
 def truth(scenario: Scenario, run: RunArrays) -> tuple[Array, Array]:
-    """Return the torque of the robots' weight, and with it what of the disturbance looks the same, N m."""
+    """Return the torque of the robots' weight, and its sum with the indistinguishable part of the disturbance, N m."""
     weight = scenario.plane.gravity * (run.agents.position @ np.array([agent.mass for agent in scenario.agents]))
     disturbance = scenario.plane.disturbance
     unknown = disturbance.amplitude * np.sin(disturbance.angular_frequency * run.time)
@@ -48,13 +48,13 @@ def truth(scenario: Scenario, run: RunArrays) -> tuple[Array, Array]:
 
 
 def reference(scenario: Scenario, run: RunArrays) -> Array:
-    """Return the angle that the plane should have, rad."""
+    """Return the reference of the plane's angle, rad."""
     law = configure.parent_controller(scenario)
     return np.array([law.reference(time) for time in run.time])
 
 
 def torque_table() -> None:
-    """Print how well the torque is known, and what it does to the plane."""
+    """Print the accuracy of the torque estimate, and its effect on the plane."""
     show("scenario", "observer", "noise", "rms, 0.5-5 s", "rms, after 5 s", "max, after 5 s", "angle error after 5 s")
     for name in ("pd_si_4", "arise_si_4", "pd_di_4", "arise_di_4"):
         for noise, bandwidths in (((), (20, 50, 200)), ((NOISE,), (5, 10, 20, 50))):
@@ -68,11 +68,11 @@ def torque_table() -> None:
 
 
 WINDOWS = ((0.01, 0.0, 0.5, 1), (0.01, 0.5, 1.5, 1), (0.01, 5.0, 6.0, 1), (0.01, 10.0, 20.0, 1), (0.001, 0.0, 0.1, 4))
-"""Control period, s; begin and end of a window, s; degree of the polynomial that the torque is taken to be."""
+"""Control period, s; begin and end of a window, s; degree of the polynomial that models the torque."""
 
 
 def inertia_table() -> None:
-    """Print what the plane's motion tells of J_s: least squares, and how far noise spreads it."""
+    """Print the least-squares estimates of J_s from the plane's motion, with their standard deviation."""
     show("scenario", "period", "window", "largest w'", "true J_s", "degree", "estimate", "spread", "condition")
     for name in ("pd_si_4", "arise_si_4"):
         for period, begin, end, degree in WINDOWS:
@@ -88,7 +88,7 @@ def inertia_table() -> None:
 
 
 def inertia(scenario: Scenario, angle: Array, rate: Array, degree: int) -> tuple[float, float, float]:
-    """Fit J_s, and a torque that is a polynomial in time, to the plane's momentum in a window.
+    """Fit J_s, and a torque polynomial in time, to the plane's momentum in a window.
 
     ``J w + integral of f = c - J_s w - sum over n of tau_n (integral of t^n cos th)`` is linear in all unknowns.
 
@@ -122,7 +122,7 @@ def show(*cells: str) -> None:
 
 
 def rms(values: Array) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 

@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 PICTURE = Path(__file__).parents[1] / "images" / "run.png"
 SNAPSHOTS = (0.0, 0.5, 2.0, 8.0)
-"""When the plane is sketched, s."""
+"""Times of the sketches of the plane, s."""
 SHOWN = 8.0
-"""How much of the run is plotted, s."""
-# Okabe and Ito's colours, which people with any colour vision tell apart; the robots' lines differ in their dashes too.
+"""Duration plotted, s."""
+# The colours of Okabe and Ito, distinct with any colour vision; the robots' lines also differ in their dashes.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION = "#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00"
 ROBOTS = ((ORANGE, "-"), (SKY, (0, (6, 1.5))), (GREEN, (0, (3, 1.5))), (VERMILION, (0, (1, 1))))
 KINDS = {Kind.SINGLE_INTEGRATOR: "SI", Kind.DOUBLE_INTEGRATOR: "DI"}
 
 
 def sketch(axes: Axes, run: RunArrays, time: float) -> None:
-    """Draw plane, lanes and robots as they are at a time (s), seen from slightly above."""
+    """Draw plane, lanes and robots at a time (s), seen from slightly above."""
     row = int(np.searchsorted(run.time, time))
     angle = run.angle[row]
     along, upright = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    lane = np.array([0.018, 0.036])  # from one lane to the next one behind it
+    lane = np.array([0.018, 0.036])  # from one lane to the next
     axes.fill([0.02, -0.03, 0.07], [0.0, -0.1, -0.1], color="#999999")
     corners = [-0.5 * along, 0.5 * along, 0.5 * along + 4 * lane, -0.5 * along + 4 * lane]
     axes.fill(*np.transpose(corners), facecolor="#f4f4f4", edgecolor=BLACK, linewidth=1.2, joinstyle="round")
@@ -42,7 +42,7 @@ def sketch(axes: Axes, run: RunArrays, time: float) -> None:
             *np.transpose([corners[0] + number * lane, corners[1] + number * lane]), color="#cccccc", linewidth=0.8
         )
     axes.plot(*np.transpose([np.zeros(2), 4 * lane]), color=BLACK, linewidth=0.8, linestyle=(0, (3, 2)))
-    for column in reversed(range(4)):  # those behind first
+    for column in reversed(range(4)):  # back to front
         radius = 0.045 * np.cbrt(run.agents.mass[row, column] / 0.5)
         foot = run.agents.position[row, column] * along + (column + 0.5) * lane
         centre = foot + radius * upright

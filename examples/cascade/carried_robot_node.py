@@ -1,4 +1,4 @@
-"""Node of a robot of the upper layer, which a lower plane drives."""
+"""Node of an upper robot, driven by a lower plane."""
 
 from __future__ import annotations
 

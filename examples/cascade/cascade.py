@@ -1,7 +1,7 @@
-"""Level an upper plane whose robots are moved by lower planes, each levelled by a swarm of its own, and record it all.
+"""Level an upper plane whose robots are moved by lower planes, each levelled by its own swarm, and record all layers.
 
-In a shell prepared by `eval "$(./scripts/swarm env)"`: python examples/cascade/cascade.py. What it shows, and how the
-layers are coupled: docs/explanation/cascade.md.
+In a shell prepared by `eval "$(./scripts/swarm env)"`: python examples/cascade/cascade.py. The results and the coupling
+of the layers are described in docs/explanation/cascade.md.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     from layers import CascadeScenario
 
 COUPLING_FILE = "coupling.json"
-"""File beside the layers' folders: how they are coupled."""
+"""File with the coupling, in the folder of the cascade."""
 
 Figures = Mapping[str, object]
 
 
 class Layers:
-    """The results of a cascade: a folder like that of a run for every layer.
+    """The results of a cascade: a run folder for every layer.
 
     Parameters
     ----------
     cascade : CascadeScenario
-        What is run.
+        The cascade that is run.
     folder : RunFolder
         An empty folder.
     """
@@ -76,7 +76,7 @@ def simulate_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, d
     Raises
     ------
     RunError
-        If the run fails or is interrupted; the bags are then completed as far as they go.
+        If the run fails or is interrupted; the bags are then completed as far as possible.
     """
     begun = time.monotonic()
     layers = Layers(cascade, folder)
@@ -100,7 +100,7 @@ def run_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, dict[s
     Raises
     ------
     RunError
-        If the run fails or is interrupted; the bags are then completed as far as they go.
+        If the run fails or is interrupted; the bags are then completed as far as possible.
     """
     begun = time.monotonic()
     layers = Layers(cascade, folder)
@@ -115,10 +115,10 @@ def run_cascade(cascade: CascadeScenario, folder: RunFolder) -> dict[str, dict[s
 
 
 def main(arguments: list[str]) -> int:
-    """Run the example; returns the exit code."""
+    """Run the example and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "folder", nargs="?", type=Path, default=FOLDER, help="of the scenarios; default: that of this file"
+        "folder", nargs="?", type=Path, default=FOLDER, help="folder of the scenarios; default: that of this file"
     )
     parser.add_argument(
         "-o", "--output", metavar="DIR", type=Path, help="folder of the results; default: runs/cascade-NNN"
@@ -136,7 +136,7 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write(f"error: {error}\n")
         return 2 if isinstance(error, InputError) else 1
     for name, summary in summaries.items():
-        print(f"{name:<9} level within 0.01 rad from {summary['settled_at']} s on, digest {summary['digest']}")
+        print(f"{name:<9} settled within 0.01 rad at {summary['settled_at']} s, digest {summary['digest']}")
     print(f"bags: {folder.path}")
     return 0
 

@@ -1,6 +1,6 @@
-"""The two nodes that couple layers: a robot that a lower plane drives, and the controller of that plane.
+"""The two nodes that couple layers: a robot driven by a lower plane, and the controller of that plane.
 
-They differ from `agent_node` and `parent_controller` by their state machine and by one subscription in the other layer.
+They differ from `agent_node` and `parent_controller` by their state machine and one subscription in the other layer.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 PARAMETERS = (
     Parameter("upper_file", "", "file of the upper scenario"),
     Parameter("lower_file", "", "file of the lower scenario"),
-    Parameter("robot", 1, "id of the upper robot that is coupled", minimum=1, maximum=65535),
+    Parameter("robot", 1, "id of the coupled upper robot", minimum=1, maximum=65535),
     Parameter("ratio", 1.0, "speed of the robot by tilt of the plane, m/(s rad)", above=0.0),
-    Parameter("bandwidth", 15.0, "of the filter of the reference, rad/s", above=0.0),
+    Parameter("bandwidth", 15.0, "bandwidth of the reference filter, rad/s", above=0.0),
 )
 
 
@@ -34,8 +34,8 @@ def _coupling(settings: Settings) -> Coupling:
     return Coupling(settings.number("ratio"), settings.number("bandwidth"))
 
 
-def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - it has nothing to report
-    """Return behaviour and endpoints of a robot that a lower plane drives."""
+def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - nothing to report
+    """Return behaviour and endpoints of a robot driven by a lower plane."""
     upper, plane = (load_scenario(Path(settings.text(name))) for name in ("upper_file", "lower_file"))
     robot = settings.integer("robot")
     behaviour = carried_robot(upper, robot, plane, _coupling(settings))
@@ -44,7 +44,7 @@ def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: 
     return NodeSpec(behaviour, Endpoints(own.publications, heard))
 
 
-def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - it has nothing to report
+def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - nothing to report
     """Return behaviour and endpoints of the controller of a lower plane."""
     scenario = load_scenario(Path(settings.text("lower_file")))
     robot = settings.integer("robot")

@@ -1,7 +1,7 @@
-"""What couples two layers of a cascade: a robot that a lower plane drives, and a plane that follows a robot's command.
+"""The coupling of two layers: a robot driven by a lower plane, and a plane that follows a robot's command.
 
-No new message is needed. Upwards goes the state of the lower plane; downwards goes the state of the robot, whose field
-`command` is the velocity that its law asks for.
+It needs no new message. The state of the lower plane goes up; the state of the robot, whose field `command` is the
+velocity requested by its law, goes down.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class TiltDrive:
     """Moves a robot at a speed proportional to the tilt of its lower plane: p' = ratio th.
 
-    Between two steps th is the cubic that has the plane's angles and rates at both ends; it is integrated exactly.
+    Between two steps th is the cubic with the plane's angles and rates at both ends; it is integrated exactly.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class TiltDrive:
         self._before = self._after = (angle, angular_velocity)
 
     def hear(self, plane: PlaneState) -> None:
-        """Take the state of the lower plane at the end of the period."""
+        """Process the state of the lower plane at the end of the period."""
         self._after = (plane.angle, plane.angular_velocity)
 
     def advance(self, position: float, velocity: float, command: float) -> tuple[float, float]:  # noqa: ARG002
-        """Return position (m) and velocity (m/s) at the end of the period; the command acts by the lower plane only."""
+        """Return position (m) and velocity (m/s) at the end of the period; the command acts on the lower plane."""
         (angle, rate), (next_angle, next_rate), dt = self._before, self._after, self._period
         self._before = self._after
         integral = 0.5 * dt * (angle + next_angle) + dt * dt / 12.0 * (rate - next_rate)
@@ -62,24 +62,24 @@ class TiltDrive:
 
 
 class Following:
-    """Makes a parent controller that regulates to 0 follow the command of a robot above.
+    """Lets a parent controller that regulates to 0 follow the command of an upper robot.
 
-    The wanted tilt, command/ratio, passes three equal lags, 1/(s/bandwidth + 1) each, the last two as one filter whose
-    state (r, r') is the reference: so r'' does not jump, nor does the torque. The regulator sees the plane relative to
-    the reference; inertia and friction of moving along it are fed forward.
+    The desired tilt, command/ratio, passes three equal lags, 1/(s/bandwidth + 1) each, the last two as one filter whose
+    state (r, r') is the reference, so neither r'' nor the torque jumps. The regulator receives the plane's state
+    relative to the reference; the inertia and friction torques of the reference motion are fed forward.
 
     Parameters
     ----------
     regulator : ParentController
         A law that regulates to 0.
     context : ParentContext
-        What is known of the plane.
+        The known properties of the plane.
     ratio : float
-        Speed of the robot above by tilt, m/(s rad).
+        Speed of the upper robot by tilt, m/(s rad).
     bandwidth : float
-        Of the filter, rad/s.
+        Bandwidth of the filter, rad/s.
     angle, angular_velocity : float
-        Initial state of the plane, from which the reference starts, rad and rad/s.
+        Initial state of the plane and of the reference, rad and rad/s.
     """
 
     def __init__(
@@ -96,21 +96,21 @@ class Following:
         self._ratio = ratio
         self._decay = exp(-bandwidth * context.period)
         self._filter = CommandFilter(context.period, bandwidth)
-        self._wanted = self._smoothed = angle
+        self._desired = self._smoothed = angle
         self._state = (angle, angular_velocity)
 
     def hear(self, robot: AgentState) -> None:
-        """Take the state of the robot above."""
-        self._wanted = robot.command / self._ratio
+        """Process the state of the upper robot."""
+        self._desired = robot.command / self._ratio
 
     def reference(self, time: float) -> float:  # noqa: ARG002
-        """Return the angle, rad, that the plane should have at the coming step."""
+        """Return the reference at the next step, rad."""
         return self._state[0]
 
     def torque(self, time: float, plane: PlaneState) -> float:
         """Return tau_raw, N m, and advance the reference by one period."""
         context, (angle, rate) = self._context, self._state
-        self._smoothed = self._wanted + self._decay * (self._smoothed - self._wanted)
+        self._smoothed = self._desired + self._decay * (self._smoothed - self._desired)
         self._state = self._filter.advance(angle, rate, self._smoothed)
         next_rate = self._state[1]
         inertia = context.inertia + context.manifold.offset
@@ -121,16 +121,16 @@ class Following:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """From where a behaviour hears the other layer.
+    """The subscription of a behaviour in the other layer.
 
     Parameters
     ----------
     topic : Topic
         A topic of the other layer, with its absolute name.
     lead : int
-        The step of the message that is needed, relative to the behaviour's own step.
+        The step of the required message, relative to the step of the behaviour.
     sender : int, optional
-        The robot whose states are meant.
+        The robot whose states are required.
     """
 
     topic: Topic
@@ -139,22 +139,22 @@ class Link:
 
 
 class Coupled:
-    """A behaviour that finishes a step only with the other layer's message of that step.
+    """A behaviour that finishes a step only with a message of the other layer.
 
-    It keeps back the one message without which the behaviour cannot finish its step, until the other layer's is there.
+    It withholds one message that the behaviour needs to finish its step until that of the other layer has arrived.
 
     Parameters
     ----------
     inner : Behaviour
-        Whose steps are coupled.
+        The behaviour whose steps are coupled.
     gate : Topic
-        On which the message comes that is kept back.
+        Topic of the message that is withheld.
     link : Link
-        What has to be heard before.
+        The message that must arrive first.
     hear : callable
-        Takes the other layer's message; called again when it is repeated.
+        Receives the message of the other layer; called again when it is repeated.
     last_step : int
-        The step with which the run ends; of later ones nothing is needed.
+        Last step of the run; no message of later steps is required.
     """
 
     def __init__(
@@ -169,11 +169,11 @@ class Coupled:
         self._kept: Message | None = None
 
     def start(self) -> Messages:
-        """Return what the behaviour publishes at first."""
+        """Return the first messages of the behaviour."""
         return self._inner.start()
 
     def handle(self, message: Message) -> Messages:
-        """Take a message of either layer."""
+        """Process a message of either layer."""
         if isinstance(message, self._link.topic.message):
             return self._couple(message)
         if isinstance(message, self._gate.message) and message.step == self._step() and not self._coupled():
@@ -189,7 +189,7 @@ class Coupled:
         return topics if not topics or self._coupled() else (self._link.topic,)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and what is missing for it."""
+        """Return the current step and the messages that it lacks."""
         step, names = self._inner.missing()
         return step, names if self._coupled() else (*names, self._link.topic.name)
 
@@ -232,18 +232,18 @@ def carried(agent: Agent, drive: TiltDrive, plane: Topic, last_step: int) -> Cou
     plane : Topic
         The state of the lower plane.
     last_step : int
-        The step with which the run ends.
+        Last step of the run.
     """
 
     def hear(message: Message) -> None:
-        assert isinstance(message, PlaneState)  # noqa: S101 - it is the message of the topic
+        assert isinstance(message, PlaneState)  # noqa: S101 - the message of the topic
         drive.hear(message)
 
     return Coupled(agent, DESIRED_ABSTRACT_STATE, Link(plane, lead=1), hear, last_step)
 
 
 def led(controller: Controller, law: Following, robots: Topic, robot: int, last_step: int) -> Coupled:
-    """Return a controller led by a robot above: to answer step k it needs that robot's state k.
+    """Return a controller that follows an upper robot: to answer step k it needs that robot's state k.
 
     Parameters
     ----------
@@ -252,15 +252,15 @@ def led(controller: Controller, law: Following, robots: Topic, robot: int, last_
     law : Following
         Its law.
     robots : Topic
-        The states of the robots above.
+        The states of the upper robots.
     robot : int
-        Id of the robot that leads.
+        Id of the robot to follow.
     last_step : int
-        The step with which the run ends.
+        Last step of the run.
     """
 
     def hear(message: Message) -> None:
-        assert isinstance(message, AgentState)  # noqa: S101 - it is the message of the topic
+        assert isinstance(message, AgentState)  # noqa: S101 - the message of the topic
         law.hear(message)
 
     return Coupled(controller, PLANE_STATE, Link(robots, lead=0, sender=robot), hear, last_step)

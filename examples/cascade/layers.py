@@ -1,4 +1,4 @@
-"""A cascade of two layers in one process: every plane with its swarm is a layer in a namespace of its own."""
+"""A cascade of two layers in one process: each plane with its swarm is a layer with its own namespace."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ UPPER = "/upper"
 
 
 def lower(robot: int) -> str:
-    """Return the namespace of the plane that drives a robot of the upper layer."""
+    """Return the namespace of the plane that drives an upper robot."""
     return f"/lower_{robot}"
 
 
@@ -46,7 +46,7 @@ class Coupling:
     ratio : float
         Speed of an upper robot by tilt of its lower plane, m/(s rad).
     bandwidth : float
-        Of the filter through which a lower plane takes its reference, rad/s.
+        Bandwidth of the filter for the reference of a lower plane, rad/s.
 
     Raises
     ------
@@ -65,12 +65,12 @@ class Coupling:
 
 @dataclass(frozen=True, slots=True)
 class CascadeScenario:
-    """The upper scenario, the lower ones by the robot that they drive, and their coupling.
+    """The upper scenario, the lower ones by the robot they drive, and their coupling.
 
     Raises
     ------
     InputError
-        If the layers do not fit together.
+        If the layers are inconsistent.
     """
 
     upper: Scenario
@@ -80,10 +80,10 @@ class CascadeScenario:
     def __post_init__(self) -> None:
         robots = [agent.id for agent in self.upper.agents]
         if sorted(self.lower) != robots:
-            raise InputError(f"the upper robots are {robots}, but there are lower planes for {sorted(self.lower)}")
+            raise InputError(f"the upper robots are {robots}, but lower planes are given for {sorted(self.lower)}")
         for robot, scenario in self.lower.items():
             if (scenario.step_ns, scenario.steps) != (self.upper.step_ns, self.upper.steps):
-                raise InputError(f"{lower(robot)}: step and duration must be those of {UPPER}")
+                raise InputError(f"{lower(robot)}: step and duration differ from those of {UPPER}; make them equal")
         for agent in self.upper.agents:
             if agent.kind != "single_integrator":
                 raise InputError(f"{UPPER}: robot {agent.id} must be a single_integrator: a tilt sets its speed")
@@ -111,7 +111,7 @@ def load_cascade(
     Raises
     ------
     InputError
-        If a file is missing or not valid, or the layers do not fit together.
+        If a file is missing or invalid, or the layers are inconsistent.
     """
     upper = load_scenario(folder / "upper.yaml", overrides)
     lower_planes = {agent.id: load_scenario(folder / f"lower_{agent.id}.yaml", overrides) for agent in upper.agents}
@@ -120,12 +120,12 @@ def load_cascade(
 
 @cache
 def absolute(topic: Topic, namespace: str) -> Topic:
-    """Return a topic of a layer under its absolute name; the same object for the same name, as topics are compared."""
+    """Return a topic of a layer with its absolute name, cached because topics are compared by identity."""
     return Topic(f"{namespace}/{topic.name}", topic.message, topic.ros_type)
 
 
 def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupling) -> Coupled:
-    """Return a robot of the upper layer, whose drive is the plane of a lower scenario."""
+    """Return an upper robot whose drive is the plane of a lower scenario."""
     (config,) = (config for config in configure.agent_configs(upper) if config.agent_id == robot)
     angle, rate = plane.plane.angle, plane.plane.angular_velocity
     drive = TiltDrive(coupling.ratio, upper.period, angle, rate)
@@ -134,7 +134,7 @@ def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupli
 
 
 def led_controller(scenario: Scenario, robot: int, coupling: Coupling, *, recording_window: int) -> Coupled:
-    """Return the controller of a lower plane, which follows the command of the robot that the plane drives."""
+    """Return the controller of a lower plane, which follows the command of the robot driven by the plane."""
     plane = scenario.plane
     law = Following(
         configure.parent_controller(scenario),
@@ -154,7 +154,7 @@ class CascadeSimulation:
     Parameters
     ----------
     cascade : CascadeScenario
-        What to simulate.
+        The cascade to simulate.
     """
 
     def __init__(self, cascade: CascadeScenario) -> None:
@@ -178,7 +178,7 @@ class CascadeSimulation:
             self._hear[UPPER, AGENT_STATE].append((lower(robot), follower))
 
     def _add(self, namespace: str, scenario: Scenario, controller: Behaviour, agents: Sequence[Behaviour]) -> None:
-        """Add a layer: its behaviours, and who hears what within it."""
+        """Add the behaviours of a layer and their subscriptions within it."""
         observer = Observer(configure.observer_config(scenario))
         plane = Plane(configure.plane_config(scenario))
         hearers: dict[Topic, Sequence[Behaviour]] = {
@@ -193,12 +193,12 @@ class CascadeSimulation:
         self._behaviours.extend((namespace, behaviour) for behaviour in behaviours)
 
     def steps(self) -> Iterator[tuple[str, RecordedStep]]:
-        """Run, and yield every step of every layer with the layer's namespace.
+        """Run the simulation, and yield every step of every layer with its namespace.
 
         Raises
         ------
         RunError
-            If the run fails, such as by a plane that turns over, or stalls.
+            If the run fails, for example because a plane turns over, or stalls.
         """
         queue: deque[tuple[str, Message]] = deque()
         for namespace, behaviour in self._behaviours:

@@ -1,4 +1,4 @@
-"""Node of a lower plane's controller, which a robot of the upper layer leads."""
+"""Node of a lower plane's controller, which follows an upper robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cascade with a process for every robot and every node of every layer, which talk over DDS in lockstep."""
+"""The cascade with a process for every robot and node of every layer, in lockstep over DDS."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
 
 PATIENCE = 30.0
-"""Longest time, s, without any news from the processes."""
+"""Longest time without a report from the processes, s."""
 CLOSING_SECONDS = 20.0
-"""Time, s, that the recorders have to complete the bags of a run that failed."""
+"""Time that the recorders have to complete the bags of a failed run, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class LayerProcess:
-    """A process of a layer: its name is unique in the cascade, that of its node in the layer."""
+    """A process of a layer: its name is unique in the cascade, the name of its node is unique in the layer."""
 
     namespace: str
     process: ProcessPlan
@@ -46,7 +46,7 @@ class LayerProcess:
 
 
 def processes(cascade: CascadeScenario, folders: Mapping[str, RunFolder]) -> list[LayerProcess]:
-    """Return the processes of all layers; those that couple the layers differ from those of a single swarm."""
+    """Return the processes of all layers; the coupling ones differ from those of a single swarm."""
     found: list[LayerProcess] = []
     for namespace, scenario in cascade.layers.items():
         folder = folders[namespace]
@@ -60,7 +60,7 @@ def processes(cascade: CascadeScenario, folders: Mapping[str, RunFolder]) -> lis
 def _coupled(
     cascade: CascadeScenario, folders: Mapping[str, RunFolder], namespace: str, process: ProcessPlan
 ) -> ProcessPlan:
-    """Return a process as it is in a cascade: with the other layer's node, or with more counterparts to meet."""
+    """Return a process adapted to the cascade: as a coupling node, or with more counterparts to discover."""
     robots = {lower(robot): robot for robot in cascade.lower}
     if namespace == UPPER and process.agents:
         (robot,) = process.agents
@@ -74,7 +74,7 @@ def _coupled(
 
 
 def _with_more(process: ProcessPlan, topic: str, more: int) -> ProcessPlan:
-    """Return a process that meets more counterparts on a topic."""
+    """Return a process that must discover more counterparts on a topic."""
     match = []
     for text in cast("list[str]", process.parameters["match"]):
         name, number = text.split()
@@ -85,7 +85,7 @@ def _with_more(process: ProcessPlan, topic: str, more: int) -> ProcessPlan:
 def _in_place(
     cascade: CascadeScenario, folders: Mapping[str, RunFolder], robot: int, process: ProcessPlan, module: str
 ) -> ProcessPlan:
-    """Return the coupling node that takes a process's place."""
+    """Return the coupling node that replaces a process."""
     common = ("period_ns", "last_step", "stall_timeout", "match")
     parameters: dict[str, object] = {
         **{name: process.parameters[name] for name in common},
@@ -99,14 +99,14 @@ def _in_place(
 
 
 class CascadeRun:
-    """Starts the processes of all layers, waits until they have met, and lets them run.
+    """Starts the processes of all layers, waits until they have discovered each other, and lets them run.
 
     Parameters
     ----------
     cascade : CascadeScenario
-        What to run.
+        The cascade to run.
     folders : mapping
-        The filled folder of every layer's results by its namespace.
+        The initialised result folders of the layers by namespace.
     """
 
     def __init__(self, cascade: CascadeScenario, folders: Mapping[str, RunFolder]) -> None:
@@ -119,7 +119,7 @@ class CascadeRun:
 
     @property
     def figures(self) -> dict[str, Mapping[str, object]]:
-        """Digest and figures of every layer whose recorder has ended, by its namespace."""
+        """Digest and figures of the layers whose recorder has ended, by namespace."""
         return {self._processes[name].namespace: report["figures"] for name, report in self._done.items()}
 
     def run(self) -> None:
@@ -128,7 +128,7 @@ class CascadeRun:
         Raises
         ------
         RunError
-            If a process fails or ends, or nothing moves any more; no process is left then.
+            If a process fails or ends, or the run stalls; no process remains.
         """
         logs = self._folders[UPPER].logs
         with ExitStack() as stack:
@@ -155,7 +155,7 @@ class CascadeRun:
         return len(self._done) == len(self._folders)
 
     def _listen(self, launcher: LauncherClient, enough: Callable[[], bool]) -> None:
-        """Take reports until that is enough."""
+        """Process reports until `enough` returns True."""
         news = time.monotonic()
         while not enough():
             if select.select([launcher.reports], [], [], 1.0)[0]:
@@ -191,7 +191,7 @@ class CascadeRun:
             raise RunError(f"{name} {how_it_ended(report['code'])}; see {log}")
 
     def _end_recorders(self, launcher: LauncherClient) -> None:
-        """Let the recorders complete the bags as far as the run went."""
+        """Let the recorders complete the bags of a failed run."""
         recorders = {name for name, layer in self._processes.items() if layer.node == RECORDER}
         for name in recorders - self._done.keys():
             launcher.signal(name, signal.SIGTERM)
@@ -199,5 +199,5 @@ class CascadeRun:
         while not recorders <= self._done.keys() and launcher.alive() and time.monotonic() < deadline:
             select.select([launcher.reports], [], [], 0.1)
             for report in launcher.read():
-                with suppress(RunError):  # the first failure is the one to tell
+                with suppress(RunError):  # only the first failure is reported
                     self._take(report)

@@ -1,8 +1,8 @@
-"""The rig as physics has it: a plane on a bearing, four robots on it, their motors and their sensors.
+"""The physics of the rig: a plane on a bearing, four robots on it, their motors and their sensors.
 
-Nothing here is shared with swarmabs: the equations are written down and integrated anew, with everything that the
-control laws leave out. A double integrator is pulled by its weight along the tilted plane and pushed outwards by its
-rotation, motors lag behind their commands, sensors are noisy and coarse.
+Nothing here is shared with swarmabs: the equations are formulated and integrated independently, including effects that
+the control laws neglect. Gravity pulls a double integrator along the tilted plane, the rotation pushes it outwards,
+motors lag behind their commands, and sensors are noisy and coarse.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Literal
 GRAVITY = 9.81
 INERTIA = 0.5  # kg m^2, of the plane alone
 LENGTH = 1.0  # m
-START = 0.1  # rad, at which the plane is held until the robots move
+START = 0.1  # rad, initial angle, held until the robots move
 END_STOP = 0.5  # rad
 SUBSTEP = 0.001  # s
 LAG = 0.03  # s, of all motors
-WATCHDOG = 0.2  # s without a command, after which a base stops by itself
+WATCHDOG = 0.2  # s without a command after which a base stops by itself
 BRAKING_TIME = 0.1  # s
 POSITION_NOISE, VELOCITY_NOISE = 0.0005, 0.005  # m, m/s
 TILT_NOISE, RATE_NOISE = 0.001, 0.002  # rad, rad/s
@@ -29,7 +29,7 @@ WHEEL_COUNTS = 4096  # of a wheel's encoder, per turn
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A robot: `facing` 1 looks along the lane, -1 against it; `source` is what it knows its position from."""
+    """A robot: `facing` is 1 along the lane and -1 against it; `source` is its position sensor."""
 
     id: int
     kind: Literal["single_integrator", "double_integrator"]
@@ -50,18 +50,18 @@ ROBOTS = (
 
 
 def friction(rate: float) -> float:
-    """Return the torque of the bearing's friction, N m, at an angular velocity, rad/s."""
+    """Return the friction torque of the bearing, N m, at an angular velocity, rad/s."""
     return 0.01 * (tanh(1000.0 * rate) - tanh(700.0 * rate)) + 0.02 * tanh(1000.0 * rate) + rate
 
 
 class Body:
-    """A robot on the plane: its motion along the lane, and its motor, which lags."""
+    """A robot on the plane: its motion along the lane, and its motor with a lag."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.position, self.velocity = robot.position, 0.0
-        self.motor = 0.0  # m/s or N along the lane, what the motor gives
-        self.command = 0.0  # what it is told to give
+        self.motor = 0.0  # actual output of the motor along the lane, m/s or N
+        self.command = 0.0  # commanded output
         self.commanded_at: float | None = None
 
     @property
@@ -89,14 +89,14 @@ class Rig:
         self.noise = Random(seed)  # noqa: S311 - repeatable, not secret
 
     def drive(self, robot: int, command: float) -> None:
-        """Tell a base the velocity (m/s) or force (N) forwards that it shall give; the first motion frees the plane."""
+        """Command a base with a forward velocity (m/s) or force (N); the first motion releases the plane."""
         body = self.bodies[robot]
         body.command, body.commanded_at = body.robot.facing * command, self.time
         if command and not body.forced:
             self.held = False
 
     def advance(self, time: float) -> None:
-        """Integrate until a time, s."""
+        """Integrate up to a time, s."""
         while self.time + SUBSTEP <= time:
             self._motors()
             self._substep()
@@ -104,11 +104,11 @@ class Rig:
 
     def _motors(self) -> None:
         for body in self.bodies.values():
-            wanted = body.command
+            output = body.command
             if body.commanded_at is None or self.time - body.commanded_at > WATCHDOG:
-                # A brake that also holds the weight; it is the base's own, so it needs no one.
-                wanted = -body.robot.mass * body.velocity / BRAKING_TIME - self._weight(body) if body.forced else 0.0
-            body.motor += (1.0 - exp(-SUBSTEP / LAG)) * (wanted - body.motor)
+                # The base's own brake, which also holds the weight.
+                output = -body.robot.mass * body.velocity / BRAKING_TIME - self._weight(body) if body.forced else 0.0
+            body.motor += (1.0 - exp(-SUBSTEP / LAG)) * (output - body.motor)
 
     def _weight(self, body: Body) -> float:
         """Return the force along the lane by which the tilted, turning plane moves a robot."""
@@ -156,22 +156,22 @@ class Rig:
         return [rate, turning, *velocities, *accelerations]
 
     def position(self, robot: int) -> tuple[float, float]:
-        """Return what an odometry measures of position, m, and velocity, m/s, along the lane."""
+        """Return position, m, and velocity, m/s, along the lane as measured by an odometry."""
         body = self.bodies[robot]
         return body.position + self.noise.gauss(0.0, POSITION_NOISE), body.velocity + self.noise.gauss(
             0.0, VELOCITY_NOISE
         )
 
     def wheel(self, robot: int) -> float:
-        """Return what the encoder of a wheel counts, rad forwards since the robot was put down."""
+        """Return the forward rotation of a wheel since the robot was put down, rad, as measured by its encoder."""
         body = self.bodies[robot]
         turned = body.robot.facing * (body.position - body.robot.position) / body.robot.wheel_radius
         return round(turned * WHEEL_COUNTS / (2 * pi)) * 2 * pi / WHEEL_COUNTS
 
     def tilt(self) -> tuple[float, float]:
-        """Return what an IMU measures of the plane's angle, rad, and angular velocity, rad/s."""
+        """Return the plane's angle, rad, and angular velocity, rad/s, as measured by an IMU."""
         return self.angle + self.noise.gauss(0.0, TILT_NOISE), self.rate + self.noise.gauss(0.0, RATE_NOISE)
 
     def encoder(self) -> float:
-        """Return what the encoder on the plane's axis counts, rad."""
+        """Return the angle measured by the encoder on the plane's axis, rad."""
         return round(self.angle * PLANE_COUNTS / (2 * pi)) * 2 * pi / PLANE_COUNTS

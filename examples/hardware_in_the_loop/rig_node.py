@@ -1,4 +1,4 @@
-"""The rig as a process: stock ROS messages of sensors out, stock commands in, and the truth into a file."""
+"""The rig as a process: publishes standard sensor messages, accepts standard commands, and logs the true state."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ RATE = 100.0  # Hz, of all sensors
 
 
 def name_of(robot: int) -> str:
-    """Return the name of a robot's node, below which its sensors and its base are."""
+    """Return the name of a robot's node, which is the namespace of its sensors and its base."""
     return f"agent_{robot:03d}"
 
 
 class RigNode(Node):
-    """Publishes what the sensors say, and takes the bases' commands."""
+    """Publishes the measurements of the sensors, and receives the commands for the bases."""
 
     def __init__(self, rig: Rig) -> None:
         super().__init__("rig")
@@ -63,7 +63,7 @@ class RigNode(Node):
         self.create_subscription(kind, topic, hear, 10)
 
     def publish(self) -> None:
-        """Let all sensors say what they measure now."""
+        """Publish the current measurements of all sensors."""
         stamp = self.get_clock().now().to_msg()
         for publisher, make in self._senders:
             message = make()
@@ -71,7 +71,7 @@ class RigNode(Node):
             publisher.publish(message)
 
     def _plane(self) -> Any:
-        return JointState(name=["plane_tilt"], position=[self.rig.encoder()])  # an encoder without tachometer
+        return JointState(name=["plane_tilt"], position=[self.rig.encoder()])  # an encoder without a tachometer
 
     def _wheel(self, robot: Robot) -> Any:
         return JointState(name=["wheel"], position=[self.rig.wheel(robot.id)])
@@ -79,19 +79,19 @@ class RigNode(Node):
     def _odometry(self, robot: Robot) -> Any:
         position, velocity = self.rig.position(robot.id)
         message = Odometry()
-        message.twist.twist.linear.x = robot.facing * velocity  # in the axes of the body
+        message.twist.twist.linear.x = robot.facing * velocity  # in the body frame
         if robot.source == "localisation":  # in a frame of the plane
             message.header.frame_id = "plane"
             message.pose.pose.position.x = position
             yaw = 0.0 if robot.facing > 0.0 else 1.0
             message.pose.pose.orientation = Quaternion(x=0.0, y=0.0, z=yaw, w=1.0 - yaw)
-        else:  # from where it was put down, forwards
+        else:  # forwards from its initial position
             message.header.frame_id = "odom"
             message.pose.pose.position.x = robot.facing * (position - robot.position)
         return message
 
     def _imu(self, robot: Robot) -> Any:
-        """Say how the robot stands in the world: nose up by th facing the lane, and turned by pi if against it."""
+        """Return the orientation in the world: pitched by th, and turned by pi if the robot faces against the lane."""
         angle, rate = self.rig.tilt()
         s, c = sin(angle / 2.0), cos(angle / 2.0)
         message = Imu()
@@ -105,7 +105,7 @@ class RigNode(Node):
 
 
 def main(file: Path) -> None:
-    """Run in real time until told to stop; write time since the plane is free, angle and positions to a file."""
+    """Run in real time until stopped; write the time since the release of the plane, angle and positions to a file."""
     rclpy.init()
     rig = Rig()
     node = RigNode(rig)
@@ -118,7 +118,7 @@ def main(file: Path) -> None:
         try:
             while True:
                 heard = 0
-                # Commands are heard even when the machine is too busy to keep time.
+                # Process commands even when the machine is too busy to keep time.
                 while (rest := begun + due - time.monotonic()) > 0.0 or heard < 2 * len(rig.bodies):
                     executor.spin_once(timeout_sec=max(0.0, rest))
                     heard += 1

@@ -1,4 +1,4 @@
-"""Hardware in the loop without hardware: the swarm's own nodes drive robots that are simulated by another process.
+"""Hardware in the loop without hardware: the nodes of a swarm drive robots simulated by another process.
 
 python examples/hardware_in_the_loop/run.py [-o DIR] [--duration S]
 """
@@ -27,16 +27,16 @@ from swarmabs_run.tracing_files import tracing_files_removed
 
 FOLDER = Path(__file__).parent
 PATIENCE = 60.0
-"""Longest time, s, until the robots move."""
+"""Time within which the robots must move, s."""
 ENDING = 5.0
-"""Longest time, s, that a process takes to end."""
+"""Time within which a process must end, s."""
 COORDINATING = ("plane_driver", "abstraction_observer", "parent_controller", "rig")
-"""Processes of which all others must hear."""
+"""Processes that all others must discover."""
 MASS = sum(robot.mass for robot in ROBOTS)
 
 
 def drive(robot: Robot) -> dict[str, object]:
-    """Return the parameters of a robot's drive: what connects its law to the rig."""
+    """Return the parameters of a robot's drive, which connects its law to the rig."""
     found: dict[str, object] = {"drive.type": "topic"}
     if robot.source == "wheel":
         found |= {
@@ -70,7 +70,7 @@ def agent(robot: Robot) -> dict[str, object]:
 
 
 def commands(truth: Path) -> dict[str, list[str]]:
-    """Return the command of each process by its name, those of `COORDINATING` first."""
+    """Return the command lines of the processes by name, those of `COORDINATING` first."""
     swarm: dict[str, object] = {"swarm_mass": MASS, "members": [robot.id for robot in ROBOTS]}
     return {
         "plane_driver": node("plane_sim.driver", "plane_driver", {}),
@@ -85,18 +85,18 @@ def commands(truth: Path) -> dict[str, list[str]]:
 
 
 def node(module: str, name: str, parameters: dict[str, object]) -> list[str]:
-    """Return the command that starts a node."""
+    """Return the command line of a node."""
     given = [word for key, value in parameters.items() for word in ("-p", f"{key}:={str(value).lower()}")]
     return [sys.executable, "-m", module, "--ros-args", "-r", f"__node:={name}", *given]
 
 
 class Run:
-    """The processes of a run; `running` starts and ends them.
+    """The processes of a run, started and ended by `running`.
 
     Parameters
     ----------
     folder : Path
-        Folder of the results, which exists.
+        Existing folder for the results.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -126,18 +126,18 @@ class Run:
             )
 
     def kill(self, name: str) -> None:
-        """End a process as a power cut would."""
+        """Kill a process, like a power failure."""
         process = self._processes.pop(name)
         process.kill()
         process.wait()
 
     def wait(self, duration: float) -> None:
-        """Wait until the plane has been free for so long, s.
+        """Wait until the plane has been free for a time, s.
 
         Raises
         ------
         RunError
-            If a process ends, or nothing moves.
+            If a process ends, or no robot moves.
         """
         begun = time.monotonic()
         while self.time() < duration:
@@ -149,12 +149,12 @@ class Run:
                 raise RunError(f"no robot has moved for {PATIENCE:g} s; see the logs in {self.folder}")
 
     def time(self) -> float:
-        """Return for how long the plane has been free, s."""
+        """Return the time since the plane was released, s."""
         found = rows(self.truth)
         return found[-1]["time"] if found else 0.0
 
     def end(self) -> None:
-        """End all processes, the robots first: each tells its base to stop."""
+        """End all processes, the robots first, because each stops its base."""
         for name in reversed(list(self._processes)):
             self._processes[name].send_signal(signal.SIGINT if name == "rig" else signal.SIGTERM)
         for process in self._processes.values():
@@ -167,7 +167,7 @@ class Run:
 
 @contextmanager
 def running(folder: Path) -> Iterator[Run]:
-    """Give a run whose processes are started; none is left when the block ends."""
+    """Yield a run with started processes, which are ended with the block."""
     run = Run(folder)
     with tracing_files_removed(), claimed_domain() as domain:
         try:
@@ -178,12 +178,12 @@ def running(folder: Path) -> Iterator[Run]:
 
 
 def empty_folder(path: Path) -> Path:
-    """Make a folder for the results.
+    """Create a folder for the results.
 
     Raises
     ------
     InputError
-        If there is something in it, or it cannot be made.
+        If it is not empty, or cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -195,7 +195,7 @@ def empty_folder(path: Path) -> Path:
 
 
 def rows(truth: Path) -> list[dict[str, float]]:
-    """Return what the rig has written until now, complete lines only."""
+    """Return the complete lines that the rig has written so far."""
     if not truth.exists():
         return []
     lines = truth.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -204,7 +204,7 @@ def rows(truth: Path) -> list[dict[str, float]]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the example; returns the exit code."""
+    """Run the example and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("-o", "--output", metavar="DIR", type=Path, default=Path("runs/hardware_in_the_loop"))
     parser.add_argument("--duration", type=float, default=15.0, help="time for which the plane is free, s")
@@ -220,8 +220,8 @@ def main(arguments: list[str]) -> int:
     found = rows(run.truth)
     last = [abs(row["angle"]) for row in found if row["time"] > found[-1]["time"] - 1.0]
     farthest = max(abs(row[name]) for row in found for name in row if name.startswith("position"))
-    print(f"angle {found[0]['angle']:.3f} rad at first, at most {max(last):.4f} rad in the last second")
-    print(f"no robot was more than {farthest:.3f} m from the axis; the rig's truth: {run.truth}")
+    print(f"angle {found[0]['angle']:.3f} rad initially, at most {max(last):.4f} rad in the last second")
+    print(f"no robot was more than {farthest:.3f} m from the axis; true state of the rig: {run.truth}")
     return 0
 
 

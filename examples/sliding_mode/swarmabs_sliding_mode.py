@@ -1,4 +1,4 @@
-"""Sliding-mode control of the plane's angle with a boundary layer; the mathematics stands in README.md beside it."""
+"""Sliding-mode control of the plane's angle with a boundary layer; see README.md for the mathematics."""
 
 from math import cos
 from typing import cast
@@ -23,9 +23,9 @@ class SlidingMode:
 
     def torque(self, time: float, plane: PlaneState) -> float:
         """Return tau_raw, N m."""
-        wanted, rate, acceleration, *_ = self.trajectory.derivatives(time)
+        desired, rate, acceleration, *_ = self.trajectory.derivatives(time)
         error_rate = plane.angular_velocity - rate
-        s = error_rate + self.slope * (plane.angle - wanted)
+        s = error_rate + self.slope * (plane.angle - desired)
         equivalent = self.inertia * (self.slope * error_rate - acceleration) - self.viscous * plane.angular_velocity
         switching = self.reach * min(max(s / self.layer, -1.0), 1.0)
         return (equivalent + switching) / cos(plane.angle)

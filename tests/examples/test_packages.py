@@ -79,7 +79,7 @@ def test_commands_arrive_and_the_newest_good_state_counts(drive: Drive, base: so
         base.sendto(datagram, robot)
     assert drive.read(NOW) == Measurement(NOW - 2_000_000, 0.3, -0.4)  # loopback has delivered when sendto returns
     assert isinstance(drive, Reporting)
-    assert drive.report() == (("datagrams refused", "5"),)
+    assert drive.report() == (("datagrams rejected", "5"),)
     assert drive.read(NOW + 1) == Measurement(NOW - 2_000_000, 0.3, -0.4)
 
 

@@ -84,11 +84,11 @@ def test_arrays_that_do_not_fit_are_refused_before_anything_is_read(bag: Path, m
     monkeypatch.setattr(arrays, "available_memory", lambda: int(2.5 * size) + events)
     load_arrays(bag)
     monkeypatch.setattr(arrays, "available_memory", lambda: int(2.5 * size / 3) + 1 + events)
-    refusal = r"bag_0\.mcap: its arrays take about 0 MB, .* load_arrays.*every=3"
+    refusal = r"bag_0\.mcap: its arrays need about 0 MB, .* load_arrays.*stride=3"
     with pytest.raises(BagTooLargeError, match=refusal) as why:
         load_arrays(bag)
     assert isinstance(why.value, InputError)
-    load_arrays(bag, every=3)
+    load_arrays(bag, stride=3)
 
 
 @pytest.mark.parametrize(

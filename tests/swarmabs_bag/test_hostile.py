@@ -221,7 +221,7 @@ def test_summary_or_attachment_that_is_elsewhere(whole: bytes, file: Path) -> No
     for change, problem in (
         (elsewhere(0, 2**64 - 1), "18446744073709551615: a record should be here"),
         (elsewhere(0, len(MAGIC)), "the summary states an attachment here"),
-        (elsewhere(1), r"here is not 'scenario\."),
+        (elsewhere(1), r"the attachment is not 'scenario\."),
     ):
         file.write_bytes(sealed(joined(split(whole)), change))
         with pytest.raises(DamagedBagError, match=problem):

@@ -110,8 +110,8 @@ def files(*names: str) -> Callable[[Path], object]:
         ("null", files(), "a\0b"),
         ("contains no bag", files("notes.txt"), ""),
         ("contains no bag", lambda folder: (folder / "bag").symlink_to(folder), ""),
-        ("holds 2 .mcap files: name one of them", files("a.mcap", "b.mcap"), ""),
-        ("holds 2 .mcap files: name one of them", files("a_0.mcap", "b_1.mcap"), ""),
+        ("contains 2 .mcap files: name one of them", files("a.mcap", "b.mcap"), ""),
+        ("contains 2 .mcap files: name one of them", files("a_0.mcap", "b_1.mcap"), ""),
         ("does not begin as an MCAP file", lambda folder: (folder / "x").write_bytes(b"SQLite format 3\0"), "x"),
         ("does not begin as", lambda folder: (folder / "x").write_bytes(b"\x89MCAP1\r\n" + bytes(100)), "x"),
         ("neither a folder nor a file", lambda folder: os.mkfifo(folder / "x.mcap"), "x.mcap"),
@@ -314,7 +314,7 @@ def test_topics_of_others_are_not_ours_and_swarms_must_be_told_apart(tmp_path: P
     with Recorded(tmp_path / "x.mcap") as bag:
         for namespace in ("/east", "/west"):
             bag.message(bag.channel(f"{namespace}/plane/state", PLANE_STATE.ros_type), encode(run[3]))
-    with pytest.raises(NotABagError, match=r"several swarms: choose one with --namespace: /east, /west$"):
+    with pytest.raises(NotABagError, match=r"several swarms; select one with --namespace: /east, /west$"):
         open_bag(tmp_path)
     for name in ("/west", "west", "/west/"):
         assert len(list(open_bag(tmp_path, namespace=name).messages())) == 1
@@ -397,11 +397,11 @@ def test_namespace_in_some_of_the_files(tmp_path: Path, run: list[Message], writ
         assert (reader.namespace, sum(1 for _ in reader.messages())) == (f"/{name}/", len(run))
         shutil.copy(tmp_path / name / "bag_0.mcap", tmp_path / "both" / f"bag_{number}.mcap")
     for path, known in ((tmp_path / "east", "/east"), (bag, "/")):
-        with pytest.raises(NotABagError, match=rf"no swarm in the namespace /hall, but in {known}$"):
+        with pytest.raises(NotABagError, match=rf"no swarm in the namespace /hall; its swarms: {known}$"):
             open_bag(path, namespace="/hall")
     for name in ("east", "west"):
         assert len(list(open_bag(tmp_path / "both", namespace=name).messages())) == len(run)
-    with pytest.raises(NotABagError, match="in /east, /west"):
+    with pytest.raises(NotABagError, match="its swarms: /east, /west"):
         open_bag(tmp_path / "both", namespace="/")
 
 

@@ -72,7 +72,7 @@ def test_the_date_is_told_a_repetition_is_refused_and_damage_is_repaired(tmp_pat
     assert re.search(r"2023-11-14 22:13:20 UTC and [12]", console.export_text())
     with pytest.raises(InputError, match=r"recorded in real time.*wall clock.*cannot be repeated"):
         recorded_run(made())
-    with pytest.raises(InputError, match=r"recorded in real time.*verify recomputes"):
+    with pytest.raises(InputError, match=r"recorded in real time.*use verify"):
         open_source(made())
     cut = tmp_path / "cut.mcap"
     data = (made() / "bag_0.mcap").read_bytes()
@@ -157,7 +157,7 @@ def test_a_report_has_the_figures_of_the_recorder(made: MakeBag, name: str, *, s
 def test_a_bag_is_reported_compared_and_exported(tmp_path: Path, made: MakeBag) -> None:
     bag = made("deaths", since_1970=True)
     report = make_report(bag)
-    assert "missing of swarm/agent_state" in report.html
+    assert "missing messages of swarm/agent_state" in report.html
     assert "broadcasts followed after 2 steps" in report.html
     assert report.png.startswith(b"\x89PNG")
     same = realtime_bag(tmp_path / "b", "deaths", since_1970=True)

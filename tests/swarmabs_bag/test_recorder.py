@@ -276,9 +276,9 @@ def test_what_is_heard_up_to_the_last_step_is_recorded(
     assert 4 <= len(told.of("progress")) <= 10
     assert told.of("done")[0]["complete"]
     assert told.of("done")[0]["problem"] is None
-    assert told.notices[0] == "READY=1\nSTATUS=records"
+    assert told.notices[0] == "READY=1\nSTATUS=recording"
     assert 4 <= told.notices.count("WATCHDOG=1") <= 10
-    assert told.health == ["records"]
+    assert told.health == ["recording"]
     assert "1 malformed messages were not recorded" in capfd.readouterr().err
 
 

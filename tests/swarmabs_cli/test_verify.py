@@ -99,7 +99,7 @@ def test_a_bag_that_does_not_say_how_it_was_made_is_verified_with_a_note(
 ) -> None:
     bare = rewritten(run, tmp_path / "bare.mcap", attachments={"provenance.json": provenance})
     (note,) = verify(bare, code=0)["notes"]
-    assert "no provenance.json that can be read" in note and "taken for a run in lockstep" in note
+    assert "no readable provenance.json" in note and "lockstep is assumed" in note
 
 
 def test_a_file_of_a_split_bag_that_is_missing_is_named(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             assert operate("reset", file).returncode == 0
             until_all_say(file, "follows", *robots)
             until_all_say(file, "3 of 3 robots follow", "abstraction_observer")
-            until_all_say(file, "OK: records", "recorder")
+            until_all_say(file, "OK: recording", "recorder")
             until(lambda: operate("status", file).returncode == 0, "all is in order", PATIENCE)
             assert operate("drain", file, 3).returncode == 0
             until_all_say(file, "has left", "agent_003")

@@ -37,7 +37,14 @@ _GROUP = Path("/sys/fs/cgroup")
 _STEP = struct.Struct("<28xQ")
 
 
-def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool = False, every: int = 1) -> RunArrays:
+def load_arrays(
+    path: Path | str,
+    *,
+    namespace: str | None = None,
+    damaged: bool = False,
+    stride: int = 1,
+    every: int | None = None,
+) -> RunArrays:
     """Load a bag: a run folder, its ``bag/``, or an MCAP file.
 
     Parameters
@@ -46,8 +53,10 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
         Which swarm to read if the bag contains several.
     damaged : bool
         Whether to load a bag without its end, as far as it can be read.
-    every : int
-        Only the steps that are multiples of it are loaded; the others take no memory. All events are loaded.
+    stride : int
+        Only steps that are multiples of it are loaded; the others need no memory. All events are loaded.
+    every : int, optional
+        Earlier name of `stride`.
 
     Raises
     ------
@@ -59,7 +68,7 @@ def load_arrays(path: Path | str, *, namespace: str | None = None, damaged: bool
         If the bag is damaged, or a message violates its definition.
     """
     bag = open_bag(path, namespace=namespace, damaged=damaged)
-    return arrays_since(bag, load_messages(bag, every=every))[0]
+    return arrays_since(bag, load_messages(bag, stride=every or stride))[0]
 
 
 class LoadedMessages(NamedTuple):
@@ -70,7 +79,7 @@ class LoadedMessages(NamedTuple):
 
 
 def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays, float]:
-    """Arrange the messages of a bag by step; return also the time (s) from which that of the arrays counts."""
+    """Arrange the messages of a bag by step; also return the start of the time axis, s."""
     time = event_time(bag)
     arrays = run_arrays(
         messages.tables,
@@ -85,15 +94,15 @@ def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays, f
     return replace(arrays, time=arrays.time - start, events=events), start
 
 
-def load_messages(bag: BagReader, *, every: int = 1) -> LoadedMessages:
-    """Load the messages of a bag in one pass; `every` and errors are as of `load_arrays`.
+def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
+    """Load the messages of a bag in one pass; `stride` and errors are those of `load_arrays`.
 
     A bag without its end may lack topics.
     """
     missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it lacks {', '.join(missing)}")
-    _check_memory(bag, every)
+    _check_memory(bag, stride)
     sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
     gathered = {topic: bytearray() for topic in MAIN_TOPICS}
     events: list[tuple[Topic, int, bytes]] = []
@@ -107,7 +116,7 @@ def load_messages(bag: BagReader, *, every: int = 1) -> LoadedMessages:
             raise DamagedBagError(
                 f"{bag.path}: /{topic.name} at {log_time / 1e9:.9g} s: {len(payload)} bytes, expected {size}"
             )
-        if every == 1 or _STEP.unpack_from(payload)[0] % every == 0:
+        if stride == 1 or _STEP.unpack_from(payload)[0] % stride == 0:
             gathered[topic] += payload[:size]
     tables = {topic: table(topic, data) for topic, data in gathered.items()}
     for topic, rows in tables.items():
@@ -116,17 +125,17 @@ def load_messages(bag: BagReader, *, every: int = 1) -> LoadedMessages:
     return LoadedMessages(tables, tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent)))
 
 
-def _check_memory(bag: BagReader, every: int) -> None:
+def _check_memory(bag: BagReader, stride: int) -> None:
     size = sum(
         LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
     )
     events = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
-    needed, available = int(_MEMORY_FACTOR * size / every) + events * _EVENT_BYTES, available_memory()
+    needed, available = int(_MEMORY_FACTOR * size / stride) + events * _EVENT_BYTES, available_memory()
     if needed > available:
-        enough = every * -(-needed // max(available, 1))
+        enough = stride * -(-needed // max(available, 1))
         raise BagTooLargeError(
-            f"{bag.path}: its arrays take about {needed / 1e6:.0f} MB, but {available / 1e6:.0f} MB are free; load a"
-            f" part of the steps, such as load_arrays(..., every={enough}), or iterate over its messages"
+            f"{bag.path}: its arrays need about {needed / 1e6:.0f} MB, but only {available / 1e6:.0f} MB are free; load"
+            f" part of the steps, such as load_arrays(..., stride={enough}), or iterate over its messages"
         )
 
 

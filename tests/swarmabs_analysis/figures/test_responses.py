@@ -171,7 +171,7 @@ def test_a_folder_of_runs_is_searched_by_what_the_bags_say(short_runs: Path, tmp
     # A bag that is named twice is one, and two bags of a scenario are refused.
     assert len(find_runs([short_runs / "pd_si_4", short_runs], ["pd_si_4"])) == 1
     shutil.copytree(short_runs / "pd_si_4", tmp_path / "more" / "pd_si_4-002")
-    with pytest.raises(InputError, match=r"pd_si_4/bag.* and .*pd_si_4-002/bag.* are both of pd_si_4; name one"):
+    with pytest.raises(InputError, match=r"pd_si_4/bag.* and .*pd_si_4-002/bag.* are both runs of pd_si_4"):
         find_runs([short_runs, tmp_path / "more"], NAMES)
 
 

@@ -115,7 +115,7 @@ def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.Monke
     ("disturb", "robot", "reason"),
     [
         (lambda fleet: setattr(fleet.network, "cut", {"agent_002"}), 2, "11 steps old"),
-        (lambda fleet: fleet.call(CONTROLLER, "stop"), 1, "asked for STOP"),
+        (lambda fleet: fleet.call(CONTROLLER, "stop"), 1, "requested STOP"),
     ],
 )
 def test_a_robot_that_follows_what_is_too_old_or_does_not_stop_is_found(
@@ -207,7 +207,7 @@ def test_without_bases_only_the_robots_are_checked_and_what_was_measured_is_not_
     recorded = world("quiet")
     found = verify(recorded.scenario, [s for s in recorded.bag if s.topic is not msg.BASIS])
     robots = sum(s.topic is msg.AGENT_STATE for s in recorded.bag)
-    unknown = {"what it was computed from is not in the bag": of_main_topics(recorded.bag) - robots}
+    unknown = {"its provenance is not in the bag": of_main_topics(recorded.bag) - robots}
     assert (found.difference, found.messages, dict(found.not_checkable)) == (None, robots, unknown)
     bag = edited(recorded.bag, msg.PlaneState, 150, stamp=EPOCH)
     found = verify(recorded.scenario, bag, robots=(), plane=False)

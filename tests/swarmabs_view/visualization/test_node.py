@@ -179,7 +179,7 @@ def test_it_ends_when_it_is_told_to(nodes: list[Hearing], tmp_path: Path) -> Non
 @pytest.mark.usefixtures("ros")
 def test_what_cannot_be_shown_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert node.main(["--ros-args", "--disable-external-lib-logs"], lambda _: True) == 2
-    assert "error: parameter scenario_file: give the file of the scenario" in capfd.readouterr().err
+    assert "error: parameter scenario_file is empty" in capfd.readouterr().err
     with bound(0) as taken:
         port = taken.getsockname()[1]
         assert node.main(arguments(tmp_path, foxglove_port=str(port)), lambda _: True) == 1

@@ -145,7 +145,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     )
     reporter = Reporter(recording, status, settings.text("logs"))
     status.send("ready")
-    notify("READY=1\nSTATUS=records")
+    notify("READY=1\nSTATUS=recording")
     problem: str | None = "the node failed"
     over = False
     try:
