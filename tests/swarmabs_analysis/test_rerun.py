@@ -132,7 +132,7 @@ def test_the_origin_is_told_in_one_line_and_may_be_missing(remake: Remake, origi
 def test_the_scenario_of_a_bag_that_holds_none_is_named(original: Path, again: Callable[..., Any]) -> None:
     messages = [message for _, _, message in open_bag(original).decoded()]
     bare, named = write_bag(original / "bare", messages, {}), str(original / "scenario.yaml")
-    with pytest.raises(InputError, match=r"holds no scenario.*--scenario"):
+    with pytest.raises(InputError, match=r"contains no scenario.*--scenario"):
         recorded_run(bare)
     assert again(bare, "--scenario", named)[0]["same"] is True
     with pytest.raises(InputError, match="leave --scenario out"):

@@ -105,9 +105,7 @@ class RepeatableRun:
         return True
 
 
-def recorded_run(
-    path: Path | str, overrides: Sequence[str] = (), *, scenario: str | None = None
-) -> RepeatableRun:
+def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: str | None = None) -> RepeatableRun:
     """Read the recorded run that is to be repeated from its bag; `scenario` supplies the one that a bag lacks.
 
     Raises
