@@ -158,7 +158,7 @@ def test_a_bag_is_reported_compared_and_exported(tmp_path: Path, made: MakeBag) 
     bag = made("deaths", since_1970=True)
     report = make_report(bag)
     assert "missing messages of swarm/agent_state" in report.html
-    assert "broadcasts followed after 2 steps" in report.html
+    assert "broadcasts followed at an age of 2 steps" in report.html
     assert report.png.startswith(b"\x89PNG")
     same = realtime_bag(tmp_path / "b", "deaths", since_1970=True)
     equal, different = compare_bags(bag, same), compare_bags(bag, made("operator", since_1970=True))
