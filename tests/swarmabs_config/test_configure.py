@@ -5,7 +5,7 @@ import importlib
 import pytest
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_config import configure, ports, realtime
+from swarmabs_config import configure, ports, realtime, theory
 from swarmabs_config.graph import (
     CONTROLLER,
     GRAPH,
@@ -23,6 +23,7 @@ from swarmabs_config.graph import (
     endpoints,
     options_of,
     requested,
+    writers,
 )
 from swarmabs_core.behaviours import LifeSpan, Limits
 from swarmabs_core.controllers import Arise, StateFeedback, lqr_gains
@@ -113,6 +114,19 @@ def test_a_large_swarm_is_fewer_steps_ahead_of_its_recorder() -> None:
         assert configure.recording_window(builtin("arise_het_200", *halves)) == window
 
 
+def test_the_theory_is_given_the_largest_delay_and_the_bound_of_the_angle() -> None:
+    plain, late = (
+        builtin("pd_het_4", f"faults=[{faults}]", "step=0.02")
+        for faults in ("", "{kind: delay, steps: 2, agents: [1]}, {kind: delay, steps: 5, agents: [2]}")
+    )
+    settings = theory.setting(plain), theory.setting(late, 0.4)
+    assert [(s.delay, s.faulty, s.period, s.duration) for s in settings] == [
+        (0, False, 0.02, 30.0),
+        (5, True, 0.02, 30.0),
+    ]
+    assert theory.check_scenario(late, 0.4).angle_max == settings[1].angle_max == 0.4
+
+
 def test_what_is_there_in_lockstep_only_is_refused_in_real_time() -> None:
     realtime.check_realtime(builtin("pd_het_4"))
     for override in (
@@ -189,6 +203,7 @@ def test_endpoints_are_those_of_the_contract() -> None:
 def test_every_topic_is_there_once_in_the_order_of_the_messages_and_every_node_that_it_names_can_be_started() -> None:
     assert tuple(link.topic for link in GRAPH) == TOPICS
     assert {end.node for link in GRAPH for end in (*link.writers, *link.readers)} == {*NODES} > {*SERVICES}
+    assert [writers(topic) for topic in (AGENT_STATE, PLANE_STATE)] == [(ROBOT,), (PLANE, PLANE_DRIVER)]
     for node in NODES.values():
         for module in node.modules.values():
             assert callable(importlib.import_module(module).main)

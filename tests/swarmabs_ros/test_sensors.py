@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu as ImuMessage, JointState
 from tests.processes import until
-from tests.swarmabs_ros.bodies import EPOCH, SECOND, attitude
+from tests.swarmabs_ros.bodies import EPOCH, attitude
 from tests.swarmabs_ros.nodes import started_node
 
 from swarmabs_ros.readings import (
@@ -170,13 +170,6 @@ def refusal(track: Track, stamp: int, value: float, rate: float | None = 0.0, no
     return caught.value.reason
 
 
-def test_the_newest_is_kept(track: Track) -> None:
-    assert track.newest is None
-    track.offer(EPOCH, 0.1, 0.5, EPOCH)
-    track.offer(EPOCH + 10 * MS, 0.105, 0.4, EPOCH + 12 * MS)
-    assert track.newest == Sample(EPOCH + 10 * MS, 0.105, 0.4)
-
-
 @pytest.mark.parametrize(
     ("stamp", "value", "rate", "reason"),
     [
@@ -193,13 +186,6 @@ def test_what_cannot_be_is_refused(track: Track, stamp: int, value: float, rate:
     track.offer(EPOCH, 0.1, 0.0, EPOCH)
     assert refusal(track, EPOCH + stamp, value, rate, now=EPOCH) == reason
     track.offer(EPOCH + 20 * MS, 0.1, 0.0, EPOCH)  # the future is borne as far as this
-
-
-def test_a_clock_that_is_set_back_does_not_silence_the_sensor_for_good(track: Track) -> None:
-    track.offer(EPOCH, 0.1, 0.0, EPOCH)
-    earlier = EPOCH - 3600 * SECOND
-    track.offer(earlier, 0.1, 0.0, earlier)
-    assert track.newest == Sample(earlier, 0.1, 0.0)
 
 
 def test_a_jump_is_refused_and_believed_when_there_was_time_for_it(track: Track) -> None:

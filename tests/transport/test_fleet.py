@@ -286,6 +286,39 @@ def forged(step: int) -> list[msg.Message]:
     ]
 
 
+def made_up(step: int, mode: msg.Mode) -> list[msg.Message]:
+    """Return the broadcasts of a swarm of two robots of 0.4 kg that is not there, with far too little inertia."""
+    return [
+        msg.AbstractState(0, step, 2, 0.0, 0.008, 0.0, 0.0),
+        msg.AuxiliaryState(0, step, 0.32, 0.0, 0.0032, 0.001024, 0.1, 0.0, 0.001, 0.0),
+        desired(step, mode, torque=0.0)._replace(inertia=0.5),
+    ]
+
+
+def test_without_a_base_an_intruder_leads_robots_within_their_limits_until_he_is_silent() -> None:
+    fleet = fleet_of("pd_het_4", "limits={velocity: 0.5, force: 3}")
+    fleet.call(CONTROLLER, "stop")
+    fleet.run(2 * PERIOD)
+    for name in (PLANE, OBSERVER, CONTROLLER):
+        fleet.kill(name)
+    fleet.run(0.5)
+    for number in range(500):
+        for message in made_up(round(fleet.time / PERIOD), msg.Mode.RESET if number < 100 else msg.Mode.RUN):
+            fleet.inject(message, ROBOTS)
+        fleet.run(PERIOD)
+    states, lane = said(fleet, msg.AgentState), 0.48
+    assert all(abs(state.position) > 0.95 * lane for state in newest(fleet).values()), "to the end of their lanes"
+    assert max(abs(state.position) for state in states) <= lane
+    assert {abs(s.command) <= (0.5 if s.kind == msg.Kind.SINGLE_INTEGRATOR else 3.0) for s in states} == {True}
+    fleet.run(AGE_LIMIT + 3 * PERIOD + BRAKING)
+    assert (active(fleet), fastest(fleet, fleet.time - PERIOD) < AT_REST) == (set(), True)
+    for name in (PLANE, OBSERVER, CONTROLLER):
+        fleet.revive(name)
+    fleet.call(CONTROLLER, "reset")
+    fleet.run(1.5)
+    assert active(fleet) == {1, 2, 3, 4}
+
+
 @pytest.fixture(scope="module")
 def untouched() -> VirtualFleet:
     return fleet_of(begun=0.8)

@@ -10,6 +10,7 @@ import yaml
 from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, edited
 
 from swarmabs_config.fleet.loader import json_schema, load_fleet
+from swarmabs_config.fleet.participants import node_plans
 from swarmabs_core.declaration import values_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.drives import TOPIC
@@ -214,6 +215,22 @@ IDLE = "  - {name: idle, address: 192.168.10.99, interface: eth0}\nrobots:"
 def test_what_is_doubtful_is_said(fleet: str, change: tuple[str, str], warnings: list[str], tmp_path: Path) -> None:
     found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).fleet.warnings()
     assert [words in text for text, words in zip(found, warnings, strict=True)] == [True] * len(warnings)
+
+
+@pytest.mark.parametrize("discovery", ["static", "server, server: base"])
+def test_each_node_has_its_module_and_its_participant(discovery: str, tmp_path: Path) -> None:
+    fleet = load_fleet(
+        edited(tmp_path / "fleet.yaml", ONE_HOST, ("discovery: static", f"discovery: {discovery}"))
+    ).fleet
+    assert [(plan.name, plan.module, plan.host, plan.participant, plan.role) for plan in node_plans(fleet)] == [
+        ("plane_sim", "plane_sim.realtime", "base", 0, "coordinator"),
+        ("abstraction_observer", "abstraction_observer.realtime", "base", 1, "coordinator"),
+        ("parent_controller", "parent_controller.realtime", "base", 2, "coordinator"),
+        ("recorder", "swarmabs_bag.recorder.realtime", "base", 3, "coordinator"),
+        *([("discovery_server", "swarmabs_fleet.discovery_server", "base", 5, "server")] * (discovery != "static")),
+        ("agent_001", "agent_node.realtime", "base", 8, "robot"),
+        ("agent_002", "agent_node.realtime", "base", 9, "robot"),
+    ]
 
 
 def test_too_many_robots_for_the_ports_of_a_host(tmp_path: Path) -> None:

@@ -68,6 +68,10 @@ LISTED = [
     (listed(SI, DI.replace("-0.1", "0.1")), "3: swarm.agents: …at one point (S3 = 0 kg^4 m^2), …; give them different"),
     (listed(SI, DI.replace("-0.1", "0.1000001")), "3: swarm.agents: all robots are at one point (S3 = "),
     (
+        listed(SI, DI.replace("-0.1", "0.100005")) + "plane: {length: 10}",
+        "3: swarm.agents: all robots are at one point (S3 = ",
+    ),
+    (
         listed(SI, DI) + EMPTY,
         "6: manifold: robots of 1.3 …1.76852 N m, …; lower torque_max to 1.768, or …166.3 kg",
     ),
@@ -200,9 +204,11 @@ def test_the_first_error_in_the_file_comes_first_and_further_ones_are_counted() 
     assert (caught.value.more, caught.value.source, caught.value.line, caught.value.field) == (3, "f", 1, "seed")
 
 
-@pytest.mark.parametrize(("light", "torque"), [("0.7", 1.768), ("165.7", 20.0)])
-def test_the_remedies_for_an_empty_preimage_work(light: str, torque: float) -> None:
-    text = listed(SI, DI.replace("0.7", light)) + "manifold: {torque_max: TORQUE, curvature: 0}"
+@pytest.mark.parametrize(
+    ("light", "curvature", "torque"), [("0.7", 0.0, 1.768), ("165.7", 0.0, 20.0), ("0.7", 0.004, 2.502)]
+)
+def test_the_remedies_for_an_empty_preimage_work(light: str, curvature: float, torque: float) -> None:
+    text = listed(SI, DI.replace("0.7", light)) + f"manifold: {{torque_max: TORQUE, curvature: {curvature}}}"
     parse_scenario(text.replace("TORQUE", str(torque)))
     with pytest.raises(ScenarioError, match="cannot have the inertia"):
         parse_scenario(text.replace("TORQUE", str(1.01 * torque)))

@@ -153,7 +153,13 @@ def test_a_warning_of_faults_that_leave_too_few_robots_or_too_little_weight() ->
     scenario = parse_scenario(HEAD + f"manifold: {{torque_max: 1}}\nfaults: [{', '.join(ends)}]")
     (warning,) = scenario.warnings()
     assert warning.startswith("faults: from step 301 on, the number of active robots is 1; ")
-    for fault, steps in (("leave, at: 2", [201]), ("join, at: 2", [0]), ("kill, at: 2", []), ("leave, at: 30", [])):
+    for fault, steps in (
+        ("leave, at: 2", [201]),
+        ("join, at: 2", [0]),
+        ("kill, at: 2", []),
+        ("leave, at: 30", []),
+        ("leave, at: 29.99", [3000]),
+    ):
         text = f"manifold: {{torque_max: 1.9, curvature: 0}}\nfaults: [{{kind: {fault}, agent: 3}}]"
         found = [text.partition(" kg")[0] for text in parse_scenario(HEAD + text).warnings() if text[:7] == "faults:"]
         assert found == [f"faults: from step {step} on, the robots present weigh 1.368" for step in steps]
