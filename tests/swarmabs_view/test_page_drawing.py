@@ -65,17 +65,16 @@ def drawn(page: Page, canvas: str) -> dict[str, Any]:
         apart = first[2] <= second[0] or second[2] <= first[0] or first[3] <= second[1] or second[3] <= first[1]
         on_robots = canvas == "plane" and (one.isdigit() or other.isdigit())
         assert apart or on_robots or one == other == "mark", (canvas, one, first, other, second)
-    for (x0, y0), (x1, y1) in found["dashes"]:
-        for part in (index / 100 for index in range(101)):
-            x, y = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
-            for what, left, top, right, bottom in found["boxes"]:
-                assert not (left <= x <= right and top <= y <= bottom), (what, part)
+    points = [
+        (x0 + k / 99 * (x1 - x0), y0 + k / 99 * (y1 - y0)) for (x0, y0), (x1, y1) in found["dashes"] for k in range(100)
+    ]
+    for what, x0, y0, x1, y1 in found["boxes"]:
+        assert not any(x0 <= x <= x1 and y0 <= y <= y1 for x, y in points), what
     width, height = page.locator(f"#{canvas} canvas, canvas#{canvas}").evaluate("(one) => [one.width, one.height]")
-    for what, left, top, right, bottom in found["boxes"]:
-        assert left >= 0, what
-        assert right <= width, what
-        assert top >= 0, what
-        assert bottom <= height, what
+    _, left, top, right, bottom = zip(*found["boxes"], strict=True)
+    assert min(*left, *top) >= 0
+    assert max(right) <= width
+    assert max(bottom) <= height
     return {**found, "width": width, "height": height}
 
 

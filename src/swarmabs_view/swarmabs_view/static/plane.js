@@ -7,7 +7,8 @@ const CROWD = 60; // above this number of robots, draw their density
 const BINS = 48;
 const NEAR = 5; // px around a robot within which the pointer selects it
 
-const LABELS = 48; // px between two labels of the edge
+const LABELS = 40; // px between two labels of the edge
+const SUPPORT = 14; // px, half the foot of the support
 const DASHES = 1.04; // where horizontal and reference begin, in half lengths from the middle of the edge
 
 // A size that the picture leaves room for: it changes only when more is needed, or much less.
@@ -103,8 +104,9 @@ export class PlaneView {
       const [x, y] = at(p, 0);
       const [left, bottom] = [x + below * Math.sin(angle), y + below * Math.cos(angle)];
       const text = `${p} m`;
-      // Inside the circle beyond which the dashes begin, no label meets them.
-      if (Math.hypot(Math.abs(left - middle) + context.measureText(text).width / 2, bottom - edge) < DASHES * half * scale) {
+      const [aside, broad] = [Math.abs(left - middle), context.measureText(text).width / 2];
+      // A label beside the support and inside the circle in which no dashes are meets neither.
+      if (aside - broad > SUPPORT && Math.hypot(aside + broad, bottom - edge) < DASHES * half * scale) {
         context.fillText(text, left, bottom);
       }
     }
@@ -123,8 +125,8 @@ export class PlaneView {
     const [x, y] = at(0, 0);
     context.beginPath();
     context.moveTo(x, y);
-    context.lineTo(x + 14, y + 0.16 * height);
-    context.lineTo(x - 14, y + 0.16 * height);
+    context.lineTo(x + SUPPORT, y + 0.16 * height);
+    context.lineTo(x - SUPPORT, y + 0.16 * height);
     context.fill();
   }
 
