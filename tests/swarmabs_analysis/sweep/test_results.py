@@ -3,6 +3,7 @@
 import io
 import json
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from tests.swarmabs_core.helpers import digest
 
 from swarmabs_analysis.sweep import evaluate as module
@@ -110,6 +113,16 @@ def pretended(study: Study) -> dict[int, dict[str, Any]]:
     return {index: {"outcome": OUTCOMES[index % len(OUTCOMES)]} for index in range(study.sweep.count)}
 
 
+def measured(study: Study) -> dict[int, dict[str, Any]]:
+    """Return rows with results, of which every seventh has failed and every fifth has not settled."""
+    rows = {}
+    for index in range(study.sweep.count):
+        outcome = "failed" if index % 7 == 6 else "unsettled" if index % 5 == 4 else "settled"
+        settled_at = 1.0 + index / study.sweep.count if outcome == "settled" else None
+        rows[index] = {"outcome": outcome, "settled_at": settled_at, "rms_error": 10.0 ** -(index % 4)}
+    return rows
+
+
 def test_columns_and_rows_are_those_of_the_cases_and_results_that_are_asked_for(study: Study, tmp_path: Path) -> None:
     rows = computed(study)
     content = parquet(study, rows)
@@ -154,9 +167,9 @@ def test_type_of_a_parameter(values: list[object], kind: pa.DataType, found: lis
 REGION = "grid:\n  plane.angle: {from: -1, to: 1, count: 9}\n  plane.angular_velocity: {from: -1, to: 1, count: 9}\n"
 
 
-def draw(folder: Path, text: str) -> dict[str, bytes]:
+def draw(folder: Path, text: str, rows: Callable[[Study], dict[int, dict[str, Any]]] = pretended) -> dict[str, bytes]:
     study = loaded(folder, text)
-    return pictures(study, pretended(study))
+    return pictures(study, rows(study))
 
 
 def share(colour: str, png: bytes) -> float:
@@ -179,22 +192,63 @@ def test_estimates_hold_for_one_swarm_only_and_a_field_has_the_colour_of_its_wor
     files = draw(tmp_path, "grid: {plane.angle: [0, 1], plane.angular_velocity: [0, 1]}\nsamples: 5\n")
     assert share(LOOKS["refused"][0], files["region.png"]) > 0.5
     text = REGION + "random: {swarm.agents.0.mass: {uniform: [0.3, 0.4]}}\nsamples: 2\n"
-    picture = draw(tmp_path, text)["region.svg"].decode()
-    assert "estimate" not in picture
-    assert "worst of 2 cases per point" in picture
+    assert "estimate" not in draw(tmp_path, text)["region.svg"].decode()
+
+
+TWO = "plane.angle: {from: -1, to: 1, count: 9}, swarm.agents.2.mass: {from: 0.3, to: 0.7, count: 5}"
+THREE = f"{TWO}, controller.type: [pd, lqr]"
 
 
 @pytest.mark.parametrize(
-    "swept",
+    ("text", "there", "missing"),
     [
-        "",
-        "plane.inertia: [1]",
-        "controller.type: [pd, lqr], plane.robot_gravity: [true, false]",
-        "controller.type: [pd, lqr]}\npicture: {x: plane.angle, y: controller.type",
+        ("grid: {plane.angle: [0, 0.1, 0.2, 0.3]}", "settled at, s|plane.angle, rad", "median|does not settle"),
+        (
+            "grid: {plane.angle: [0, 0.1, 0.2]}\nsamples: 20",
+            "90 % of the cases|median|does not settle|run fails",
+            "mass",
+        ),
+        (
+            "random: {plane.angle: {uniform: [0, 1]}}\nsamples: 40\nresults: [rms_error]",
+            "RMS error, rad",
+            "%",
+        ),
+        (f"grid: {{{TWO}}}", "settled at, s|swarm.agents.2.mass (robot 3), kg|run fails", "median"),
+        (f"grid: {{{TWO}}}\nsamples: 3\nresults: [rms_error]", "RMS error, rad (median)", "settled at"),
+        (f"grid: {{{THREE}}}", "controller.type|pd|lqr", "median"),
+        (
+            f"grid: {{{TWO}}}\nrandom: {{plane.inertia: {{uniform: [1, 2]}}}}\nsamples: 9",
+            " to |plane.inertia",
+            "messages",
+        ),
     ],
 )
-def test_no_picture_without_two_numbers(tmp_path: Path, swept: str) -> None:
-    assert draw(tmp_path, f"grid: {{plane.angle: [0, 1], {swept}}}\n") == {}
+def test_a_result_is_drawn_over_one_two_or_three_parameters(
+    tmp_path: Path, text: str, there: str, missing: str
+) -> None:
+    picture = draw(tmp_path, text, measured)["region.svg"].decode()
+    assert [part for part in there.split("|") if part not in picture] == []
+    assert [part for part in missing.split("|") if part in picture] == []
+
+
+def test_a_result_has_the_colours_of_its_map_and_what_has_none_that_of_its_outcome(tmp_path: Path) -> None:
+    picture = draw(tmp_path, f"grid: {{{TWO}}}", measured)["region.png"]
+    lowest, highest = (to_hex(colormaps["viridis"](end)) for end in (0.0, 1.0))
+    for colour in (lowest, highest, LOOKS["unsettled"][0], LOOKS["failed"][0]):
+        assert share(colour, picture) > 0.01
+    assert share(LOOKS["off_plane"][0], picture) < 0.001
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "grid: {plane.angle: [0, 1]}",  # without a result
+        "grid: {controller.type: [pd, lqr], plane.robot_gravity: [true, false]}",
+        "grid: {plane.angle: [0, 1], controller.type: [pd, lqr]}\npicture: {x: plane.angle, y: controller.type}",
+    ],
+)
+def test_no_picture_without_a_number_and_a_result(tmp_path: Path, text: str) -> None:
+    assert draw(tmp_path, text) == {}
 
 
 def luminance(colour: str) -> float:

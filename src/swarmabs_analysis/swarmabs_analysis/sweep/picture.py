@@ -1,18 +1,23 @@
-"""The picture of a sweep: the outcomes of the cases over two parameters."""
+"""The picture of a sweep: a result, and how the cases end, over up to three of the parameters."""
 
 from __future__ import annotations
 
 import io
+import json
+import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
+from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.theory import setting
 from swarmabs_core.theory.state_feedback import Estimate, estimate
@@ -24,6 +29,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.sweep.study import Study
+    from swarmabs_config.scenario import Scenario
+
+    Floats = NDArray[np.float64]
+    Rows = Mapping[int, Mapping[str, Any]]
 
 NAME = "region"
 ANGLE, ANGULAR_VELOCITY = "plane.angle", "plane.angular_velocity"
@@ -45,45 +54,83 @@ UNITS = {
     "steps": "steps",
 }
 """Units of parameters by the last part of their path."""
-BLACK = "#000000"
-# From light to dark in the order of the outcomes: distinct with any colour vision, and in greyscale.
+METRICS = {
+    "settled_at": "settled at, s",
+    "final_error": "final error, rad",
+    "rms_error": "RMS error, rad",
+    "max_abs_position": "largest |position|, m",
+    "max_abs_angle": "largest |angle|, rad",
+    "messages": "messages",
+    "initial_error_squared": "|z|² at the start",
+}
+"""Results that can be drawn, with their units."""
+MAP = "viridis"
+# The greys and the red differ in lightness, and from all colours of the map.
 LOOKS = {
-    "settled": ("#e4eef6", "settles within 10 mrad"),
-    "unsettled": ("#f0e442", "stays up, but does not settle"),
-    "off_plane": ("#e69f00", "a robot leaves the plane"),
-    "failed": ("#a33b00", "the run fails: the plane turns over"),
-    "refused": ("#222222", "invalid scenario"),
+    "settled": (tint(PLANE, 0.1), "settles within 10 mrad"),
+    "unsettled": (tint(ABSENT, 0.35), "stays up, but does not settle"),
+    "off_plane": (tint(ABSENT, 0.8), "a robot leaves the plane"),
+    "failed": (FAILED, "the run fails: the plane turns over"),
+    "refused": (REFERENCE, "invalid scenario"),
 }
 MARKERS = {"settled": "o", "unsettled": "s", "off_plane": "^", "failed": "X", "refused": "P"}
 _FEW = 30
 """Most values of a parameter for which markers with the same value are moved apart."""
-_FEW_MARKERS = 500
+_FEW_TICKS, _FEW_PANELS, _RANGES = 5, 6, 3
+"""Values up to which each has a tick, and a panel; ranges that more values of a third parameter are divided into."""
+_DECADES = 30.0
+"""Ratio of the results from which on their scale is logarithmic."""
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_BANDS = ((tint(PLANE, 0.2), "90 % of the cases"), (tint(PLANE, 0.45), "50 % of the cases"))
+_OFF_PLANE = OUTCOMES.index("off_plane")
+"""Outcomes from this one on have no result worth drawing."""
 _FINE = 201
 """Points per axis at which the outlines of the estimates are computed."""
 
 
-class _Points(NamedTuple):
-    """Coordinates and outcomes of the cases."""
+class _Cases(NamedTuple):
+    """Cases, (N,) each: their place along each axis, their result, NaN for none, and the number of their outcome.
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    rank: NDArray[np.int64]
-    x_ticks: NDArray[np.float64] | None = None
-    y_ticks: NDArray[np.float64] | None = None
-
-
-def pictures(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> dict[str, bytes]:
-    """Return the picture as PNG and SVG files by name; none if fewer than two parameters are numeric.
-
-    If both parameters are in the grid, every point is a field in the colour of its worst case, otherwise every case is
-    a marker. If only the plane's angle and angular velocity are swept, the estimates of the region of attraction are
-    outlined.
+    They are `gridded` if all axes are of the grid.
     """
-    axes = _axes(study)
-    if axes is None:
+
+    places: Sequence[Floats]
+    result: Floats
+    outcome: NDArray[np.int64]
+    gridded: bool
+
+    def where(self, chosen: NDArray[np.bool_]) -> _Cases:
+        """Return some of the cases."""
+        places = [place[chosen] for place in self.places]
+        return self._replace(places=places, result=self.result[chosen], outcome=self.outcome[chosen])
+
+    @property
+    def repeated(self) -> bool:
+        """Whether cases share their places."""
+        return len(set(zip(*self.places, strict=True))) < len(self.outcome)
+
+
+class _Subject(NamedTuple):
+    """What is drawn: the parameters along the axes, the one that differs between panels, and the result."""
+
+    axes: Sequence[str]
+    panels: str | None
+    metric: str | None
+
+
+def pictures(study: Study, rows: Rows) -> dict[str, bytes]:
+    """Return the picture as PNG and SVG files by name; none if no parameter is numeric.
+
+    It shows the first of the sweep's results that at least half of the cases have in which all robots stay on the
+    plane. Over one parameter it is a line, with bands for repeated cases; over two it is a map of fields if both are of
+    the grid, else of markers. A third parameter gives a panel for each of its values. Over the plane's angle and
+    angular velocity, if nothing else is swept, the estimates of the region of attraction are outlined.
+    """
+    subject = _subject(study, rows)
+    if not subject.axes or (len(subject.axes) == 1 and subject.metric is None):
         return {}
     with mpl.rc_context({"svg.hashsalt": "swarmabs", "svg.fonttype": "none", "axes.unicode_minus": True}):
-        figure = _draw(study, rows, *axes)
+        figure = _draw(study, rows, subject)
         files = {}
         for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": None})):
             file = io.BytesIO()
@@ -92,95 +139,213 @@ def pictures(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> dict[str, b
     return files
 
 
-def _axes(study: Study) -> tuple[str, str] | None:
-    """Return the parameters of the axes."""
+def _subject(study: Study, rows: Rows) -> _Subject:
+    """Choose what is drawn."""
     sweep = study.sweep
-    numbers = [path for path in sweep.parameters if _is_numeric(study, path)]
+    choices = {
+        path: sweep.random[path].choice if path in sweep.random else sweep.grid[path] for path in sweep.parameters
+    }
+    varied = [path for path, values in choices.items() if values is None or len(values) > 1]
+    numbers = [path for path in varied if all(map(_is_number, choices[path] or ()))]
+    axes = numbers[:2]
     if sweep.picture is not None:
-        asked = (sweep.picture.x, sweep.picture.y)
-        return asked if set(asked) <= set(numbers) else None
-    return (numbers[0], numbers[1]) if len(numbers) > 1 else None
+        axes = [sweep.picture.x, sweep.picture.y]
+        axes = axes if set(axes) <= set(numbers) else []
+    others = [path for path in varied if path not in axes]
+    panels = others[0] if len(others) == 1 else None
+    if panels is not None and panels not in numbers and len(choices[panels] or ()) > _FEW_PANELS:
+        panels = None
+    upright = [row for row in rows.values() if OUTCOMES.index(row["outcome"]) < _OFF_PLANE]
+    known = {name: sum(row.get(name) is not None for row in upright) for name in sweep.results}
+    metric = next(
+        (name for name, count in known.items() if name in METRICS and 2 * count >= max(len(upright), 1)), None
+    )
+    return _Subject(axes, panels, metric)
 
 
-def _is_numeric(study: Study, path: str) -> bool:
-    drawn = study.sweep.random.get(path)
-    values: Sequence[Any] | None = study.sweep.grid.get(path) if drawn is None else drawn.choice
-    several = values is None or len(values) > 1
-    return several and all(isinstance(v, int | float) and not isinstance(v, bool) for v in values or ())
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _draw(study: Study, rows: Mapping[int, Mapping[str, Any]], x: str, y: str) -> Figure:
-    sweep = study.sweep
-    points = _points(study, rows, x, y)
-    fields = x in sweep.grid and y in sweep.grid
-    show = _fields if fields else _markers
+def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
+    sweep, scenario = study.sweep, parse_scenario(study.scenario)
     estimated = None
-    if {x, y} == set(sweep.parameters) == {ANGLE, ANGULAR_VELOCITY}:
-        estimated = estimate(setting(parse_scenario(study.scenario), sweep.attraction.angle_max))
-    figure = Figure(figsize=(7.6, 5.6) if estimated is None else (10.4, 5.6), dpi=150, layout="constrained")
-    ratios = [1.0] if estimated is None else [1.9, 1.0]
-    panels: list[Axes] = list(figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0])
-    for axes in panels:
-        show(axes, points)
-        axes.set(xlabel=_label(x), ylabel=_label(y))
-        for axis, values in ((axes.xaxis, points.x_ticks), (axes.yaxis, points.y_ticks)):
-            if values is not None:
-                axis.set_ticks(values)
-    handles = [_handle(name, fields=fields) for rank, name in enumerate(OUTCOMES) if rank in points.rank]
+    if set(subject.axes) == set(sweep.parameters) == {ANGLE, ANGULAR_VELOCITY}:
+        estimated = estimate(setting(scenario, sweep.attraction.angle_max))
+    cases = _cases(study, rows, subject)
+    parts, ratios, size = [("", cases.outcome >= 0)], [1.0], (7.6, 5.6)
     if estimated is not None:
-        handles += _outlines(panels, estimated, upright=x == ANGLE)
-    per_place = sweep.count // len({*zip(points.x, points.y, strict=True)}) if fields else 1
-    panels[0].set_title(sweep.name if per_place == 1 else f"{sweep.name}: worst of {per_place} cases per point")
+        parts, ratios, size = [*parts, ("near the estimates", parts[0][1])], [1.9, 1.0], (11.4, 5.6)
+    elif subject.panels is not None:
+        parts = _parts(study, scenario, subject.panels)
+        ratios = [1.0] * min(len(parts), 3)
+        size = (2.4 + 3.2 * len(ratios), 1.8 + 2.8 * -(-len(parts) // len(ratios)))
+    figure = Figure(figsize=size, dpi=150, layout="constrained")
+    lines, shared = -(-len(parts) // len(ratios)), estimated is None
+    grid = figure.subplots(lines, len(ratios), width_ratios=ratios, sharex=shared, sharey=shared, squeeze=False)
+    panels: list[Axes] = list(grid.flat[: len(parts)])
+    for unused in grid.flat[len(parts) :]:
+        unused.remove()
+
+    scale = _scale(cases.result)
+    show = _curve if len(subject.axes) == 1 else _fields if cases.gridded else _markers
+    labels = [_label(scenario, path) for path in subject.axes]
+    metric = METRICS.get(subject.metric or "", "")
+    for number, (axes, (title, chosen)) in enumerate(zip(panels, parts, strict=True)):
+        show(axes, cases.where(chosen), scale)
+        axes.set_title(title, fontsize="medium")
+        if number % len(ratios) == 0:
+            axes.set_ylabel([*labels, metric][1])
+        if number + len(ratios) >= len(parts):
+            axes.set_xlabel(labels[0])
+            axes.tick_params(labelbottom=True)
+        for axis, place in zip((axes.xaxis, axes.yaxis), cases.places, strict=False):
+            if len(ticks := np.unique(place)) <= _FEW_TICKS:
+                axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks.tolist()])
+    handles = _handles(cases, fields=show is _fields)
+    if metric and show is not _curve:
+        median = " (median)" if cases.gridded and cases.where(parts[0][1]).repeated else ""
+        figure.colorbar(ScalarMappable(scale, MAP), ax=panels, label=metric + median)
+    if estimated is not None:
+        handles += _outlines(panels, estimated, upright=subject.axes[0] == ANGLE)
+    figure.suptitle(sweep.name)
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
-def _points(study: Study, rows: Mapping[int, Mapping[str, Any]], x: str, y: str) -> _Points:
-    """Return the cases, sorted from best to worst."""
-    cases = [study.case(index) for index in range(study.sweep.count)]
-    rank = np.array([OUTCOMES.index(rows[case.index]["outcome"]) for case in cases])
-    order = np.argsort(rank, kind="stable")
-    places = [np.array([float(case.values[path]) for case in cases]) for path in (x, y)]
-    if x in study.sweep.grid and y in study.sweep.grid:
-        return _Points(places[0][order], places[1][order], rank[order])
-    (x_place, x_ticks), (y_place, y_ticks) = (_moved_apart(place) for place in places)
-    return _Points(x_place[order], y_place[order], rank[order], x_ticks, y_ticks)
+def _cases(study: Study, rows: Rows, subject: _Subject) -> _Cases:
+    values = [case.values for case in study.cases()]
+    found = [rows[index] for index in range(len(values))]
+    outcome = np.array([OUTCOMES.index(row["outcome"]) for row in found])
+    result = np.array([row.get(subject.metric or "") for row in found], dtype=float)
+    return _Cases(
+        [np.array([float(one[path]) for one in values]) for path in subject.axes],
+        np.where(outcome < _OFF_PLANE, result, np.nan),
+        outcome,
+        set(subject.axes) <= set(study.sweep.grid),
+    )
 
 
-def _moved_apart(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Move coordinates that share few values apart in a fixed pattern, so that no marker hides another.
+def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Return the cases of each panel with its heading: of each value of a parameter, or of ranges of many numbers."""
+    values = [case.values[path] for case in study.cases()]
+    texts = np.array([json.dumps(value).strip('"') for value in values])
+    distinct = list(dict.fromkeys(texts.tolist()))
+    if len(distinct) <= _FEW_PANELS:
+        return [(_label(scenario, path, text), texts == text) for text in distinct]
+    numbers = np.array(values, dtype=float)
+    ranges = [(part[0], part[-1]) for part in np.array_split(np.unique(numbers), _RANGES)]
+    return [
+        (_label(scenario, path, f"{low:.3g} to {high:.3g}"), (low <= numbers) & (numbers <= high))
+        for low, high in ranges
+    ]
 
-    Also return these values, for the ticks of the axis.
-    """
-    values = np.unique(place)
-    if not 1 < len(values) <= _FEW or len(values) > len(place) // 2:
-        return place, None
-    pattern = np.arange(len(place)) * 0.6180339887498949 % 1.0 - 0.5
-    return place + 0.7 * float(np.min(np.diff(values))) * pattern, values
+
+def _label(scenario: Scenario, path: str, value: str = "") -> str:
+    """Return the name of a parameter, with its robot's id, and its value or its unit."""
+    unit = UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
+    robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
+    name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
+    return f"{name}\n{value} {unit}" if value else f"{name}, {unit}".removesuffix(", ")
 
 
-def _fields(axes: Axes, points: _Points) -> None:
-    columns, column = np.unique(points.x, return_inverse=True)
-    lines, line = np.unique(points.y, return_inverse=True)
-    worst = np.zeros((len(lines), len(columns)), dtype=np.int64)
-    np.maximum.at(worst, (line, column), points.rank)
+def _scale(result: Floats) -> Normalize:
+    """Return the scale of all results, logarithmic where they ask for it."""
+    known = result[np.isfinite(result)]
+    low, high = (float(np.min(known)), float(np.max(known))) if len(known) else (0.0, 1.0)
+    return LogNorm(low, high) if 0.0 < _DECADES * low < high else Normalize(low, high)
+
+
+def _curve(axes: Axes, cases: _Cases, scale: Normalize) -> None:
+    """Draw results over one parameter, those of cases that share a value as bands; mark other outcomes below."""
+    place, known = cases.places[0], np.isfinite(cases.result)
+    if cases.repeated:
+        values = np.unique(place[known])
+        quantiles = [np.quantile(cases.result[known & (place == value)], _QUANTILES) for value in values]
+        lowest, low, middle, high, highest = np.reshape(quantiles, (-1, len(_QUANTILES))).T
+        for lower, upper, (colour, _) in zip((lowest, low), (highest, high), _BANDS, strict=True):
+            axes.fill_between(values, lower, upper, color=colour, linewidth=0.0)
+        axes.plot(values, middle, color=PLANE, marker=".")
+    else:
+        order = np.argsort(place)
+        style = "-" if cases.gridded else "none"
+        axes.plot(place[order], cases.result[order], color=PLANE, marker=".", linestyle=style)
+    if isinstance(scale, LogNorm):
+        axes.set_yscale("log")
+    margin = 0.03 * float(np.ptp(place))
+    axes.set_xlim(float(np.min(place)) - margin, float(np.max(place)) + margin)
+    order = np.lexsort((cases.outcome, place))
+    worst = order[np.append(np.diff(place[order]) > 0, True)]
+    for number, name in list(enumerate(OUTCOMES))[1:]:
+        marked = place[worst[cases.outcome[worst] == number]]
+        edge = axes.get_xaxis_transform()
+        axes.scatter(marked, np.zeros(len(marked)), transform=edge, clip_on=False, zorder=3.0, **_marker(name))
+
+
+def _fields(axes: Axes, cases: _Cases, scale: Normalize) -> None:
+    """Draw each place of a grid in the colour of its median result, or worst outcome; mark worse outcomes in it."""
+    (columns, column), (lines, line) = (np.unique(place, return_inverse=True) for place in cases.places)
+    worst = np.full((len(lines), len(columns)), -1)
+    np.maximum.at(worst, (line, column), cases.outcome)
+    median = np.full(worst.shape, np.nan)
+    field = line * len(columns) + column
+    known = np.flatnonzero(np.isfinite(cases.result))
+    known = known[np.argsort(field[known], kind="stable")]
+    there, begins = np.unique(field[known], return_index=True)
+    median.flat[there] = [np.median(part) for part in np.split(cases.result[known], begins[1:]) if len(part)]
+    drawn = np.isfinite(median)
     colours = ListedColormap([LOOKS[name][0] for name in OUTCOMES])
     norm = BoundaryNorm(np.arange(len(OUTCOMES) + 1) - 0.5, len(OUTCOMES))
-    axes.pcolormesh(columns, lines, worst, cmap=colours, norm=norm, shading="nearest", rasterized=True)
+    plain = np.ma.masked_where(drawn | (worst < 0), worst)
+    axes.pcolormesh(columns, lines, plain, cmap=colours, norm=norm, shading="nearest", rasterized=True)
+    if drawn.any():
+        results = np.ma.masked_invalid(median)
+        axes.pcolormesh(columns, lines, results, cmap=MAP, norm=scale, shading="nearest", rasterized=True)
+    for number, name in list(enumerate(OUTCOMES))[1:]:
+        marked = np.nonzero(drawn & (worst == number))
+        axes.scatter(columns[marked[1]], lines[marked[0]], **_marker(name, worst.size))
 
 
-def _markers(axes: Axes, points: _Points) -> None:
-    for rank, name in enumerate(OUTCOMES):
-        chosen = points.rank == rank
-        axes.scatter(
-            points.x[chosen],
-            points.y[chosen],
-            s=28.0 if len(points.x) <= _FEW_MARKERS else 10.0,
-            marker=MARKERS[name],
-            facecolor=LOOKS[name][0],
-            edgecolor=BLACK,
-            linewidth=0.5,
-        )
+def _markers(axes: Axes, cases: _Cases, scale: Normalize) -> None:
+    """Draw a marker for each case: its shape is that of the outcome, its colour that of the result if there is one."""
+    x, y = (_moved_apart(place) for place in cases.places)
+    for number, name in enumerate(OUTCOMES):
+        for known in (False, True):
+            chosen = (cases.outcome == number) & (np.isfinite(cases.result) == known)
+            look = _marker(name, len(x)) | ({"c": cases.result[chosen], "cmap": MAP, "norm": scale} if known else {})
+            axes.scatter(x[chosen], y[chosen], **look)
+
+
+def _marker(name: str, count: int = 1) -> dict[str, Any]:
+    """Return how an outcome is marked among a number of markers."""
+    size = float(np.clip(8000.0 / count, 8.0, 40.0))
+    return {"marker": MARKERS[name], "s": size, "c": LOOKS[name][0], "edgecolors": REFERENCE, "linewidths": 0.5}
+
+
+def _moved_apart(place: Floats) -> Floats:
+    """Move coordinates that share few values apart in a fixed pattern, so that no marker hides another."""
+    values = np.unique(place)
+    if not 1 < len(values) <= _FEW or len(values) > len(place) // 2:
+        return place
+    pattern = np.arange(len(place)) * 0.6180339887498949 % 1.0 - 0.5
+    return place + 0.7 * float(np.min(np.diff(values))) * pattern
+
+
+def _handles(cases: _Cases, *, fields: bool) -> list[Patch | Line2D]:
+    """Return the legend's entries: the bands, and the outcomes that are there, by a patch or a marker."""
+    handles: list[Patch | Line2D] = []
+    if len(cases.places) == 1 and cases.repeated:
+        handles = [Patch(color=colour, label=label) for colour, label in _BANDS]
+        handles.append(Line2D([], [], color=PLANE, marker=".", label="median"))
+    for number in np.unique(cases.outcome).tolist():
+        name = OUTCOMES[number]
+        colour, label = LOOKS[name]
+        bare = cases.outcome[np.isnan(cases.result)]
+        if fields and number in bare:
+            handles.append(Patch(facecolor=colour, edgecolor=REFERENCE, linewidth=0.5, label=label))
+        elif number > 0 or not (fields or len(cases.places) == 1):
+            handles.append(Line2D([], [], ls="none", marker=MARKERS[name], mfc=colour, mec=REFERENCE, label=label))
+    return handles
 
 
 def _outlines(panels: Sequence[Axes], estimated: Estimate, *, upright: bool) -> list[Line2D]:
@@ -200,9 +365,10 @@ def _outlines(panels: Sequence[Axes], estimated: Estimate, *, upright: bool) -> 
         _contours(near, estimated, levels, upright=upright)
         near.set(xlim=limits[0], ylim=limits[1])
         (left, right), (low, high) = limits
-        whole.plot([left, right, right, left, left], [low, low, high, high, low], color=BLACK, linewidth=0.8)
-    near.set_title("near the estimates")
-    return [Line2D([], [], color=BLACK, ls=style, label=f"{text}: |z|² ≤ {level:.3g}") for level, style, text in levels]
+        whole.plot([left, right, right, left, left], [low, low, high, high, low], color=REFERENCE, linewidth=0.8)
+    return [
+        Line2D([], [], color=REFERENCE, ls=style, label=f"{text}: |z|² ≤ {level:.3g}") for level, style, text in levels
+    ]
 
 
 def _contours(
@@ -213,20 +379,7 @@ def _contours(
     squared = np.vectorize(estimated.error_squared)(*((x, y) if upright else (y, x)))
     points = [np.empty((0, 2))]
     for level, style, _ in levels:
-        drawn = axes.contour(x, y, squared, levels=[level], colors=BLACK, linewidths=1.5, linestyles=[style])
+        drawn = axes.contour(x, y, squared, levels=[level], colors=REFERENCE, linewidths=1.5, linestyles=[style])
+        drawn.set(path_effects=[withStroke(linewidth=3.5, foreground="white")])
         points += [np.asarray(path.vertices) for path in drawn.get_paths()]
     return np.concatenate(points)
-
-
-def _handle(name: str, *, fields: bool) -> Patch | Line2D:
-    colour, text = LOOKS[name]
-    if fields:
-        return Patch(facecolor=colour, edgecolor=BLACK, linewidth=0.5, label=text)
-    return Line2D(
-        [], [], linestyle="none", marker=MARKERS[name], markerfacecolor=colour, markeredgecolor=BLACK, label=text
-    )
-
-
-def _label(path: str) -> str:
-    unit = UNITS.get(path.rsplit(".", maxsplit=1)[-1])
-    return path if unit is None else f"{path}, {unit}"
