@@ -19,8 +19,10 @@ from tests.swarmabs_analysis.figures.conftest import ReadBag, record
 from tests.swarmabs_analysis.report.conftest import SCENARIO, Page, messages, write
 from tests.swarmabs_bag.test_arrays import digest
 
+from swarmabs_analysis.figures.style import styled
 from swarmabs_analysis.report import Report, make_report
-from swarmabs_analysis.report.pictures import thin_lines
+from swarmabs_analysis.report.panels import panels
+from swarmabs_analysis.report.pictures import WIDTH, thin_lines
 from swarmabs_analysis.report.record import read_recorded
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.recorded_swarm import column_points
@@ -342,3 +344,19 @@ def test_refused_bags(tmp_path: Path) -> None:
     file.write_bytes(content)
     with pytest.raises(DamagedBagError, match="can be read"):
         make_report(file)
+
+
+def test_a_zoom_names_all_events_in_it_and_no_legend_leaves_its_picture(tmp_path: Path) -> None:
+    faults = "faults=[{at: 3, kind: kill, agent: 5}, {at: 5, kind: kill, agent: 7}, {at: 7, kind: leave, agent: 9}]"
+    run = record(tmp_path, "arise_het_20", "duration=10", "swarm.generate.single_integrator=11", faults)
+    shown = {panel.key: panel for panel in panels(read_recorded(run))}
+    assert shown["zoom-1"].heading == "Around 5.01 s: robot 7 dead"
+    assert shown["zoom-1"].about.endswith("then 7.01 s: robot 9 left")
+    assert shown["zoom-0"].about.endswith("then 3.01 s: robot 5 dead")
+    for name in ("positions", "commands-double", "membership", "space"):
+        with styled():
+            figure = Figure((WIDTH, shown[name].height), layout="constrained")
+            shown[name].draw(figure)
+            figure.draw_without_rendering()
+            legend = figure.axes[0].get_legend()
+            assert legend is not None and legend.get_window_extent().x1 <= figure.bbox.x1

@@ -187,8 +187,8 @@ def kinds(run: RecordedRun) -> list[Line2D]:
 
 
 def _label_pair(axes: Axes, other: Axes, left: str, right: str, colours: tuple[str, str] = (BLUE, VERMILION)) -> None:
-    axes.set_ylabel(left, color=colours[0], labelpad=2.0)
-    other.set_ylabel(right, color=colours[1], labelpad=2.0)
+    axes.set_ylabel(left, color=colours[0])
+    other.set_ylabel(right, color=colours[1])
     for one in (axes, other):
         one.yaxis.set_major_locator(MaxNLocator(6, steps=(1, 2, 2.5, 5, 10), min_n_ticks=4))
     axes.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.5)

@@ -38,6 +38,8 @@ ROWS = 40
 _DECADES = 30.0
 """Ratio of largest to smallest value above which an axis is logarithmic."""
 _FEW_MARKS, _MOST_MARKS = 12, 200
+_LEGEND = 66
+"""Letters in a row of a legend, of which the sample of a line takes eight."""
 _FINE, _COARSE = 241, 21
 _EVENT_COLOURS: Mapping[int, str] = {
     EventKind.DEAD: FAILED,
@@ -182,7 +184,9 @@ def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
         upper.plot(time[inside], recorded.arrays.angle[inside], color=PLANE)
         upper.set_ylabel("θ, rad")
         _linear(lower, float(time[-1]))
-        _robots(lower, recorded, np.where(inside[:, None], recorded.arrays.agents.position, np.nan), "p")
+        named = _robots(lower, recorded, np.where(inside[:, None], recorded.arrays.agents.position, np.nan), "p")
+        if len(recorded.arrays.agents.ids) <= MANY:
+            _legend(upper, named)
         lower.set(xlabel="time, s", ylabel="p, m", xlim=(begin, end))
         upper.grid(visible=True)
         for axes in (upper, lower):
@@ -311,13 +315,13 @@ def _by_decades(axes: Axes, values: Floats) -> None:
         axes.set_yscale("log")
 
 
-def _legend(axes: Axes, named: Sequence[object]) -> None:
+def _legend(axes: Axes, named: Sequence[Any]) -> None:
     if named:
         axes.legend(
             handles=named,
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
-            ncols=min(len(named), 4),
+            ncols=max(1, min(4, _LEGEND // (8 + max(len(str(one.get_label())) for one in named)))),
             borderaxespad=0.2,
         )
 

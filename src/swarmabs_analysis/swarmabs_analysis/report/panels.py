@@ -51,8 +51,8 @@ if TYPE_CHECKING:
 
 TOLERANCE = 0.01
 """Tracking error below which the plane counts as settled, rad."""
-BEFORE, AFTER, MOST_ZOOMS = 1.0, 4.0, 6
-"""Time shown before and after an event, s, and the most events that have a panel."""
+BEFORE, AFTER, MOST_ZOOMS, MOST_NAMED = 1.0, 4.0, 6, 5
+"""Time shown before and after an event, s, the most events that have a panel, and the most others named in it."""
 ZOOMED = {
     EventKind.JOINED,
     EventKind.LEFT,
@@ -148,23 +148,29 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
     last = float(time[-1])
     if last < 2.0 * (BEFORE + AFTER):
         return
-    moments = [(0.0, "the start")]
+    moments = {0.0: ["the start"]}
+    begin = 0.0
     for event in recorded.swarm.events:
         at = recorded.swarm.time_of(event)
-        if event.kind in ZOOMED and moments[-1][0] + AFTER < at < last:
+        if event.kind in ZOOMED and 0.0 < at < last:
+            begin = at if at > begin + AFTER else begin
             who = f"robot {event.agent_id} " if event.agent_id else ""
-            moments.append((at, f"{at:g} s: {who}{said(EventKind(event.kind))}"))
+            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said(EventKind(event.kind))}")
 
-    def largest(moment: tuple[float, str]) -> float:
-        found = error[(time >= moment[0]) & (time <= moment[0] + AFTER)]
+    def largest(moment: float) -> float:
+        found = error[(time >= moment) & (time <= moment + AFTER)]
         return float(np.nanmax(found, initial=0.0))
 
-    chosen = sorted(sorted(moments, key=largest, reverse=True)[:MOST_ZOOMS])
-    for number, moment in enumerate(chosen):
-        begin = max(0.0, moment[0] - BEFORE)
-        about = f"angle with its dashed reference, and positions; largest error {quantity(largest(moment), 'rad')}"
-        draw = zoom(recorded, begin, min(last, moment[0] + AFTER))
-        yield Panel(f"zoom-{number}", "zooms", f"Around {moment[1]}", draw, about)
+    for number, moment in enumerate(sorted(sorted(moments, key=largest, reverse=True)[:MOST_ZOOMS])):
+        first, *others = moments[moment]
+        further = joined(*others[:MOST_NAMED], f"{len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
+        about = joined(
+            "angle with its dashed reference, and positions",
+            f"largest error {quantity(largest(moment), 'rad')}",
+            f"then {further}" if further else "",
+        )
+        draw = zoom(recorded, max(0.0, moment - BEFORE), min(last, moment + AFTER))
+        yield Panel(f"zoom-{number}", "zooms", f"Around {first}", draw, about, height=2.6)
 
 
 def _robots(recorded: Recorded) -> Iterator[Panel]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -107,7 +108,7 @@ def _columns(axes: Axes, recorded: Recorded) -> Iterator[tuple[Integers, float]]
 
 
 def _named(recorded: Recorded, values: Floats, there: NDArray[np.bool_]) -> dict[str, int]:
-    """Return the columns of the lightest and the heaviest robot, and of the one with the largest value."""
+    """Return the columns of the lightest and the heaviest robot, and of the one with the largest value, by name."""
     agents = recorded.arrays.agents
     columns = np.flatnonzero(there)
     mass = np.nanmax(agents.mass[:, columns], axis=0)
@@ -117,4 +118,7 @@ def _named(recorded: Recorded, values: Floats, there: NDArray[np.bool_]) -> dict
         "heaviest": columns[int(np.argmax(mass))],
         "lightest": columns[int(np.argmin(mass))],
     }
-    return {f"{agents.ids[column]} ({name})": int(column) for name, column in chosen.items()}
+    names: dict[int, list[str]] = defaultdict(list)
+    for name, column in chosen.items():
+        names[int(column)].append(name)
+    return {f"{agents.ids[column]} ({', '.join(said)})": column for column, said in names.items()}

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-WIDTH = 4.4
+WIDTH = 3.6
 """Width of a panel in the page, inches: about that of a phone, so that its text is legible there."""
 OVERVIEW = (("plane",), ("mass", "positions"), ("abstract-error",), ("tracking",), ("space",), ("margin-end",))
 """The panels of the PNG, row by row; of several for one place, the first that exists."""
