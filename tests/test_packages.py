@@ -8,6 +8,7 @@ import configparser
 import re
 import sys
 from collections.abc import Iterable
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -115,6 +116,11 @@ def test_what_is_imported_is_declared(name: str) -> None:
     needed = tested - {"tests", *NAMES}  # those above a package would make a circle
     keys |= {entry.name for entry in found.test_depends}
     assert {module for module in needed if not is_declared(module, keys)} == set()
+
+
+def test_colcon_finds_an_order_in_which_to_build() -> None:
+    needed = {name: (*manifest(name).build_depends, *manifest(name).exec_depends) for name in NAMES}
+    TopologicalSorter({name: {entry.name for entry in entries} for name, entries in needed.items()}).prepare()
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if (SOURCES / name / "setup.cfg").exists()])
