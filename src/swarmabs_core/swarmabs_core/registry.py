@@ -68,7 +68,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         Required type of the object behind an entry point.
     built_in : tuple of Part
         The built-in parts, which no package can replace.
-    duties : tuple of str
+    methods : tuple of str
         Methods that objects made by a part must have.
     """
 
@@ -78,13 +78,13 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         group: str,
         shape: type[Part[ContextT, MadeT]],
         built_in: tuple[Part[ContextT, MadeT], ...],
-        duties: tuple[str, ...],
+        methods: tuple[str, ...],
     ) -> None:
         self._noun = noun
         self._group = group
         self._shape = shape
         self.built_in: Mapping[str, Part[ContextT, MadeT]] = {part.name: part for part in built_in}
-        self._duties = duties
+        self._methods = methods
         self._loaded: dict[str, Part[ContextT, MadeT]] = {}
         self._packages: dict[str, tuple[str, str]] = {}
 
@@ -137,10 +137,10 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         """
         part = self.find(name)
         made = part.make(resolve(part.settings, settings, owner=f"{self._noun} {name!r}"), context)
-        for duty in self._duties:
-            if not callable(getattr(made, duty, None)):
+        for method in self._methods:
+            if not callable(getattr(made, method, None)):
                 what = f"{self._noun} {name!r} makes an object of type {type(made).__name__}"
-                raise PluginError(f"{what}, which has no method {duty}", _REMEDY)
+                raise PluginError(f"{what}, which has no method {method}", _REMEDY)
         return made
 
     def package(self, name: str) -> tuple[str, str] | None:

@@ -70,7 +70,7 @@ class PlaneSensor(Sensor):
     )
     resolution: Pair = setting(
         (0.0, 0.0),
-        "steps to which angle, rad, and angular velocity, rad/s, are rounded; 0: none",
+        "resolutions to which angle, rad, and angular velocity, rad/s, are rounded; 0: not rounded",
         minimum=0.0,
         length=2,
     )
@@ -87,5 +87,8 @@ class RobotSensor(Sensor):
         length=2,
     )
     resolution: Pair = setting(
-        (0.0, 0.0), "steps to which its own position, m, and velocity, m/s, are rounded; 0: none", minimum=0.0, length=2
+        (0.0, 0.0),
+        "resolutions to which its own position, m, and velocity, m/s, are rounded; 0: not rounded",
+        minimum=0.0,
+        length=2,
     )

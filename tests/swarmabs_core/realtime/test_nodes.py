@@ -177,7 +177,7 @@ def test_a_state_of_the_plane_that_cannot_be_true_is_not_answered(step: int, ang
 
 def test_a_swarm_that_waits_for_a_reset_is_told_so_without_a_plane_once_per_step() -> None:
     node = nodes.controller(Mode.STOP)
-    assert node.health(nodes.at(3)).text == "STOP: waits for a reset"
+    assert node.health(nodes.at(3)).text == "STOP: waiting for a reset"
     assert nodes.desired(node.tick(nodes.at(3.75)))[:3] == (nodes.at(3.75), 3, Mode.STOP)
     node.reset(nodes.at(4))
     modes = {nodes.desired(node.tick(nodes.at(step + 0.75))).mode for step in range(5, 103)}

@@ -44,7 +44,7 @@ class ObserverConfig:
     last_step: int | None = same(Run, "last_step")
     type: str = setting(
         "sum",
-        "where the torque comes from: the sum over the robots, or the plane's motion",
+        "source of the torque: the sum over the robots, or the plane's motion",
         choices=("sum", "parent_response"),
     )
     inertia: float = same(Plane, "inertia")

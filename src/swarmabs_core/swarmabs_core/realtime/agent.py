@@ -38,7 +38,7 @@ class RealtimeAgentConfig(RobotConfig):
     swarm_mass: float = same(Bounds, "swarm_mass")
     deceleration: float = setting(
         inf,
-        "braking deceleration of a single integrator's base, m/s^2",
+        "limit of the braking deceleration of a single integrator's base, m/s^2",
         name="limits.deceleration",
         above=0.0,
         unset=0.0,
