@@ -1,4 +1,4 @@
-"""Take the screenshots of the view in docs/images with a real browser: python docs/screenshots.py [FOLDER].
+"""Take the screenshots of the view and of a report in docs/images with a browser: python docs/screenshots.py [FOLDER].
 
 It records and serves runs like a user, and needs Chromium and the packages of the tests.
 """
@@ -68,6 +68,17 @@ def keep(page: Page, file: Path, *, whole: bool = False) -> None:
     page.context.close()
 
 
+def report(browser: Browser, runs: Path, file: Path) -> None:
+    """Write the first part of the report of a run that loses a robot."""
+    loss = "faults=[{at: 8, kind: kill, agent: 2}]"
+    for words in (("simulate", "pd_het_4", "--set", loss, "-o", "reported"), ("report", "reported")):
+        subprocess.run([*SWARM, *words], cwd=runs, check=True, capture_output=True)
+    page = browser.new_page(viewport={"width": 1180, "height": 1500}, color_scheme="light")
+    page.goto((runs / "reported" / "report.html").as_uri())
+    page.screenshot(path=file)
+    page.close()
+
+
 def main() -> int:
     """Take all screenshots."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
@@ -79,6 +90,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as runs, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=sandbox)
         here = Path(runs)
+        report(browser, here, folder / "report.png")
         made = [*SWARM, "simulate", "pd_het_4", "--duration", "10", "--set", FAULTS]
         subprocess.run(made, cwd=here, check=True, capture_output=True)
         with page_of(here, "view", "runs/pd_het_4-001") as url:

@@ -10,11 +10,12 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
+from swarmabs_analysis.figures.style import BLACK, BLUE, GREEN, GREY, VERMILION
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PICTURE = Path(__file__).parents[1] / "images" / "architecture.svg"
-BLACK, GREY, BLUE, VERMILION, GREEN = "#000000", "#666666", "#0072b2", "#d55e00", "#009e73"
 
 
 class Box(NamedTuple):

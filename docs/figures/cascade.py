@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from swarmabs_analysis.figures.style import ROBOTS
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.colours import PLANE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,9 +24,6 @@ if TYPE_CHECKING:
 PICTURE = Path(__file__).parents[1] / "images" / "cascade.png"
 SHOWN = 12.0
 """Duration plotted, s."""
-# The colours of Okabe and Ito, distinct with any colour vision; the lines also differ in their dashes.
-BLACK, BLUE = "#000000", "#0072b2"
-ROBOTS = (("#e69f00", "-"), ("#009e73", (0, (5, 1.5))), ("#d55e00", (0, (2, 1))))
 
 
 def draw(folder: Path, angle: Axes, tilts: Axes, errors: Axes) -> None:
@@ -34,9 +33,9 @@ def draw(folder: Path, angle: Axes, tilts: Axes, errors: Axes) -> None:
     shown = upper.time <= SHOWN
     time = upper.time[shown]
     angle.axhspan(-20.0, 20.0, color="#dddddd", label="within 20 mrad")
-    angle.plot(time, 1000.0 * upper.angle[shown], color=BLUE, label="upper plane")
+    angle.plot(time, 1000.0 * upper.angle[shown], color=PLANE, label="upper plane")
     angle.set_title(f"lower references with {coupling['bandwidth']:g} rad/s", fontsize=10)
-    for column, (robot, (colour, dashes)) in enumerate(zip(upper.agents.ids, ROBOTS, strict=True)):
+    for column, (robot, (colour, dashes)) in enumerate(zip(upper.agents.ids, ROBOTS, strict=False)):
         plane = load_arrays(folder / f"lower_{robot}", namespace=f"/lower_{robot}")
         reference = upper.agents.command[:, column] / coupling["ratio"]
         label = f"lower plane {robot}"

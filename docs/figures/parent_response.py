@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from swarmabs_config import configure
-from swarmabs_config.scenarios import find_scenario
+from swarmabs_bag.colours import ERROR, REFERENCE, TORQUE
+from swarmabs_config.scenarios import as_override, find_scenario
 from swarmabs_run.simulation import simulate
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import Scenario
@@ -22,21 +24,21 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 PICTURE = Path(__file__).parents[1] / "images" / "parent_response.png"
-NOISE = "plane.sensor.noise=[1e-4, 1e-3]"
+NOISE = {"plane.sensor.noise": [1e-4, 1e-3]}
 SIGMA = 1e-4
 """Noise of the angular velocity assumed for the estimate of the inertia, rad/s."""
-BLACK, BLUE, VERMILION = "#000000", "#0072b2", "#d55e00"
 
 
-def watched(name: str, *overrides: str) -> tuple[Scenario, RunArrays]:
+def watched(name: str, overrides: Mapping[str, object]) -> tuple[Scenario, RunArrays]:
     """Simulate 30 s of a scenario whose observer uses the plane's motion."""
-    scenario = find_scenario(name, ["duration=30.0", "observer.type=parent_response", *overrides])
+    changed = {"duration": 30.0, "observer.type": "parent_response", **overrides}
+    scenario = find_scenario(name, [as_override(path, value) for path, value in changed.items()])
     return scenario, simulate(scenario)
 
 
-def chosen(bandwidth: int | str) -> tuple[str, ...]:
+def chosen(bandwidth: int | str) -> dict[str, object]:
     """Return the overrides that select an observer by its bandwidth (rad/s), or the sum."""
-    return ("observer.type=sum",) if bandwidth == "sum" else (f"observer.bandwidth={bandwidth}",)
+    return {"observer.type": "sum"} if bandwidth == "sum" else {"observer.bandwidth": bandwidth}
 
 
 def truth(scenario: Scenario, run: RunArrays) -> tuple[Array, Array]:
@@ -47,22 +49,16 @@ def truth(scenario: Scenario, run: RunArrays) -> tuple[Array, Array]:
     return weight, weight + unknown / np.cos(run.angle)
 
 
-def reference(scenario: Scenario, run: RunArrays) -> Array:
-    """Return the reference of the plane's angle, rad."""
-    law = configure.parent_controller(scenario)
-    return np.array([law.reference(time) for time in run.time])
-
-
 def torque_table() -> None:
     """Print the accuracy of the torque estimate, and its effect on the plane."""
     show("scenario", "observer", "noise", "rms, 0.5-5 s", "rms, after 5 s", "max, after 5 s", "angle error after 5 s")
     for name in ("pd_si_4", "arise_si_4", "pd_di_4", "arise_di_4"):
-        for noise, bandwidths in (((), (20, 50, 200)), ((NOISE,), (5, 10, 20, 50))):
+        for noise, bandwidths in (({}, (20, 50, 200)), (NOISE, (5, 10, 20, 50))):
             for bandwidth in ("sum", *bandwidths):
-                scenario, run = watched(name, *noise, *chosen(bandwidth))
+                scenario, run = watched(name, {**noise, **chosen(bandwidth)})
                 error = run.abstract.torque - truth(scenario, run)[1]
                 early, late = (run.time >= 0.5) & (run.time < 5.0), run.time >= 5.0
-                angle = np.abs(reference(scenario, run) - run.angle)[late].max()
+                angle = np.abs(run.reference - run.angle)[late].max()
                 figures = (rms(error[early]), rms(error[late]), np.abs(error[late]).max(), angle)
                 show(name, str(bandwidth), "yes" if noise else "no", *(f"{figure:.1e}" for figure in figures))
 
@@ -76,7 +72,7 @@ def inertia_table() -> None:
     show("scenario", "period", "window", "largest w'", "true J_s", "degree", "estimate", "spread", "condition")
     for name in ("pd_si_4", "arise_si_4"):
         for period, begin, end, degree in WINDOWS:
-            scenario, run = watched(name, f"step={period}", f"duration={end}")
+            scenario, run = watched(name, {"step": period, "duration": end})
             rows = slice(round(begin / period), None)
             estimate, spread, condition = inertia(scenario, run.angle[rows], run.angular_velocity[rows], degree)
             fastest = np.abs(np.diff(run.angular_velocity[rows])).max() / period
@@ -130,18 +126,18 @@ def draw(picture: Path) -> None:
     """Draw torque and angle error of `arise_si_4` with both observers."""
     figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     torque, error = figure.subplots(2, 1, sharex=True)
-    scenario, run = watched("arise_si_4", "observer.bandwidth=20", NOISE)
+    scenario, run = watched("arise_si_4", {"observer.bandwidth": 20, **NOISE})
     weight, seen = truth(scenario, run)
-    torque.plot(run.time, run.abstract.torque, color=VERMILION, linewidth=0.6, label="estimate from the plane's motion")
+    torque.plot(run.time, run.abstract.torque, color=ERROR, linewidth=0.6, label="estimate of the disturbance observer")
     torque.plot(
-        run.time, seen, color=BLACK, linewidth=1.4, linestyle=(0, (4, 2)), label=r"$\tau_s + \tau_d/\cos\theta$"
+        run.time, seen, color=REFERENCE, linewidth=1.4, linestyle=(0, (4, 2)), label=r"$\tau_s + \tau_d/\cos\theta$"
     )
-    torque.plot(run.time, weight, color=BLUE, linewidth=1.4, label=r"$\tau_s$, weight of the robots")
+    torque.plot(run.time, weight, color=TORQUE, linewidth=1.4, label=r"$\tau_s$, weight of the robots")
     torque.set_ylabel("torque, N m")
-    summed = watched("arise_si_4", *chosen("sum"), NOISE)
-    pairs = ((*summed, "sum over the robots", BLUE), (scenario, run, "plane's motion", VERMILION))
-    for shown, found, label, colour in pairs:
-        error.plot(found.time, 1e3 * (reference(shown, found) - found.angle), color=colour, linewidth=1.2, label=label)
+    _, summed = watched("arise_si_4", {**chosen("sum"), **NOISE})
+    pairs = ((summed, "sum over the robots", TORQUE), (run, "disturbance observer", ERROR))
+    for found, label, colour in pairs:
+        error.plot(found.time, 1e3 * (found.reference - found.angle), color=colour, linewidth=1.2, label=label)
     error.set(xlabel="time, s", ylabel=r"$\theta_d - \theta$, mrad", ylim=(-6.0, 6.0), xlim=(0.0, 30.0))
     for axes in (torque, error):
         axes.legend(loc="upper right", fontsize=8, ncols=3)

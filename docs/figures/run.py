@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.colours import INERTIA, KINDS as COLOURS, PLANE, REFERENCE, TORQUE
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
@@ -22,10 +23,14 @@ SNAPSHOTS = (0.0, 0.5, 2.0, 8.0)
 """Times of the sketches of the plane, s."""
 SHOWN = 8.0
 """Duration plotted, s."""
-# The colours of Okabe and Ito, distinct with any colour vision; the robots' lines also differ in their dashes.
-BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION = "#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00"
-ROBOTS = ((ORANGE, "-"), (SKY, (0, (6, 1.5))), (GREEN, (0, (3, 1.5))), (VERMILION, (0, (1, 1))))
+DASHES = ("-", (0, (6, 1.5)), (0, (3, 1.5)), (0, (1, 1)))
+"""Of the lines of the robots."""
 KINDS = {Kind.SINGLE_INTEGRATOR: "SI", Kind.DOUBLE_INTEGRATOR: "DI"}
+
+
+def _colour(run: RunArrays, column: int) -> str:
+    """Return the colour of a robot's kind."""
+    return COLOURS[Kind(run.agents.kind[0, column])]
 
 
 def sketch(axes: Axes, run: RunArrays, time: float) -> None:
@@ -36,21 +41,21 @@ def sketch(axes: Axes, run: RunArrays, time: float) -> None:
     lane = np.array([0.018, 0.036])  # from one lane to the next
     axes.fill([0.02, -0.03, 0.07], [0.0, -0.1, -0.1], color="#999999")
     corners = [-0.5 * along, 0.5 * along, 0.5 * along + 4 * lane, -0.5 * along + 4 * lane]
-    axes.fill(*np.transpose(corners), facecolor="#f4f4f4", edgecolor=BLACK, linewidth=1.2, joinstyle="round")
+    axes.fill(*np.transpose(corners), facecolor="#f4f4f4", edgecolor=REFERENCE, linewidth=1.2, joinstyle="round")
     for number in range(1, 4):
         axes.plot(
             *np.transpose([corners[0] + number * lane, corners[1] + number * lane]), color="#cccccc", linewidth=0.8
         )
-    axes.plot(*np.transpose([np.zeros(2), 4 * lane]), color=BLACK, linewidth=0.8, linestyle=(0, (3, 2)))
+    axes.plot(*np.transpose([np.zeros(2), 4 * lane]), color=REFERENCE, linewidth=0.8, linestyle=(0, (3, 2)))
     for column in reversed(range(4)):  # back to front
         radius = 0.045 * np.cbrt(run.agents.mass[row, column] / 0.5)
         foot = run.agents.position[row, column] * along + (column + 0.5) * lane
         centre = foot + radius * upright
         turn = np.linspace(0.0, 2.0 * np.pi, 60)
         outline = centre[:, None] + radius * np.array([np.cos(turn), np.sin(turn)])
-        axes.fill(*outline, facecolor=ROBOTS[column][0], edgecolor=BLACK, linewidth=0.8)
+        axes.fill(*outline, facecolor=_colour(run, column), edgecolor=REFERENCE, linewidth=0.8)
         name = str(run.agents.ids[column])
-        axes.text(centre[0], centre[1], name, fontsize=7, ha="center", va="center_baseline", color=BLACK)
+        axes.text(centre[0], centre[1], name, fontsize=7, ha="center", va="center_baseline", color=REFERENCE)
     axes.set(xlim=(-0.53, 0.6), ylim=(-0.12, 0.27), aspect="equal")
     axes.axis("off")
     axes.set_title(f"t = {time:g} s, {1000.0 * angle:+.0f} mrad", fontsize=9)
@@ -67,22 +72,24 @@ def draw(run: RunArrays) -> Figure:
     time = run.time[shown]
 
     angle.axhspan(-10.0, 10.0, color="#dddddd", label="within 10 mrad")
-    angle.plot(time, 1000.0 * run.angle[shown], color=BLUE, label="angle of the plane")
+    angle.plot(time, 1000.0 * run.angle[shown], color=PLANE, label="angle of the plane")
     angle.set_ylabel("angle, mrad")
     angle.legend(loc="upper right", frameon=False)
 
-    for column, (colour, dashes) in enumerate(ROBOTS):
+    for column, dashes in enumerate(DASHES):
         label = f"robot {run.agents.ids[column]} ({KINDS[Kind(run.agents.kind[0, column])]})"
-        positions.plot(time, run.agents.position[shown, column], color=colour, linestyle=dashes, label=label)
+        positions.plot(
+            time, run.agents.position[shown, column], color=_colour(run, column), linestyle=dashes, label=label
+        )
     positions.set_ylabel("position, m")
     positions.legend(loc="center right", ncols=2, frameon=False)
 
     torque = run.desired.torque - run.abstract.torque
     inertia = run.desired.inertia - run.abstract.inertia
-    (first,) = error.plot(time, torque[shown], color=BLUE, label="torque, left axis")
+    (first,) = error.plot(time, torque[shown], color=TORQUE, label="torque, left axis")
     other = error.twinx()
     (second,) = other.plot(
-        time, 1000.0 * inertia[shown], color=VERMILION, linestyle=(0, (4, 1.5)), label="inertia, right axis"
+        time, 1000.0 * inertia[shown], color=INERTIA, linestyle=(0, (4, 1.5)), label="inertia, right axis"
     )
     limit = 1.15 * np.abs(torque[shown]).max()
     error.set(ylim=(-limit, limit), ylabel="error of the\ntorque, N m", xlabel="time, s", xlim=(-0.05, SHOWN))

@@ -31,6 +31,8 @@ SAFE_STOP = "#f0e442"
 ABSENT = "#888888"
 """A robot that is silent or has left."""
 
+ROBOTS = (DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR, TORQUE, INERTIA)
+"""The first four robots, where each has its own colour instead of that of its kind."""
 KINDS: Mapping[Kind, str] = {Kind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR}
 
 

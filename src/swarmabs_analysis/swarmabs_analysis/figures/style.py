@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Literal
 
 import matplotlib.style
 
+from swarmabs_bag import colours
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -26,11 +28,11 @@ COLUMN, PAGE = 3.5, 7.16
 """Width of a column and of a page of two, inches."""
 
 BLACK, GREY, LIGHT = "#000000", "#767676", "#f0f0f0"
-ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"
-BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
+ORANGE, SKY, GREEN, YELLOW = colours.DOUBLE_INTEGRATOR, colours.SINGLE_INTEGRATOR, colours.TORQUE, colours.SAFE_STOP
+BLUE, VERMILION, PURPLE = colours.PLANE, colours.ERROR, colours.INERTIA
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 1.5)), (0, (1, 1.5))
-ROBOTS = ((ORANGE, SOLID), (SKY, (0, (6, 1.2))), (GREEN, (0, (3, 1.2))), (PURPLE, (0, (1, 1))))
+ROBOTS = tuple(zip(colours.ROBOTS, (SOLID, (0, (6, 1.2)), (0, (3, 1.2)), (0, (1, 1))), strict=True))
 """Colour and dashes of the first, second, third and fourth robot."""
 
 _SHEET = Path(__file__).with_name("paper.mplstyle")
