@@ -55,9 +55,10 @@ export class PlaneView {
     const angle = frame.angle ?? 0;
     this.rise = settled(this.rise, Math.max(rise(angle), rise(frame.reference), 0.01));
     const steep = Math.min(this.rise, 1);
-    const deep = { x: 0.1 * width, y: (0.4 - 0.15 * steep) * height };
+    // The depth leans away from the side that rises, or a steep plane would be seen from its edge.
+    const deep = { x: (0.1 * Math.cos(angle) - 0.15 * Math.sin(angle)) * width, y: (0.4 - 0.15 * steep) * height };
     const crowded = this.crowded(hello);
-    const scale = Math.min(0.36 * width, (0.42 * height - deep.y / 2) / steep) / half;
+    const scale = Math.min(0.36 * width, (0.4 * height - deep.y / 2) / steep) / half;
     const [cx, cy] = [0.5 * width, 0.52 * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
     // From metres along the plane and depth (0 near, 1 far) to the screen.
