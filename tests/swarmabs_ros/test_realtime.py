@@ -309,6 +309,21 @@ def test_an_error_halts_and_silences_the_node_and_is_told(halt_fails: bool) -> N
     assert ("halting failed too: OSError: no brake either" in told) is halt_fails
 
 
+def test_a_command_that_fails_halts_the_node_and_so_does_the_end_even_if_that_fails() -> None:
+    def divide() -> None:
+        with pytest.raises(ZeroDivisionError):
+            run.loop.command(lambda _: (desired(1 // 0),))
+
+    run = Run()
+    run.world.plan(1.3, divide)
+    run.until(3.0)
+    assert (run.node.ticks, run.node.halts, len(run.failures)) == ([1], 1, 1)
+    run = Run()
+    run.node.halt_fails = True
+    run.until(2.5)
+    assert (run.node.ticks, run.node.halts, run.failures) == ([1, 2], 1, ["no brake either"])
+
+
 def test_health_has_the_figures_and_warns_of_what_was_missed_since_the_last_time() -> None:
     run = Run()
     seen: list[Health] = []

@@ -4,7 +4,6 @@ import hashlib
 import io
 import json
 import os
-import re
 import signal
 import struct
 import subprocess
@@ -235,9 +234,3 @@ def bag_digest(messages: Sequence[BagMessage]) -> str:
 
 def summary_of(folder: Path) -> dict[str, Any]:
     return parsed((folder / "summary.json").read_text(encoding="utf-8"))
-
-
-def domain_of(folder: Path) -> int:
-    found = re.search(r"ROS domain (\d+)", run_log(folder))
-    assert found is not None
-    return int(found[1])

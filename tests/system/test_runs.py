@@ -97,13 +97,3 @@ def test_a_dropped_robot_is_verified_replayed_and_simulated(folder: Path, tmp_pa
     simulated = runs.swarm("simulate", folder, "-o", tmp_path / "again", "--json")
     assert simulated.summary()["rerun_of"]["same"] is True
     assert "robot 3 fell silent" in simulated.err
-
-
-def test_two_runs_at_the_same_time(tmp_path: Path) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    with runs.started_swarm("run", "--set", runs.FOREVER, "-o", one) as command:
-        runs.until_stepping(one)
-        same_as_simulated(two, "arise_het_4", runs.seconds(2.0))
-        command.process.terminate()
-        assert command.wait().code == 1
-    assert runs.domain_of(one) != runs.domain_of(two)

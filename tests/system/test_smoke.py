@@ -57,7 +57,7 @@ def test_the_command_run_has_the_bits_of_the_simulation(finished: tuple[Path, ru
     told = read_progress(folder / "logs")
     assert told is not None and (told.phase, told.steps) == ("over", STEPS)
     assert not goes_on(folder)
-    assert "start" in runs.run_log(folder) and runs.domain_of(folder) > 0
+    assert re.search(r"ROS domain \d+.*start", runs.run_log(folder), re.DOTALL)
 
 
 def test_the_bag_of_a_run_holds_every_message_once_in_canonical_bytes_for_other_readers(
@@ -302,7 +302,6 @@ def test_in_real_time_a_robot_may_die_and_the_plane_may_not(folder: Path, mark: 
     ("words", "said"),
     [
         (("--realtime", "--set", "faults=[{at: 1, kind: kill, agent: 1}]"), "faults: there is none in real time"),
-        (("--realtime", "--set", "swarm.actuator_lag=0.1"), "swarm.actuator_lag: there is none in real time"),
         (("--realtime", "--packed"), "--packed is for runs in lockstep"),
         (("--realtime", "--agents-per-process", "2"), "--agents-per-process is for runs in lockstep"),
         (("--steer", "--no-bag"), "--steer with --no-bag"),

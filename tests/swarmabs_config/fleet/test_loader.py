@@ -28,7 +28,7 @@ REFUSED = [
     ("position: 0.125}", "positon: 1}", "positon", ("robots.0.drive.positon", "'position'")),
     ("type: simulated", "type: topc", "topc", ("robots.0.drive.type", "did you mean 'topic'?")),
     ("host: robot-3", "host: robt-3", "robt-3", ("robots.2.host", "did you mean 'robot-3'?")),
-    ("network:", "newtork:", "newtork", ("newtork", "did you mean 'network'?")),
+    ("network: {", "newtork: {", "newtork: {", ("newtork", "did you mean 'network'?")),
     ("id: 2", "id: 1", "id: 1, host: robot-2", ("robots.1.id", "twice", "(see line")),
     ("name: robot-2", "name: robot-1", "192.168.10.12", ("hosts.2.name", "twice")),
     (".12}", ".11}", "name: robot-2", ("hosts.2.address", "192.168.10.11", "twice")),
@@ -60,6 +60,7 @@ ADDED = [
     ("lan\nepoch: 0001-12-31T00:00:00Z", "epoch", ("before 1970",)),
     ("lan\nepoch: 2999-01-01T00:00:00Z", "epoch", ("in the future",)),
     (f"lan\nepoch: {TOMORROW}", "epoch", (TOMORROW, "in the future", "past")),
+    ("lan\nepoch: 2026-13-01T00:00:00Z", "epoch", ("epoch: '2026-13",)),
     ("lan\nepoch: 20260301T123005Z", "epoch", ("epoch", "not a time in UTC")),
     ("lan\ninstallation: {user: root}", "installation", ("user: nodes must not run as root", "e.g. swarmabs")),
     ("swarmabs\ninstallation: {prefix: /opt}", "installation", ("replace /opt/swarmabs,", "e.g. /etc/swarmabs")),
@@ -110,6 +111,13 @@ PLUGIN = "drive: {type: plugin, name: a, settings: "
 TOPICS = "drive: {type: topic, "
 FIELDS = [
     # a piece of a fleet file with a mistake, in place of what, and the field that is named
+    ("[{name: base, address: 127.0.0.1, interface: lo}]", "[]", "hosts: no hosts"),
+    (f"  - {{id: 2, host: base, kind: double_integrator, mass: 0.5, damping: 0.8, {DOUBLE}}}\n", "", "robots: a swarm"),
+    ("robots:", "swarm_mass: 0.89\nrobots:", "swarm_mass: 0.89 kg is less than"),
+    ("mass: 0.4", "mas: 0.4", "robots.0.mas: unknown key 'mas'; did you mean 'mass'?"),
+    (SINGLE, SINGLE.replace("0.1}", "0.1, velocity: 1}"), "robots.0: a single integrator starts at velocity 0"),
+    (SINGLE, f"{SINGLE}, limits: {{force: 1}}", "robots.0: a single integrator has no force"),
+    (SINGLE, f"{SINGLE}, limits: {{lane: 0.51}}", "robots.0.limits.lane: 0.51 m"),
     ("127.0.0.1", "192.0.2.1", "hosts.0.interface: lo on base reaches no other host"),
     (SINGLE, TOPICS + "topic: 'a b'}", "robots.0.drive.topic: 'a b' is"),
     (SINGLE, TOPICS + "command_topic: 5}", "robots.0.drive.command_topic:"),
@@ -129,6 +137,8 @@ FIELDS = [
     (DOUBLE, TOPICS + "age_limit: 0}", "robots.1.drive.age_limit: 0 is out of range; give a number > 0"),
 ]
 OF_A_TUNNEL = [
+    ("10.83.0.12", "10.83.0.11", "hosts.2.tunnel_address: tunnel address 10.83.0.11"),
+    ("10.83.0.12", "127.0.0.1", "hosts.2.tunnel_address: 127.0.0.1"),
     ("domain: 41", "domain: 41, discovery: multicast", "network.discovery: a tunnel carries no multicast"),
     ("interface: floor0", "interface: lo", "security.interface: lo is the loopback interface"),
     ("interface: floor0", "interface: wlan0", "security.interface: wlan0 is already the network interface"),

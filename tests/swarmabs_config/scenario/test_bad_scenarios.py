@@ -80,11 +80,9 @@ ADDED = [
     # Keys.
     ("duratoin: 3", "4: duratoin: unknown key 'duratoin'; did you mean 'duration'?"),
     ("plane:\n  angel: 0.1", "5: plane.angel: unknown key 'angel'; did you mean 'angle'?"),
-    ("plane: {tilt: 0}", "4: plane.tilt: unknown key 'tilt'; known: inertia, length, gravity, friction,"),
     ("<<: {}", "4: <<: unknown key '<<'; known: schema, name, "),
     ('"a\\e[31mb": 1', "4: a\\x1b[31mb: unknown key 'a\\x1b[31mb'; known: "),
     ("schema: 1", "4: schema: the key is given twice (see line 1); remove one of them"),
-    ("plane: {angle: 0, angle: 0}", "4: plane.angle: the key is given twice (see line 4); remove one"),
     ("1: 2", "4: a key that is not a name: the number 1; write 'key: value' with a name as key"),
     ("? [a]\n: 2", "4: a key that is not a name; write 'key: value' with a name as key"),
     # Types, besides what the declarations give.
@@ -95,7 +93,6 @@ ADDED = [
     ("duration: 010", "4: duration: '010' begins with 0, which could mean octal; remove the 0, or"),
     ("duration: true", "4: duration: expected a number, found true; write a number, e.g. 0.5"),
     ("duration: .nan", "4: duration: .nan is not a finite number; give a finite number"),
-    ("duration: -.inf", "4: duration: -.inf is not a finite number; give a finite number"),
     ("duration: 1e999", "4: duration: '1e999' is not a finite number; give a finite number"),
     (f"duration: {'9' * 61}", "4: duration: a number of more than 60 digits is out of range; give a number"),
     (f"duration: {'9' * 5000}", "4: duration: a number of 5000 characters; shorten it"),
@@ -112,7 +109,6 @@ ADDED = [
     ("plane: {friction: [1,\n x, 1, 1, 1, 1]}", "5: plane.friction.1: expected a number, found the text 'x'"),
     ("faults: {}", "4: faults: expected a list, found a mapping; write a list in [ ]"),
     ("lockstep: {on_stall: drpo}", "4: lockstep.on_stall: expected 'fail' or 'drop', found the text 'drpo'; did you"),
-    ("lockstep: {on_stall: 1}", "4: lockstep.on_stall: expected 'fail' or 'drop', found the number 1; write"),
     # Several settings together.
     ("plane:\n  angle: 0.3\n  end_stop: 0.2", "5: plane.angle: 0.3 rad is beyond the end stop at 0.2 rad (see line 6)"),
     ("plane: {robot_gravity: true, sensor: {noise: [0.1, 0]}}", "4: plane.sensor: robot_gravity …cannot be combined"),
@@ -128,7 +124,6 @@ ADDED = [
     # Controllers.
     ("controller: pd", "4: controller: expected a mapping, found the text 'pd'; write {type: pd, ...}"),
     ("controller: {type: lrq}", "4: controller.type: unknown type 'lrq'; did you mean 'lqr'?"),
-    ("controller: {type: mpc}", "4: controller.type: unknown type 'mpc'; known: pd, lqr, arise"),
     ("controller: {type: [pd]}", "4: controller.type: unknown type (a list of 1); known: pd, lqr, arise"),
     ("controller: {type: pd, gain: 1}", "4: controller.gain: unknown key 'gain'; did you mean 'gains'?"),
     ("controller: {trajectory: {type: sine}}", "4: controller.trajectory: …; remove 'trajectory', or use 'type: ari"),
@@ -138,7 +133,6 @@ ADDED = [
     # Tags, aliases: nothing is executed, nothing explodes.
     ("name: !!python/name:os.system x", "4: name: the tag 'tag:yaml.org,2002:python/name:os.system' is not"),
     ("name: !!binary aGk=", "4: name: the tag 'tag:yaml.org,2002:binary' is not allowed; remove the tag"),
-    ("faults: !!set {a}", "4: faults: the tag 'tag:yaml.org,2002:set' is not allowed; remove the tag"),
     ("plane: !robot {angle: 0}", "4: plane: the tag '!robot' is not allowed; remove the tag: a scenario is"),
     ("seed: !!int '1.5'", "4: seed: the number 1.5 does not fit its tag 'tag:yaml.org,2002:int'; remove the"),
     ("seed: *one", "4: seed: the alias 'one' has no anchor before it; write the value itself"),
@@ -151,7 +145,6 @@ FAULTS = [
     ("{kind: kill, at: 30.006, agent: 1}", "5: faults.0.at: 30.006 s is step 3001, after the last"),
     ("{kind: kill, at: 1, agent: 7}", "5: faults.0.agent: there is no robot 7; name an existing"),
     ("{kind: loss, probability: 0}\n- {kind: loss, probability: 0}", "6: faults.1: a second loss (see line 5); keep"),
-    ("{kind: delay, steps: 0}\n- {kind: delay, steps: 0}", "6: faults.1: a second delay (see line 5); keep one delay"),
     ("{kind: kill, at: 1, agent: 1}\n- {kind: leave, at: 2, agent: 1}", "6: faults.1: …twice (see line 5); keep one"),
     ("{kind: join, at: 1, agent: 1}\n- {kind: join, at: 2, agent: 1}", "6: faults.1: robot 1 joins twice (see line 5)"),
     ("{kind: kill, at: 1, agent: 1}\n- {kind: join, at: 1.001, agent: 1}", "6: faults.1.at: …is gone from step 100"),
@@ -164,11 +157,15 @@ FAULTS = [
     ("{kind: delay, steps: 1, from: 1, to: 1.004}", "5: faults.0.to: the fault begins and ends at step 100; make it"),
     ("{kind: clock_offset, agent: 1, offset: 1.0e-10}", "5: faults.0.offset: 1e-10 s is not a whole number of nanosec"),
     ("{kind: clock_offset, agent: 1, offset: 9}\nduration: 2147483640", "5: faults.0.offset: time stamps would exceed"),
-    ("{kind: clock_offset, agent: 9, offset: 1}", "5: faults.0.agent: there is no robot 9; name an existing"),
     ("{kind: join, at: null, agent: 1}\n- {kind: kill, at: 1, agent: 1}", "6: faults.1: robot 1 joins at an unplanned"),
     ("{kind: lie, agent: 1}", "5: faults.0: the fault falsifies nothing; set 'position_offset'"),
     ("{kind: lie, agent: 1, position_factor: 0}", "5: faults.0.position_factor: 0.0 cannot be inverted; give a number"),
     ("{kind: lie, agents: [1], position_factor: 2}", "5: faults.0.agents: unknown key 'agents'; did you mean 'agent'?"),
+    ("{kind: reference, at: 1, offset: 0}\n- {kind: reference, at: 1, offset: 1}", "6: faults.1: a second reference"),
+    (
+        "{kind: reference, at: 1, offset: 0, until: 3}\n- {kind: reference, at: 2.99, offset: 1}",
+        "6: faults.1: a second",
+    ),
     ("{kind: join, at: 1, agent: 1}", "3: swarm.generate: a swarm needs at least two robots at step 0, found 1: the"),
 ]
 CASES = [

@@ -78,7 +78,6 @@ def test_overrides_reach_into_settings() -> None:
         ("{type: bang_bang, many: []}", "f:2: controller.many: expected a list of at least one value"),
         ("{type: bang_bang, inner: {c: 1}}", "f:2: controller.inner.c: unknown key 'c'; known: a, deep"),
         ("{type: bang_bank}", "f:2: controller.type: unknown type 'bang_bank'; did you mean 'bang_bang'?"),
-        ("{type: zzz}", "f:2: controller.type: unknown type 'zzz'; known: pd, lqr, arise, bang_bang"),
     ],
 )
 def test_mistakes_are_answered_like_those_in_built_in_parts(controller: str, expected: str) -> None:
