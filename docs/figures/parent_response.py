@@ -41,7 +41,7 @@ def chosen(bandwidth: int | str) -> dict[str, object]:
     return {"observer.type": "sum"} if bandwidth == "sum" else {"observer.bandwidth": bandwidth}
 
 
-def truth(scenario: Scenario, run: RunArrays) -> tuple[Array, Array]:
+def true_torques(scenario: Scenario, run: RunArrays) -> tuple[Array, Array]:
     """Return the torque of the robots' weight, and its sum with the indistinguishable part of the disturbance, N m."""
     weight = scenario.plane.gravity * (run.agents.position @ np.array([agent.mass for agent in scenario.agents]))
     disturbance = scenario.plane.disturbance
@@ -56,7 +56,7 @@ def torque_table() -> None:
         for noise, bandwidths in (({}, (20, 50, 200)), (NOISE, (5, 10, 20, 50))):
             for bandwidth in ("sum", *bandwidths):
                 scenario, run = watched(name, {**noise, **chosen(bandwidth)})
-                error = run.abstract.torque - truth(scenario, run)[1]
+                error = run.abstract.torque - true_torques(scenario, run)[1]
                 early, late = (run.time >= 0.5) & (run.time < 5.0), run.time >= 5.0
                 angle = np.abs(run.reference - run.angle)[late].max()
                 figures = (rms(error[early]), rms(error[late]), np.abs(error[late]).max(), angle)
@@ -127,7 +127,7 @@ def draw(picture: Path) -> None:
     figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     torque, error = figure.subplots(2, 1, sharex=True)
     scenario, run = watched("arise_si_4", {"observer.bandwidth": 20, **NOISE})
-    weight, seen = truth(scenario, run)
+    weight, seen = true_torques(scenario, run)
     torque.plot(run.time, run.abstract.torque, color=ERROR, linewidth=0.6, label="estimate of the disturbance observer")
     torque.plot(
         run.time, seen, color=REFERENCE, linewidth=1.4, linestyle=(0, (4, 2)), label=r"$\tau_s + \tau_d/\cos\theta$"

@@ -135,7 +135,7 @@ def test_the_scenario_of_a_bag_that_holds_none_is_named(original: Path, again: C
     with pytest.raises(InputError, match=r"contains no scenario.*--scenario"):
         recorded_run(bare)
     assert again(bare, "--scenario", named)[0]["same"] is True
-    with pytest.raises(InputError, match="leave --scenario out"):
+    with pytest.raises(InputError, match="leave out --scenario"):
         recorded_run(original, scenario=named)
     refused = swarm(("simulate", named, "--scenario", named), original)
     assert (refused.code, "leave --scenario out" in refused.err) == (2, True)

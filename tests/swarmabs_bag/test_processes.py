@@ -90,7 +90,7 @@ def test_large_bag_is_described_and_iterated_over_but_not_loaded(bag: Path, tmp_
     done = run(sys.executable, "-c", READER, file)
     first, second = (done.stdout + done.stderr).splitlines()
     assert first == "True None True True"
-    assert second.startswith(f"{file}: its arrays take about ")
+    assert second.startswith(f"{file}: its arrays need about ")
 
 
 @pytest.mark.parametrize(("files", "left"), [(("5000", "4000"), 1000), (("max", "4000"), None), ((), None)])

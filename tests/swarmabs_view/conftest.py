@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_play
 from tests.swarmabs_analysis.figures.conftest import record
 
 from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
-from swarmabs_view.protocol import Curves, Frame, Hello, Message, Robot, State
+from swarmabs_view.protocol import Curves, Frame, Hello, Message, RobotInfo, State
 
 HELLO = Hello(
     source="swarm",
@@ -161,7 +161,7 @@ class PageServer:
 
     def open(self, *messages: Message, hash_: str = "") -> None:
         """Have the page opened; each connection begins with two robots of a run, and with these messages."""
-        robots = [Robot(id=n, kind="single_integrator", mass=0.1 * n, damping=None) for n in (1, 2)]
+        robots = [RobotInfo(id=n, kind="single_integrator", mass=0.1 * n, damping=None) for n in (1, 2)]
         hello = HELLO.model_copy(update={"source": "run", "period": 0.01, "robots": robots})
         state = Abstract(0.0, 0.1)
         shown = [ShownRobot(0.1, 0.0, 0.0, "active"), ShownRobot(-0.1, 0.0, 0.0, "dead")]

@@ -174,7 +174,9 @@ def test_weights_that_stand_still_shift_the_sets() -> None:
 
 
 def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
-    robots = [protocol.Robot(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)]
+    robots = [
+        protocol.RobotInfo(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)
+    ]
     identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0, joins=n == 9) for n in (1, 2, 7, 9)]
     plane = protocol.Plane(length=1.0, inertia=0.1, gravity=9.81)
     known = {

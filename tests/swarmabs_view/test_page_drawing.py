@@ -8,7 +8,7 @@ from playwright.sync_api import Page, expect
 from tests.swarmabs_view.conftest import HELLO, PageServer, curves
 
 from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
-from swarmabs_view.protocol import Event, Events, Frame, Robot, State
+from swarmabs_view.protocol import Event, Events, Frame, RobotInfo, State
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -105,7 +105,7 @@ def test_labels_are_apart_and_the_scale_follows_the_angle(page: Page, page_serve
 
 
 def test_a_crowd_has_a_legend_and_bands_of_its_own(page: Page, page_server: PageServer) -> None:
-    robots = [Robot(id=n, kind="double_integrator", mass=0.1, damping=None) for n in range(1, 62)]
+    robots = [RobotInfo(id=n, kind="double_integrator", mass=0.1, damping=None) for n in range(1, 62)]
     page_server.open()
     each, crowd = page.locator(".legend .each"), page.locator(".legend .crowd")
     expect(each.filter(visible=True)).to_have_count(3)

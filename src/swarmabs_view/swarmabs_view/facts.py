@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.swarm_state import Members, SwarmState, finite
 from swarmabs_core.theory.constraint_sets import ConstraintSets
-from swarmabs_view.protocol import Manifold, Plane, Regions, Robot, Sets
+from swarmabs_view.protocol import Manifold, Plane, Regions, RobotInfo, Sets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ def scenario_facts(scenario: Scenario) -> dict[str, Any]:
     return {
         "period": scenario.period,
         "last_step": scenario.steps,
-        "robots": [Robot.of(robot) for robot in SwarmState.of(scenario).robots],
+        "robots": [RobotInfo.of(robot) for robot in SwarmState.of(scenario).robots],
         "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia, gravity=scenario.plane.gravity),
         "manifold": Manifold(
             curvature=scenario.manifold.curvature,

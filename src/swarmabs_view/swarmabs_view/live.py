@@ -7,7 +7,19 @@ from collections import deque
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from swarmabs_view.facts import Shading
-from swarmabs_view.protocol import Curves, Event, Events, Frame, Hello, Placed, Positions, Robot, Session, Sets, State
+from swarmabs_view.protocol import (
+    Curves,
+    Event,
+    Events,
+    Frame,
+    Hello,
+    Placed,
+    Positions,
+    RobotInfo,
+    Session,
+    Sets,
+    State,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -153,7 +165,7 @@ class LiveView:
 
     def hello(self) -> Hello:
         """Return the first message for a page."""
-        return self._hello.model_copy(update={"robots": [Robot.of(robot) for robot in self.state.robots]})
+        return self._hello.model_copy(update={"robots": [RobotInfo.of(robot) for robot in self.state.robots]})
 
     def frame(self, now: float) -> Frame | None:
         """Return the step to show at a time (s), computed once for all pages; None before the plane's first state."""

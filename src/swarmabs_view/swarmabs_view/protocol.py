@@ -58,7 +58,7 @@ class Message(Part):
     v: Literal[1] = 1
 
 
-class Robot(Part):
+class RobotInfo(Part):
     """The constant properties of a robot."""
 
     id: int
@@ -110,7 +110,7 @@ class Hello(Message):
     place: str = Field(description="bag, folder of the run, or namespace")
     period: Number = Field(description="s")
     last_step: int | None
-    robots: list[Robot] = Field(description="in the order of the arrays of a frame")
+    robots: list[RobotInfo] = Field(description="in the order of the arrays of a frame")
     plane: Plane | None
     manifold: Manifold | None
     regions: Regions | None = Field(description="sets of the initial robots")

@@ -208,22 +208,22 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
 
 def _abstract(recorded: Recorded) -> Iterator[Panel]:
     actual, desired = recorded.arrays.abstract, recorded.arrays.desired
-    for key, letter, unit, colour, found, wanted, truth in (
+    for key, letter, unit, colour, found, target, weight in (
         ("torque", "τ", "N m", TORQUE, actual.torque, desired.torque, recorded.torque if recorded.estimated else None),
         ("inertia", "J", "kg m²", INERTIA, actual.inertia, desired.inertia, None),
     ):
-        lines = [Line(f"{letter} {'actual' if truth is None else 'estimated'}", found, colour)]
-        if truth is not None:
-            lines.append(Line(f"{letter} from the robots' states", truth, ERROR, DOTTED))
-        lines.append(Line(f"{letter} desired", wanted, REFERENCE, DASHED))
+        lines = [Line(f"{letter} {'actual' if weight is None else 'estimated'}", found, colour)]
+        if weight is not None:
+            lines.append(Line(f"{letter} from the robots' states", weight, ERROR, DOTTED))
+        lines.append(Line(f"{letter} desired", target, REFERENCE, DASHED))
         about = joined(
             span(f"actual {key}", found, unit),
-            span(f"desired {key}", wanted, unit),
-            span("from the robots' states", truth, unit) if truth is not None else "",
+            span(f"desired {key}", target, unit),
+            span("from the robots' states", weight, unit) if weight is not None else "",
         )
         heading = f"{key.capitalize()} {letter} of the swarm, desired and actual"
         draw = lines_over_time(recorded, f"{letter}, {unit}", lines)
-        yield Panel(key, "abstract", heading, draw, about, ESTIMATED if truth is not None else "")
+        yield Panel(key, "abstract", heading, draw, about, ESTIMATED if weight is not None else "")
     about = joined(
         span("error of τ", desired.torque - actual.torque, "N m"),
         span("error of J", desired.inertia - actual.inertia, "kg m²"),

@@ -4,7 +4,7 @@ import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { PlaneView } from "./plane.js";
-import { Steering } from "./steering.js";
+import { SteeringPanel } from "./steering.js";
 import { Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
@@ -23,7 +23,7 @@ const events = new Events();
 const processes = new Processes();
 const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
-const steering = new Steering((message) => connection.send(message));
+const steering = new SteeringPanel((message) => connection.send(message));
 const charts = new Charts((time) => controls.seekTime(time));
 new More();
 

@@ -42,7 +42,7 @@ function options(select, robots) {
   }
 }
 
-export class Steering {
+export class SteeringPanel {
   constructor(send) {
     this.send = send;
     this.token = token();

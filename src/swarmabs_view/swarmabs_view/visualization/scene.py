@@ -107,7 +107,7 @@ def tilted(point: Vector, angle: float) -> Vector:
     return Vector(c * point.x - s * point.z, point.y, s * point.x + c * point.z)
 
 
-class Robot(NamedTuple):
+class RobotGeometry(NamedTuple):
     """Geometry of a robot: kind, y of its lane (m) and edge of its body (m)."""
 
     kind: int
@@ -165,7 +165,7 @@ class Scene:
         self.lane_width = _LANE * edge
         first = -self.lane_width * (len(listed) - 1) / 2.0
         self.robots = {
-            agent_id: Robot(kind, first + index * self.lane_width, edge * (mass / heaviest) ** (1.0 / 3.0))
+            agent_id: RobotGeometry(kind, first + index * self.lane_width, edge * (mass / heaviest) ** (1.0 / 3.0))
             for index, (agent_id, kind, mass) in enumerate(listed)
         }
         self.length = length
