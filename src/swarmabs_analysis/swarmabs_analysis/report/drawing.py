@@ -39,7 +39,7 @@ _DECADES = 30.0
 """Ratio of largest to smallest value above which an axis is logarithmic."""
 _FEW_MARKS, _MOST_MARKS = 12, 200
 _LEGEND = 66
-"""Letters in a row of a legend, of which the sample of a line takes eight."""
+"""Characters in a row of a legend; the sample of a line counts as eight."""
 _FINE, _COARSE = 241, 21
 _EVENT_COLOURS: Mapping[int, str] = {
     EventKind.DEAD: FAILED,

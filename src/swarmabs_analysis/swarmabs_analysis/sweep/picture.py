@@ -1,4 +1,4 @@
-"""The picture of a sweep: a result, and how the cases end, over up to three of the parameters."""
+"""The picture of a sweep: a result and the outcomes of the cases over up to three parameters."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ METRICS = {
 }
 """Results that can be drawn, with their units."""
 MAP = "viridis"
-# The greys and the red differ in lightness, and from all colours of the map.
+# The greys and the red differ in lightness, and from every colour of the map.
 LOOKS = {
     "settled": (tint(PLANE, 0.1), "settles within 10 mrad"),
     "unsettled": (tint(ABSENT, 0.35), "stays up, but does not settle"),
@@ -77,19 +77,19 @@ MARKERS = {"settled": "o", "unsettled": "s", "off_plane": "^", "failed": "X", "r
 _FEW = 30
 """Most values of a parameter for which markers with the same value are moved apart."""
 _FEW_TICKS, _FEW_PANELS, _RANGES = 5, 6, 3
-"""Values up to which each has a tick, and a panel; ranges that more values of a third parameter are divided into."""
+"""Most values with a tick or a panel each; the number of ranges for a third parameter with more values."""
 _DECADES = 30.0
-"""Ratio of the results from which on their scale is logarithmic."""
+"""Ratio of largest to smallest result above which the scale is logarithmic."""
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _BANDS = ((tint(PLANE, 0.2), "90 % of the cases"), (tint(PLANE, 0.45), "50 % of the cases"))
 _OFF_PLANE = OUTCOMES.index("off_plane")
-"""Outcomes from this one on have no result worth drawing."""
+"""Index of the first outcome without a meaningful result."""
 _FINE = 201
 """Points per axis at which the outlines of the estimates are computed."""
 
 
 class _Cases(NamedTuple):
-    """Cases, (N,) each: their place along each axis, their result, NaN for none, and the number of their outcome.
+    """Cases, (N,) each: coordinates, result (NaN for none), and index of the outcome.
 
     They are `gridded` if all axes are of the grid.
     """
@@ -100,18 +100,18 @@ class _Cases(NamedTuple):
     gridded: bool
 
     def where(self, chosen: NDArray[np.bool_]) -> _Cases:
-        """Return some of the cases."""
+        """Return the selected cases."""
         places = [place[chosen] for place in self.places]
         return self._replace(places=places, result=self.result[chosen], outcome=self.outcome[chosen])
 
     @property
     def repeated(self) -> bool:
-        """Whether cases share their places."""
+        """Whether several cases have the same coordinates."""
         return len(set(zip(*self.places, strict=True))) < len(self.outcome)
 
 
 class _Subject(NamedTuple):
-    """What is drawn: the parameters along the axes, the one that differs between panels, and the result."""
+    """The contents of the picture: the parameters of the axes, the parameter of the panels, and the result."""
 
     axes: Sequence[str]
     panels: str | None
@@ -121,10 +121,10 @@ class _Subject(NamedTuple):
 def pictures(study: Study, rows: Rows) -> dict[str, bytes]:
     """Return the picture as PNG and SVG files by name; none if no parameter is numeric.
 
-    It shows the first of the sweep's results that at least half of the cases have in which all robots stay on the
-    plane. Over one parameter it is a line, with bands for repeated cases; over two it is a map of fields if both are of
-    the grid, else of markers. A third parameter gives a panel for each of its values. Over the plane's angle and
-    angular velocity, if nothing else is swept, the estimates of the region of attraction are outlined.
+    It shows the first of the sweep's results that exists for at least half of the cases in which all robots stay on the
+    plane. Over one parameter it is a line, with bands for repeated cases; over two it is a map of fields if both are in
+    the grid, otherwise of markers. A third parameter has a panel for each of its values. If only the plane's angle and
+    angular velocity are swept, the estimates of the region of attraction are outlined.
     """
     subject = _subject(study, rows)
     if not subject.axes or (len(subject.axes) == 1 and subject.metric is None):
@@ -140,7 +140,7 @@ def pictures(study: Study, rows: Rows) -> dict[str, bytes]:
 
 
 def _subject(study: Study, rows: Rows) -> _Subject:
-    """Choose what is drawn."""
+    """Choose the contents of the picture."""
     sweep = study.sweep
     choices = {
         path: sweep.random[path].choice if path in sweep.random else sweep.grid[path] for path in sweep.parameters
@@ -227,7 +227,7 @@ def _cases(study: Study, rows: Rows, subject: _Subject) -> _Cases:
 
 
 def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Return the cases of each panel with its heading: of each value of a parameter, or of ranges of many numbers."""
+    """Return heading and cases of each panel: one per value of a parameter, or per range of many values."""
     values = [case.values[path] for case in study.cases()]
     texts = np.array([json.dumps(value).strip('"') for value in values])
     distinct = list(dict.fromkeys(texts.tolist()))
@@ -242,7 +242,7 @@ def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArr
 
 
 def _label(scenario: Scenario, path: str, value: str = "") -> str:
-    """Return the name of a parameter, with its robot's id, and its value or its unit."""
+    """Return the name of a parameter, with the id of its robot, and its value or unit."""
     unit = UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
     robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
     name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
@@ -250,14 +250,14 @@ def _label(scenario: Scenario, path: str, value: str = "") -> str:
 
 
 def _scale(result: Floats) -> Normalize:
-    """Return the scale of all results, logarithmic where they ask for it."""
+    """Return the common scale of the results, logarithmic if they span decades."""
     known = result[np.isfinite(result)]
     low, high = (float(np.min(known)), float(np.max(known))) if len(known) else (0.0, 1.0)
     return LogNorm(low, high) if 0.0 < _DECADES * low < high else Normalize(low, high)
 
 
 def _curve(axes: Axes, cases: _Cases, scale: Normalize) -> None:
-    """Draw results over one parameter, those of cases that share a value as bands; mark other outcomes below."""
+    """Draw results over one parameter, as bands where cases share a value; mark other outcomes below."""
     place, known = cases.places[0], np.isfinite(cases.result)
     if cases.repeated:
         values = np.unique(place[known])
@@ -283,7 +283,7 @@ def _curve(axes: Axes, cases: _Cases, scale: Normalize) -> None:
 
 
 def _fields(axes: Axes, cases: _Cases, scale: Normalize) -> None:
-    """Draw each place of a grid in the colour of its median result, or worst outcome; mark worse outcomes in it."""
+    """Draw each point of a grid in the colour of its median result or worst outcome; mark worse outcomes in it."""
     (columns, column), (lines, line) = (np.unique(place, return_inverse=True) for place in cases.places)
     worst = np.full((len(lines), len(columns)), -1)
     np.maximum.at(worst, (line, column), cases.outcome)
@@ -307,7 +307,7 @@ def _fields(axes: Axes, cases: _Cases, scale: Normalize) -> None:
 
 
 def _markers(axes: Axes, cases: _Cases, scale: Normalize) -> None:
-    """Draw a marker for each case: its shape is that of the outcome, its colour that of the result if there is one."""
+    """Draw a marker for each case: the shape shows the outcome, the colour the result, if any."""
     x, y = (_moved_apart(place) for place in cases.places)
     for number, name in enumerate(OUTCOMES):
         for known in (False, True):
@@ -317,7 +317,7 @@ def _markers(axes: Axes, cases: _Cases, scale: Normalize) -> None:
 
 
 def _marker(name: str, count: int = 1) -> dict[str, Any]:
-    """Return how an outcome is marked among a number of markers."""
+    """Return the marker of an outcome, sized for the number of markers."""
     size = float(np.clip(8000.0 / count, 8.0, 40.0))
     return {"marker": MARKERS[name], "s": size, "c": LOOKS[name][0], "edgecolors": REFERENCE, "linewidths": 0.5}
 
@@ -332,7 +332,7 @@ def _moved_apart(place: Floats) -> Floats:
 
 
 def _handles(cases: _Cases, *, fields: bool) -> list[Patch | Line2D]:
-    """Return the legend's entries: the bands, and the outcomes that are there, by a patch or a marker."""
+    """Return the legend entries: the bands, and a patch or a marker for each outcome that occurs."""
     handles: list[Patch | Line2D] = []
     if len(cases.places) == 1 and cases.repeated:
         handles = [Patch(color=colour, label=label) for colour, label in _BANDS]

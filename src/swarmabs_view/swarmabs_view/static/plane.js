@@ -9,9 +9,9 @@ const NEAR = 5; // px around a robot within which the pointer selects it
 
 const LABELS = 40; // px between two labels of the edge
 const SUPPORT = 14; // px, half the foot of the support
-const DASHES = 1.04; // where horizontal and reference begin, in half lengths from the middle of the edge
+const DASHES = 1.04; // start of horizontal and reference, in half lengths from the middle of the edge
 
-// A size that the picture leaves room for: it changes only when more is needed, or much less.
+// A size to reserve space for: it changes only when it is too small or far too large.
 function settled(held, needed) {
   return held >= needed && held <= 1.5 * needed ? held : 1.15 * needed;
 }
@@ -55,7 +55,7 @@ export class PlaneView {
     const angle = frame.angle ?? 0;
     this.rise = settled(this.rise, Math.max(rise(angle), rise(frame.reference), 0.01));
     const steep = Math.min(this.rise, 1);
-    // The depth leans away from the side that rises, or a steep plane would be seen from its edge.
+    // The depth axis leans away from the rising side; otherwise a steep plane would appear edge-on.
     const deep = { x: (0.1 * Math.cos(angle) - 0.15 * Math.sin(angle)) * width, y: (0.4 - 0.15 * steep) * height };
     const crowded = this.crowded(hello);
     const scale = Math.min(0.36 * width, (0.4 * height - deep.y / 2) / steep) / half;
@@ -106,7 +106,7 @@ export class PlaneView {
       const [left, bottom] = [x + below * Math.sin(angle), y + below * Math.cos(angle)];
       const text = `${p} m`;
       const [aside, broad] = [Math.abs(left - middle), context.measureText(text).width / 2];
-      // A label beside the support and inside the circle in which no dashes are meets neither.
+      // A label outside the support and inside the circle without dashes overlaps neither.
       if (aside - broad > SUPPORT && Math.hypot(aside + broad, bottom - edge) < DASHES * half * scale) {
         context.fillText(text, left, bottom);
       }
