@@ -71,7 +71,8 @@ class Tuning:
         def adopt(parameters: list[RosParameter]) -> None:
             self.settings, self._install = self._next
             for each in parameters:
-                node.get_logger().info(f"{each.name} set to {each.value}")
+                value = plain(each.value)
+                node.get_logger().info(f"{each.name} set to {list(value) if isinstance(value, tuple) else value}")
 
         node.add_on_set_parameters_callback(check)
         node.add_post_set_parameters_callback(adopt)
