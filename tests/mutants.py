@@ -7,6 +7,7 @@ each, which takes seconds instead of tenths.
 """
 
 import ast
+import ctypes
 import gc
 import json
 import marshal
@@ -41,7 +42,10 @@ TOOL = 4
 """Number under which lines are watched; those below belong to debuggers and coverage."""
 LONGEST = 20.0
 """Time, s, of the tests that are asked about a mutant; four times as much, and it counts as noticed since one hangs."""
+MOST_PROCESSES = 100.0
+"""The same of tests that start processes."""
 MISSED, NOTICED, UNFIT = range(3)
+PR_SET_PDEATHSIG = 1
 
 PAIRS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE,
@@ -217,11 +221,12 @@ IMPORTING = pytest.StashKey[Watch]()
 
 
 def forked(act: Callable[[], int]) -> int:
-    """Return the process that acts, and then ends with what it returns."""
+    """Return the process that acts, and then ends with what it returns; it is killed with this one."""
     process = os.fork()
     if not process:
         code = UNFIT
         try:
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
             os.setpgid(0, 0)
             code = act()
         finally:
@@ -329,10 +334,10 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
         places = {(mutant.path, line) for line in mutant.lines}
         asked, total = list[pytest.Item](), 0.0
         fit = [each for each in seen if each[1] & places]
-        importing = not fit and at_import & places
+        importing, longest = not fit and at_import & places, LONGEST if fit else MOST_PROCESSES
         fit = fit or [each for each in seen if each[2].get_closest_marker("smoke")]
         for took, _, item in sorted(fit, key=itemgetter(0)):
-            if total + took < LONGEST:
+            if total + took < longest:
                 asked.append(item)
                 total += took
         if importing:

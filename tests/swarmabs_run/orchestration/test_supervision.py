@@ -77,7 +77,7 @@ def test_many_silent_robots_are_counted_and_named_by_the_process_that_they_share
         state = Supervision((PLANE, *robots))
         state.take(waits(PLANE, *(f"agent {index}" for index in range(1, count + 1)), step=4))
         failure = state.diagnose({})
-        assert len(failure.culprits) == count
+        assert (len(failure.culprits), failure.reason.count("process None")) == (count, 5)
         assert words in failure.reason
     state = Supervision((PLANE, "agents_001_to_003"), hosts=dict.fromkeys((1, 2, 3), "agents_001_to_003"))
     state.take(waits(PLANE, "agent 1", "agent 3", step=4))
