@@ -1,7 +1,7 @@
 """Who speaks for somebody else, ahead of him by as much as clocks may differ: nodes notice when both speak."""
 
 from itertools import product
-from math import inf
+from math import inf, nan
 
 import pytest
 from tests.swarmabs_core.realtime import nodes
@@ -31,6 +31,26 @@ def test_broadcasts_of_an_intruder_who_is_ahead_stop_a_robot(lead: int, part: in
     # Until the step has come of which the first forged message was, nobody can tell.
     assert not any(body.commands[lead:])
     assert node.health(nodes.at(160)).text == "safe stop: the broadcasts contradict each other"
+
+
+ABSTRACT, SUMS, DESIRED = nodes.broadcasts(12)
+
+
+@pytest.mark.parametrize(
+    ("message", "lie"),
+    [
+        *((ABSTRACT, lie) for lie in ({"torque": nan}, {"torque": 1e6}, {"step": 2**63})),
+        *((ABSTRACT, {"inertia": inertia}) for inertia in (inf, -0.01, 5.0)),
+        *((SUMS, lie) for lie in ({"s0": -1.0}, {"s0": 1e6}, {"s1": 2.0}, {"s2": 3.0}, {"s3": 0.5}, {"s3": nan})),
+        *((DESIRED, lie) for lie in ({"mode": 77}, {"torque": inf})),
+    ],
+)
+def test_what_cannot_be_true_is_refused_and_moves_no_robot(message: msg.Message, lie: dict[str, float]) -> None:
+    body, node = nodes.robot()
+    nodes.follow(node, 11)
+    assert nodes.kinds(node.hear(message._replace(**lie), nodes.at(12.6))) == [msg.EventKind.REFUSED]
+    node.tick(nodes.at(13))
+    assert body.commands[0] == body.commands[1] != 0.0
 
 
 def test_what_was_heard_is_kept_for_a_bounded_time() -> None:
