@@ -279,21 +279,6 @@ def test_a_robot_that_was_dropped_is_taken_from_the_record() -> None:
     assert place(first_difference(world("pd_het_4", SHORT), bag)) == ("swarm/agent_state", 30, 2, "message")
 
 
-def test_a_bag_that_is_cut_off_anywhere_is_verified_up_to_there() -> None:
-    scenario, bag = whole(*WORLDS["faults"])
-    for length in range(0, len(bag), 7):
-        found = verify(scenario, bag[:length], whole=False)
-        assert found.difference is None
-        rest = [s for s in bag[:length] if s.message.step >= found.steps]
-        assert found.messages >= length - len(rest)
-        assert len({s.message.step for s in rest}) <= 1
-    bent = [*bag[:200], changed(bag[200], stamp=1), *bag[201:203]]
-    assert verify(scenario, bent, whole=False).difference is not None
-    unsaid = first_difference(scenario, [stored for stored in bag if stored.message.step <= 40])
-    assert place(unsaid) == ("swarm/agent_state", 41, None, "message")
-    assert "without giving a reason" in unsaid.reason
-
-
 def test_a_bag_that_says_so_may_break_off_within_its_last_step() -> None:
     scenario, bag = whole("pd_het_4", SHORT)
     begin = next(n for n, s in enumerate(bag) if s.message.step == 40)
@@ -311,8 +296,10 @@ def test_a_bag_that_says_so_may_break_off_within_its_last_step() -> None:
         assert place(first_difference(scenario, hole, whole=False))[:2] == (bag[n].topic.name, 40)
         before = [*bag[: n - 8], *bag[n - 7 : begin + 5]]
         assert place(first_difference(scenario, before, whole=False))[:2] == (bag[n].topic.name, 39)
-    unsaid = first_difference(scenario, bag[: begin + 2])
-    assert place(unsaid) == ("swarm/agent_state", 40, 3, "message")
+    assert place(first_difference(scenario, bag[: begin + 2])) == ("swarm/agent_state", 40, 3, "message")
+    unsaid = first_difference(scenario, bag[: begin + 8])
+    assert place(unsaid) == ("swarm/agent_state", 41, None, "message")
+    assert "without giving a reason" in unsaid.reason
 
 
 def test_a_robot_that_takes_the_name_of_another_is_named_whatever_the_clock_of_the_other() -> None:

@@ -54,27 +54,6 @@ def test_a_right_run_is_found_right_whatever_the_recorder_lost(name: str, way: d
         assert found.not_checkable.total() <= (500 if name == "clocks" else 0)
 
 
-@settings(max_examples=30)
-@given(st.data())
-def test_a_changed_bit_of_a_command_is_found_and_named(data: st.DataObject) -> None:
-    recorded = world(data.draw(st.sampled_from(["brief", "brief on a bad network"])))
-    states = [n for n, stored in enumerate(recorded.bag) if stored.topic is msg.AGENT_STATE]
-    number = data.draw(st.sampled_from(states[4:]))
-    stored = recorded.bag[number]
-    bit = 8 * (len(stored.payload) - 8) + data.draw(st.integers(0, 63))
-    state = stored.message
-    assert isinstance(state, msg.AgentState)
-    bag = [*recorded.bag[:number], flipped(stored, bit), *recorded.bag[number + 1 :]]
-    found = verify(recorded.scenario, bag).difference
-    before = [m for m in messages(recorded.bag) if isinstance(m, msg.AgentState) and m.agent_id == state.agent_id]
-    after_gap = before.index(state) == 0 or before[before.index(state) - 1].step < state.step - 1
-    # A robot at rest may command 0 or -0.
-    if not after_gap and state.command != 0.0:
-        assert found is not None
-        assert (found.topic, found.step, found.agent) == (msg.AGENT_STATE.name, state.step, state.agent_id)
-        assert found.field in {"command", "payload"}
-
-
 @settings(max_examples=50)
 @given(st.data())
 def test_a_changed_bit_anywhere_is_found(data: st.DataObject) -> None:
