@@ -79,7 +79,7 @@ def test_a_second_plane_that_is_ahead_makes_the_controller_ask_for_nothing(lead:
     assert all(asked[step] for step in range(quiet + 1, 140))
     details = [m.detail for m in answers if isinstance(m, msg.SwarmEvent)]
     assert any("a second plane, or an intruder" in detail for detail in details)
-    assert "the states of the plane contradict each other" in details
+    assert details.count("the states of the plane contradict each other") == 1
 
 
 @pytest.mark.parametrize("lead", LEADS)
