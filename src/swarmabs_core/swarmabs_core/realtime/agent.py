@@ -45,7 +45,9 @@ class RealtimeAgentConfig(RobotConfig):
     )
     lane_margin: float = same(Realtime, "lane_margin")
     broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
-    measurement_age_limit: float = setting(0.1, "age of its motion measurement above which a robot stops, s", above=0.0)
+    measurement_age_limit: float = setting(
+        0.1, "age of a robot's motion measurement above which it stops, s", above=0.0
+    )
     clock_tolerance: float = same(Realtime, "clock_tolerance")
     drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "drive of the robot")
     drive_settings: Settings = field(default_factory=dict, hash=False)
