@@ -78,7 +78,12 @@ def told(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
         signal.signal(number, handler)
 
 
-terminate, interrupt = (partial(os.kill, os.getpid(), number) for number in (signal.SIGTERM, signal.SIGINT))
+def terminate() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)  # of the process that runs the test, which may be a fork
+
+
+def interrupt() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def fail() -> None:
