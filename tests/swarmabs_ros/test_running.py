@@ -233,12 +233,15 @@ def test_a_node_in_lockstep_is_told_how_it_ends(
     assert (exits, told.events()) == ([why], said)
 
 
-def test_who_waits_for_others_may_be_told_to_stop(told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("match", ["['swarm/events 2']", "['swarm/events 1', 'plane/state 1']"])
+def test_who_waits_for_others_may_be_told_to_stop(match: str, told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
     monkeypatch.setattr(time, "sleep", lambda seconds: (waits.append(seconds), terminate()))
-    words = [*COMMAND_LINE, *given(match="['swarm/events 2']")]
+    words = [*COMMAND_LINE, *given(match=match)]
     assert run_node(PLANE, (), lambda *_: NodeSpec(Stepping(), lingers=False), words) == 0
     assert len(waits) == 1
+    spec = NodeSpec(Stepping(), lingers=False, on_idle=terminate)
+    assert run_node(PLANE, (), lambda *_: spec, COMMAND_LINE) == 0, "nor does it wait for messages then"
 
 
 @pytest.mark.parametrize(("name", "policy"), [("fifo", os.SCHED_FIFO), ("rr", os.SCHED_RR)])
