@@ -246,7 +246,7 @@ def _label(scenario: Scenario, path: str, value: str = "") -> str:
     unit = UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
     robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
     name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
-    return f"{name}\n{value} {unit}" if value else f"{name}, {unit}".removesuffix(", ")
+    return f"{name}\n{value} {unit}".rstrip() if value else f"{name}, {unit}".removesuffix(", ")
 
 
 def _scale(result: Floats) -> Normalize:
