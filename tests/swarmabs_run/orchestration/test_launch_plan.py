@@ -1,5 +1,6 @@
 """What launch files start: the processes are told the epoch when all are ready, and the recorder's word is known."""
 
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from swarmabs_run.orchestration.launch_plan import Starter, launch_plan
 def test_all_are_told_the_same_epoch_when_the_last_is_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     processes = launch_plan("pd_het_4", str(tmp_path / "run"), REALTIME).processes
     assert all(process.parameters["await_epoch"] is True for process in processes)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     starter = Starter(processes)
     for name, path in starter.environment.items():
         monkeypatch.setenv(name, path)

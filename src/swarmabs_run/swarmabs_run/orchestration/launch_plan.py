@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import shutil
@@ -58,6 +59,7 @@ class Starter(threading.Thread):
         self._waited = {process.name for process in processes}
         self._processes = len(processes)
         self._pipes = Path(tempfile.mkdtemp(prefix="swarmabs-"))
+        atexit.register(self.forget)
         self.environment = {name: str(self._pipes / name) for name in (REPORT_FD, START_FD)}
         for path in self.environment.values():
             os.mkfifo(path, 0o600)
