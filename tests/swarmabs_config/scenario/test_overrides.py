@@ -76,6 +76,7 @@ def test_another_type_drops_the_keys_of_the_old_one() -> None:
 
 def test_robots_and_faults() -> None:
     assert parse("swarm.agents.1.damping=0").agents[1].damping == 0.0
+    assert parse("swarm.agents.1.position=-0.5").agents[1].position == -0.5, "the very end of the plane"
     appended = "swarm.agents.2={id: 9, kind: single_integrator, mass: 1, position: 0}"
     assert [agent.id for agent in parse(appended).agents] == [1, 2, 9]
     faults = parse("faults.0.kind=loss", "faults.0.probability=.5", "faults.1={kind: delay, steps: 1}").faults
