@@ -32,11 +32,12 @@ from typing import Any, NamedTuple
 import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import Phase, settings
-from tests.processes import carrying
+from tests.processes import SEARCH_PATH, carrying
 
 PLACE = Path(gettempdir()) / f"mutant-{os.getpid()}"
 """Where the processes that a test starts find the code of the mutant, by `tests/mutated`."""
-os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent / "mutated"), os.environ.get("PYTHONPATH", "")])
+for search in (os.environ, SEARCH_PATH):
+    search["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent / "mutated"), search.get("PYTHONPATH", "")])
 
 TOOL = 4
 """Number under which lines are watched; those below belong to debuggers and coverage."""
